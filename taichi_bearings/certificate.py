@@ -1,0 +1,151 @@
+"""Bounds on the least power, from any spins and any contact forces. NumPy in float64, apart from every method.
+
+The problem is convex and has a dual (PHYSICS 3 and 4). With t_i the sum of the contact forces that pull on sphere i,
+
+    Coulomb:  P_min >= R [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]         for |f_e| <= mu_e F_n
+    viscous:  P_min >= 2 R [ the same ]  -  sum_e |f_e|^2 / eta_e                            for any f
+
+where c and w are the middle and the half width of the interval that the two driven planes span in each component: a
+minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Three candidates
+are made from the given forces and the best bound is kept: the forces as they are (capped), the forces after removing
+the left-over torque by a Poisson solve and scaling everything into the friction discs, and the same but capped contact
+by contact. Rounding is paid for as well.
+"""
+
+import numpy as np
+from scipy import fft
+
+from taichi_bearings.lattice.grid import contact_differences, torques
+from taichi_bearings.scene.scene import Scene, vector_length
+
+Forces = tuple[np.ndarray, ...]
+ROUNDING = 32 * np.finfo(np.float64).eps
+
+
+def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Proven lower bound (R,) on the least power of each replica, energy/time; never below 0.
+
+    force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
+    """
+    force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
+    finite = np.all([np.isfinite(f).reshape(f.shape[0], scene.replicas, -1).all(axis=(0, 2)) for f in force], axis=0)
+    if not finite.all():
+        keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
+        force = tuple(np.where(keep, f, 0.0) for f in force)
+    balanced = balance(scene, force, spin_axes)
+    if scene.law == "viscous":
+        candidates = [force, balanced]
+    else:
+        candidates = [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
+    best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
+    return np.maximum(best, 0.0)
+
+
+def relative_gap(scene: Scene, power: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """(power - lower bound) / power; 0 where the power itself is round-off of the scene's natural power."""
+    friction = np.sum([c.reshape(scene.replicas, -1).sum(axis=1) for c in scene.acting_coefficient], axis=0)
+    speed = scene.lattice.radius * max(abs(scene.spin_top), abs(scene.spin_bottom))
+    natural = scene.strength * friction * (speed if scene.law == "coulomb" else speed**2)
+    matters = power > 1e-13 * natural
+    return np.where(matters, (power - bound) / np.where(matters, power, 1.0), 0.0)
+
+
+def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Dual objective (R,) of admissible forces, torque-balanced or not, minus an allowance for rounding."""
+    lattice = scene.lattice
+    pull = torques(force, lattice, spin_axes)
+    bottom, top = scene.driven_values(spin_axes)
+    work = np.zeros(scene.replicas)
+    for slot in range(len(spin_axes)):
+        half_width = (top[slot] - bottom[slot]) / 2
+        planes = pull[slot][..., -1] - pull[slot][..., 0]
+        work -= half_width * planes.reshape(scene.replicas, -1).sum(axis=1)
+        left_over = np.abs(pull[slot][..., 1:-1])
+        work -= abs(half_width) * left_over.reshape(scene.replicas, -1).sum(axis=1)
+    work *= lattice.radius
+    total = np.sum([vector_length(f).reshape(scene.replicas, -1).sum(axis=1) for f in force], axis=0)
+    allowance = ROUNDING * total * lattice.radius * scene.jump
+    if scene.law == "coulomb":
+        return work - allowance
+    cost = np.zeros(scene.replicas)
+    for axis, values in enumerate(force):
+        inverse = _inverse(scene.acting_coefficient[axis])
+        cost += (vector_length(values) ** 2 * inverse).reshape(scene.replicas, -1).sum(axis=1)
+    return 2 * work - cost - 2 * allowance - ROUNDING * cost
+
+
+def capped(scene: Scene, force: Forces) -> Forces:
+    """Forces with each one longer than its friction disc shortened to it."""
+    return tuple(f * np.minimum(1.0, _inverse(ratio)) for f, ratio in zip(force, saturation(scene, force), strict=True))
+
+
+def scaled(scene: Scene, force: Forces) -> Forces:
+    """All forces of a replica divided by the worst saturation, which keeps their torque balance."""
+    worst = np.max([ratio.reshape(scene.replicas, -1).max(axis=1) for ratio in saturation(scene, force)], axis=0)
+    factor = (1.0 / np.maximum(worst, 1.0)).reshape(-1, *(1,) * scene.lattice.dimension)
+    return tuple(f * factor for f in force)
+
+
+def saturation(scene: Scene, force: Forces) -> tuple[np.ndarray, ...]:
+    """|f| / (mu F_n) of every contact, one array (R, *contacts) an axis, rounded up; 0 between driven spheres."""
+    up = 1 + 4 * np.finfo(np.float64).eps
+    return tuple(
+        vector_length(values) * up * _inverse(scene.strength * scene.acting_coefficient[axis])
+        for axis, values in enumerate(force)
+    )
+
+
+def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
+    """Forces plus the smallest correction (in the sum of squares) that leaves no torque on any free sphere.
+
+    The correction is the gradient of a potential u with -Laplace u = left-over torque on the free spheres and u = 0 on
+    the driven ones: one constant-coefficient Poisson problem a component, solved by cosine and sine transforms.
+    Component k is coupled only by the contacts that are not along k.
+    """
+    lattice = scene.lattice
+    pull = torques(force, lattice, spin_axes)
+    potential = np.zeros_like(pull)
+    for slot, component in enumerate(spin_axes):
+        potential[slot][..., 1:-1] = _solve_poisson(pull[slot][..., 1:-1], lattice.dimension, component)
+    correction = contact_differences(potential, lattice, spin_axes)
+    return _without_driven_contacts(scene, tuple(f + c for f, c in zip(force, correction, strict=True)))
+
+
+def _solve_poisson(source: np.ndarray, dimension: int, component: int) -> np.ndarray:
+    """u (R, *free) with -Laplace u = source; the Laplacian runs over the lattice axes other than `component`."""
+    offset = source.ndim - dimension
+    height = dimension - 1
+    sideways = [offset + a for a in range(height) if a != component]
+    eigenvalue = np.zeros((1,) * source.ndim)
+    for axis in sideways:
+        eigenvalue = eigenvalue + _along(axis, source.ndim, 2 - 2 * np.cos(np.pi * np.arange(source.shape[axis]) / source.shape[axis]))
+    if component != height:
+        free = source.shape[-1]
+        eigenvalue = eigenvalue + _along(source.ndim - 1, source.ndim, 2 - 2 * np.cos(np.pi * np.arange(1, free + 1) / (free + 1)))
+    if not sideways and component == height:
+        return np.zeros_like(source)
+    spectrum = fft.dctn(source, type=2, axes=sideways, norm="ortho") if sideways else source
+    if component != height:
+        spectrum = fft.dst(spectrum, type=1, axis=-1, norm="ortho")
+    spectrum = spectrum * _inverse(eigenvalue)  # the mean of a layer that nothing couples stays as it is
+    if component != height:
+        spectrum = fft.idst(spectrum, type=1, axis=-1, norm="ortho")
+    return fft.idctn(spectrum, type=2, axes=sideways, norm="ortho") if sideways else spectrum
+
+
+def _along(axis: int, dimensions: int, values: np.ndarray) -> np.ndarray:
+    shape = [1] * dimensions
+    shape[axis] = -1
+    return values.reshape(shape)
+
+
+def _inverse(values: np.ndarray) -> np.ndarray:
+    """1 / values, and 0 where values is 0."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
+
+
+def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
+    return tuple(np.where(c == 0, 0.0, f) for f, c in zip(force, scene.acting_coefficient, strict=True))
+
+
+__all__ = ["balance", "capped", "dual_value", "lower_bound", "relative_gap", "saturation", "scaled"]

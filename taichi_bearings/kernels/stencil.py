@@ -1,0 +1,58 @@
+"""Compile-time shape of the work: which spin components each contact direction uses, and how sites are blocked."""
+
+from dataclasses import dataclass
+
+import taichi as ti
+
+from taichi_bearings.lattice.grid import tangential
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """Constants that a kernel is compiled for.
+
+    spin_axes : components carried, e.g. (2,) in 2D or (0, 1) in 3D driven in the xy plane.
+    dimension : 2 or 3; the height is the last axis and runs along memory.
+    block, lead : sites a task updates at a time, and how many sites below the block it looks back (see Layout).
+    """
+
+    spin_axes: tuple[int, ...]
+    dimension: int
+    block: int
+    lead: int
+
+    @property
+    def components(self) -> int:
+        return len(self.spin_axes)
+
+    @property
+    def height(self) -> int:
+        return self.dimension - 1
+
+    @property
+    def kept(self) -> tuple[tuple[int, ...], ...]:
+        """For each axis, the slots of the spin vector that make its contacts slip."""
+        return tuple(tangential(axis, self.spin_axes) for axis in range(self.dimension))
+
+    @property
+    def height_kept(self) -> int:
+        return len(self.kept[self.height])
+
+    @property
+    def force_components(self) -> int:
+        """Numbers that hold the forces of all contacts above a site: the sum of what each axis keeps."""
+        return sum(len(slots) for slots in self.kept)
+
+    @property
+    def force_slot(self) -> tuple[int, ...]:
+        """Where the force of each axis begins among the force components."""
+        return tuple(sum(len(slots) for slots in self.kept[:axis]) for axis in range(self.dimension))
+
+
+@ti.func
+def copy_out(local: ti.template(), field: ti.template(), first, components: ti.template(), block: ti.template()):
+    """field[first + m][c] = local[c, m], eight sites unrolled at a time."""
+    for c in ti.static(range(components)):
+        for m in range(ti.static(max(block // 8, 1))):
+            for lane in ti.static(range(min(8, block))):
+                field[first + m * 8 + lane][c] = local[c, m * 8 + lane]

@@ -1,0 +1,148 @@
+"""The square or cubic lattice of touching spheres and its contacts.
+
+Contacts are named by (axis, lower site): contact [i, j, k] of axis a joins sphere (i, j, k) with its upper neighbour
+along a, so an array over the contacts of axis a is one shorter than the lattice along a. The last axis is the height;
+its first and last planes are driven. Spins are kept by component: ``spin_axes`` names the components a computation
+carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice driven in the xy plane.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+
+MOST_SITES = 2**31 - 1  # Taichi indexes with 32-bit integers and would silently run nothing beyond
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A square lattice ``(nx, ny)`` of discs or a cubic one ``(nx, ny, nz)`` of spheres that touch their neighbours.
+
+    shape : number of spheres along each axis, height last.
+    radius : length; half the lattice spacing.
+    """
+
+    shape: tuple[int, ...]
+    radius: float = 0.5
+
+    def __post_init__(self) -> None:
+        if len(self.shape) not in (2, 3):
+            raise InputError(f"shape is {list(self.shape)}; it must have two or three numbers")
+        if min(self.shape) < 2:
+            raise InputError(f"shape is {list(self.shape)}; every side must be 2 or more")
+        if self.shape[-1] < 3:
+            raise InputError(f"shape is {list(self.shape)}; the height (last number) must be 3 or more")
+        if self.sites > MOST_SITES // 8:
+            raise InputError(f"shape is {list(self.shape)}; at most {MOST_SITES // 8} spheres can be indexed")
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise InputError(f"radius is {self.radius}; it must be a positive number")
+
+    @property
+    def dimension(self) -> int:
+        return len(self.shape)
+
+    @property
+    def height_axis(self) -> int:
+        return self.dimension - 1
+
+    @property
+    def sites(self) -> int:
+        return int(np.prod([int(n) for n in self.shape], dtype=object))
+
+    @property
+    def all_spin_axes(self) -> tuple[int, ...]:
+        """Every component a spin of this lattice can have: z in 2D; x, y, z in 3D."""
+        return (2,) if self.dimension == 2 else (0, 1, 2)
+
+    def contact_shape(self, axis: int) -> tuple[int, ...]:
+        return tuple(n - (a == axis) for a, n in enumerate(self.shape))
+
+    @cached_property
+    def parity(self) -> np.ndarray:
+        """s = +1 or -1 by sublattice, shape N: neighbours differ, and a bearing state has equal s * spin."""
+        return 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
+
+    @cached_property
+    def is_driven(self) -> np.ndarray:
+        """True for the spheres whose spin is imposed, shape N."""
+        driven = np.zeros(self.shape, dtype=bool)
+        driven[..., 0] = driven[..., -1] = True
+        return driven
+
+    def between_driven(self, axis: int) -> np.ndarray:
+        """True for the contacts that join two driven spheres: they never slip and are left out of every sum."""
+        between = np.zeros(self.contact_shape(axis), dtype=bool)
+        if axis != self.height_axis:
+            between[..., 0] = between[..., -1] = True
+        return between
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts that can slip."""
+        return sum(int((~self.between_driven(a)).sum()) for a in range(self.dimension))
+
+
+def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
+    """Positions in `spin_axes` of the components that make a contact along `axis` slip: all but the one along it."""
+    return tuple(slot for slot, component in enumerate(spin_axes) if component != axis)
+
+
+def lower(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
+    """Values at the lower sphere of each contact of `axis`; the lattice axes of `field` are its last ones."""
+    index = [slice(None)] * field.ndim
+    index[field.ndim - dimension + axis] = slice(None, -1)
+    return field[tuple(index)]
+
+
+def upper(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
+    """Values at the upper sphere of each contact of `axis`."""
+    index = [slice(None)] * field.ndim
+    index[field.ndim - dimension + axis] = slice(1, None)
+    return field[tuple(index)]
+
+
+def contact_differences(
+    staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]
+) -> tuple[np.ndarray, ...]:
+    """Difference of the staggered spins across every contact, without its component along the contact.
+
+    staggered : (C, R, *N), components as named by `spin_axes`.
+    returns : one array (T, R, *contacts) an axis; R times its length over T is the slip speed (paper Eq. 2).
+    """
+    kept = (staggered[list(tangential(axis, spin_axes))] for axis in range(lattice.dimension))
+    return tuple(
+        upper(part, axis, lattice.dimension) - lower(part, axis, lattice.dimension) for axis, part in enumerate(kept)
+    )
+
+
+def torques(force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
+
+    force : one array (T, R, *contacts) an axis, along the spin difference of the contact.
+    """
+    return _gather(force, lattice, spin_axes, upper_sign=-1.0)
+
+
+def weights(coefficient: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Sum of the coefficients of the contacts that act on each spin component, (C, R, *N).
+
+    coefficient : one array (R, *contacts) an axis.
+    """
+    spread = tuple(
+        np.broadcast_to(values, (len(tangential(axis, spin_axes)), *values.shape))
+        for axis, values in enumerate(coefficient)
+    )
+    return _gather(spread, lattice, spin_axes, upper_sign=1.0)
+
+
+def _gather(
+    contact_values: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...], upper_sign: float
+) -> np.ndarray:
+    total = np.zeros((len(spin_axes), contact_values[0].shape[1], *lattice.shape))
+    for axis, vectors in enumerate(contact_values):
+        for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
+            lower(total[slot], axis, lattice.dimension)[...] += values
+            upper(total[slot], axis, lattice.dimension)[...] += upper_sign * values
+    return total

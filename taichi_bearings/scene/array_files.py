@@ -1,0 +1,41 @@
+"""Reading arrays that users bring: npy, npz or HDF5, each failure one sentence."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings.errors import FileError
+
+
+def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """The named arrays; in npz a name such as ``coefficient/x`` may also be stored as ``x``.
+
+    Raises FileError if the file is missing, truncated, of another kind, or lacks a name.
+    """
+    if not path.is_file():
+        raise FileError(f"{path} does not exist or is not a file")
+    try:
+        if path.suffix == ".npy":
+            return {names[0]: np.load(path, allow_pickle=False)}
+        if path.suffix == ".npz":
+            with np.load(path, allow_pickle=False) as stored:
+                return {name: stored[name if name in stored else name.split("/")[-1]] for name in names}
+        import h5py
+
+        with h5py.File(path, "r") as file:
+            return {name: file[name][()] for name in names}
+    except KeyError:
+        raise FileError(f"{path} lacks one of the arrays {', '.join(names)}") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        raise FileError(f"{path} cannot be read as npy, npz or HDF5: it is damaged, truncated or of another kind") from None
+
+
+def read_coefficients(path: Path, dimension: int) -> tuple[np.ndarray, ...]:
+    """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on."""
+    names = [f"coefficient/{axis}" for axis in "xyz"[:dimension]]
+    stored = read_arrays(path, names)
+    try:
+        return tuple(np.asarray(stored[name], dtype=np.float64) for name in names)
+    except (TypeError, ValueError):
+        raise FileError(f"{path} holds coefficients that are not numbers") from None

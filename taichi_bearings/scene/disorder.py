@@ -1,0 +1,91 @@
+"""Random contact coefficients from a seed, the same on any machine (CONTRACT: one draw an axis, in the order x, y, z)."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice import Lattice
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution of positive coefficients, written ``name:parameter,parameter``.
+
+    ============================== ===========================================================================
+    ``uniform:low,high``           uniform in [low, high)
+    ``lognormal:median,sigma``     logarithm normal with standard deviation sigma
+    ``power-law:low,high,a``       density proportional to x^a on [low, high]; a = -1 is uniform in the logarithm
+    ``bimodal:low,high,fraction``  `high` with probability `fraction`, else `low`
+    ``constant:value``             all equal
+    ============================== ===========================================================================
+    """
+
+    name: str
+    parameters: tuple[float, ...]
+
+    PARAMETERS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "uniform": ("low", "high"),
+        "lognormal": ("median", "sigma"),
+        "power-law": ("low", "high", "exponent"),
+        "bimodal": ("low", "high", "fraction"),
+        "constant": ("value",),
+    }
+
+    @classmethod
+    def parse(cls, text: str) -> "Distribution":
+        """Read ``uniform:0.1,1.0`` and the like; raises InputError with the form that is expected."""
+        name, _, rest = text.partition(":")
+        if name not in cls.PARAMETERS:
+            raise InputError(f"distribution is {text!r}; allowed are {', '.join(cls.forms())}")
+        try:
+            parameters = tuple(float(word) for word in rest.split(","))
+        except ValueError:
+            parameters = ()
+        if len(parameters) != len(cls.PARAMETERS[name]):
+            raise InputError(f"distribution is {text!r}; {name} is written {name}:{','.join(cls.PARAMETERS[name])}")
+        return cls(name, parameters)
+
+    @classmethod
+    def forms(cls) -> list[str]:
+        return [f"{name}:{','.join(words)}" for name, words in cls.PARAMETERS.items()]
+
+    def __post_init__(self) -> None:
+        values = dict(zip(self.PARAMETERS[self.name], self.parameters, strict=True))
+        for word, value in values.items():
+            signed = word in ("exponent", "sigma", "fraction")
+            if not np.isfinite(value) or (value <= 0 and not signed):
+                raise InputError(f"{word} of distribution {self} is {value}; it must be a positive number")
+        if "high" in values and not values["low"] <= values["high"]:
+            raise InputError(f"distribution {self} has low above high")
+        if values.get("sigma", 0.0) < 0:
+            raise InputError(f"sigma of distribution {self} is {values['sigma']}; it must be 0 or more")
+        if not 0 <= values.get("fraction", 0.0) <= 1:
+            raise InputError(f"fraction of distribution {self} is {values['fraction']}; it must be between 0 and 1")
+
+    def __str__(self) -> str:
+        return f"{self.name}:{','.join(format(value, 'g') for value in self.parameters)}"
+
+    def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+        p = self.parameters
+        if self.name == "uniform":
+            return rng.uniform(p[0], p[1], shape)
+        if self.name == "lognormal":
+            return p[0] * np.exp(p[1] * rng.standard_normal(shape))
+        if self.name == "power-law":
+            low, high, exponent = p
+            level = rng.uniform(0.0, 1.0, shape)
+            if abs(exponent + 1) < 1e-12:
+                return low * (high / low) ** level
+            a, b = low ** (exponent + 1), high ** (exponent + 1)
+            return (a + (b - a) * level) ** (1 / (exponent + 1))
+        if self.name == "bimodal":
+            return np.where(rng.uniform(0.0, 1.0, shape) < p[2], p[1], p[0])
+        return np.full(shape, p[0])
+
+
+def draw_coefficients(lattice: Lattice, distribution: Distribution, seed: int) -> tuple[np.ndarray, ...]:
+    """One array an axis of that axis' contact shape, drawn from ``default_rng(seed)``; dimensionless or damping."""
+    rng = np.random.default_rng(seed)
+    return tuple(distribution.draw(rng, lattice.contact_shape(axis)) for axis in range(lattice.dimension))

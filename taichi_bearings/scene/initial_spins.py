@@ -1,0 +1,56 @@
+"""Spins to start from. Every start obeys the driving; the stationary power does not depend on the choice."""
+
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene.scene import Scene
+
+STARTS = ("random", "zero", "linear")
+
+
+def random_spin(scene: Scene) -> np.ndarray:
+    """Free spheres uniform in [-w, w] for each component, w the larger imposed spin; drawn from [seed, 1]."""
+    largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
+    shape = scene.lattice.shape if scene.lattice.dimension == 2 else (*scene.lattice.shape, 3)
+    draws = [np.random.default_rng([seed, 1]).uniform(-largest, largest, shape) for seed in scene.seeds]
+    return np.stack(draws)
+
+
+def linear_spin(scene: Scene) -> np.ndarray:
+    """Staggered spin linear in the height: the viscous answer without disorder."""
+    height = np.linspace(0.0, 1.0, scene.lattice.shape[-1])
+    axes = scene.lattice.all_spin_axes
+    bottom, top = scene.driven_values(axes)
+    staggered = bottom[:, None] + (top - bottom)[:, None] * height
+    staggered = staggered.reshape(len(axes), *(1,) * scene.lattice.dimension, -1)
+    full = np.broadcast_to(staggered, (len(axes), scene.replicas, *scene.lattice.shape))
+    return scene.laboratory_spin(full, axes)
+
+
+def zero_spin(scene: Scene) -> np.ndarray:
+    shape = (scene.replicas, *scene.lattice.shape)
+    return np.zeros(shape if scene.lattice.dimension == 2 else (*shape, 3))
+
+
+def initial_spin(scene: Scene, start: str) -> np.ndarray:
+    """Laboratory spins (R, *N) or (R, *N, 3), 1/time.
+
+    start : "random", "zero", "linear", or a file with an array or data set ``spin`` (npy, npz, or HDF5 such as run.h5).
+    """
+    if start in STARTS:
+        return {"random": random_spin, "zero": zero_spin, "linear": linear_spin}[start](scene)
+    if not Path(start).exists():
+        raise InputError(f"initial is {start!r}; allowed are {', '.join(STARTS)} or a file with an array `spin`")
+    from taichi_bearings.scene.array_files import read_arrays
+
+    spin = np.asarray(read_arrays(Path(start), ["spin"])["spin"], dtype=np.float64)
+    expected = zero_spin(scene).shape
+    if spin.shape == expected[1:]:
+        spin = np.broadcast_to(spin, expected)
+    if spin.shape != expected:
+        raise InputError(f"spin in {start} has shape {spin.shape}; this scene needs {expected[1:]} or {expected}")
+    if not np.isfinite(spin).all():
+        raise InputError(f"spin in {start} holds a value that is not finite")
+    return spin

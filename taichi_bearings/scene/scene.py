@@ -1,0 +1,154 @@
+"""What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import contact_differences
+
+LAWS = ("coulomb", "viscous")
+AXIS_NAMES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A frustrated bearing: R samples of the disorder (replicas) on one lattice with one driving.
+
+    coefficient : one array (R, *contacts) an axis; friction (coulomb) or damping (viscous), all positive.
+    spin_top, spin_bottom : 1/time; imposed spin of the top and bottom planes, with the sign of the sublattice.
+    direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
+    normal_force : force at every contact (coulomb).
+    seeds : seed of each replica, for the record and for random initial spins.
+    """
+
+    lattice: Lattice
+    law: str
+    coefficient: tuple[np.ndarray, ...]
+    spin_top: float = 1.0
+    spin_bottom: float = 0.0
+    direction: tuple[float, float, float] = (1.0, 1.0, 0.0)
+    normal_force: float = 50.0
+    seeds: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        if self.law not in LAWS:
+            raise InputError(f"law is {self.law!r}; allowed are {', '.join(LAWS)}")
+        for name in ("spin_top", "spin_bottom", "normal_force"):
+            if not np.isfinite(getattr(self, name)):
+                raise InputError(f"{name} is {getattr(self, name)}; it must be a finite number")
+        if self.normal_force <= 0:
+            raise InputError(f"normal_force is {self.normal_force}; it must be positive")
+        if len(self.direction) != 3 or not np.all(np.isfinite(self.direction)) or not np.any(self.direction):
+            raise InputError(f"direction is {list(self.direction)}; it must be three finite numbers, not all zero")
+        for axis in range(self.lattice.dimension):
+            self._check_coefficients(axis)
+
+    def _check_coefficients(self, axis: int) -> None:
+        name, expected = AXIS_NAMES[axis], (len(self.seeds), *self.lattice.contact_shape(axis))
+        values = self.coefficient[axis]
+        if values.shape != expected:
+            raise InputError(f"coefficients along {name} have shape {values.shape}; this lattice needs {expected}")
+        bad = ~(np.isfinite(values) & (values > 0))
+        if bad.any():
+            where = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise InputError(
+                f"coefficient {values[where]} at {list(where[1:])} along {name} is not allowed; "
+                "every coefficient must be a positive finite number"
+            )
+
+    @property
+    def replicas(self) -> int:
+        return len(self.seeds)
+
+    @cached_property
+    def axis_vector(self) -> np.ndarray:
+        """Unit vector (3,) of the imposed spins."""
+        if self.lattice.dimension == 2:
+            return np.array([0.0, 0.0, 1.0])
+        return np.asarray(self.direction, dtype=np.float64) / np.linalg.norm(self.direction)
+
+    @cached_property
+    def minimum_spin_axes(self) -> tuple[int, ...]:
+        """Components the minimum needs: where top and bottom agree, the staggered spin is constant (PHYSICS 3.3)."""
+        jump = (self.spin_top - self.spin_bottom) * self.axis_vector
+        needed = tuple(k for k in self.lattice.all_spin_axes if jump[k] != 0.0)
+        return needed or self.lattice.all_spin_axes[:1]  # no frustration: one component, to have something to show
+
+    def driven_values(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Staggered spin (C,) of the bottom and of the top plane."""
+        unit = self.axis_vector[list(spin_axes)]
+        return self.spin_bottom * unit, self.spin_top * unit
+
+    @property
+    def jump(self) -> float:
+        """|difference of the imposed staggered spins|, 1/time: the natural unit of spin differences."""
+        return abs(self.spin_top - self.spin_bottom)
+
+    @property
+    def strength(self) -> float:
+        """Factor that turns a coefficient into a contact force: the normal force, or 1 for the viscous law."""
+        return self.normal_force if self.law == "coulomb" else 1.0
+
+    @cached_property
+    def acting_coefficient(self) -> tuple[np.ndarray, ...]:
+        """The coefficients with 0 for contacts between two driven spheres, which take no part."""
+        return tuple(
+            np.where(self.lattice.between_driven(axis), 0.0, values) for axis, values in enumerate(self.coefficient)
+        )
+
+    def power_of(self, slip: np.ndarray, axis: int) -> np.ndarray:
+        """Power dissipated at the contacts of `axis` with slip speed `slip` (R, *contacts)."""
+        force = self.strength * self.acting_coefficient[axis]
+        return force * slip if self.law == "coulomb" else force * slip**2
+
+    def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+        """Slip speed |v| of every contact (paper Eq. 2), one array (R, *contacts) an axis, length/time."""
+        differences = contact_differences(staggered, self.lattice, spin_axes)
+        return tuple(self.lattice.radius * vector_length(values) for values in differences)
+
+    def contact_powers(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+        """Power of every contact (paper Eq. 4, each contact once), one array (R, *contacts) an axis."""
+        return tuple(self.power_of(slip, axis) for axis, slip in enumerate(self.slips(staggered, spin_axes)))
+
+    def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Dissipated power (R,), energy/time: an upper bound on the least power whatever the spins are."""
+        per_contact = self.contact_powers(staggered, spin_axes)
+        return np.sum([values.reshape(self.replicas, -1).sum(axis=1) for values in per_contact], axis=0)
+
+    def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time. Components left out are the driven ones."""
+        if self.lattice.dimension == 2:
+            return staggered[0] * self.lattice.parity
+        spin = np.empty((self.replicas, *self.lattice.shape, 3))
+        bottom, _ = self.driven_values(self.lattice.all_spin_axes)
+        spin[...] = bottom
+        for slot, component in enumerate(spin_axes):
+            spin[..., component] = staggered[slot]
+        return spin * self.lattice.parity[..., None]
+
+    def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Inverse of :meth:`laboratory_spin`: (C, R, *N) with the driven planes set to their imposed values."""
+        if self.lattice.dimension == 2:
+            staggered = (spin * self.lattice.parity)[None].astype(np.float64)
+        else:
+            staggered = np.moveaxis((spin * self.lattice.parity[..., None])[..., list(spin_axes)], -1, 0)
+            staggered = np.ascontiguousarray(staggered, dtype=np.float64)
+        return self.impose_driving(staggered, spin_axes)
+
+    def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """The same staggered spins (C, R, *N), changed in place: the driven planes carry their imposed values."""
+        for slot, (bottom, top) in enumerate(zip(*self.driven_values(spin_axes), strict=True)):
+            staggered[slot][..., 0], staggered[slot][..., -1] = bottom, top
+        return staggered
+
+
+def vector_length(components: np.ndarray) -> np.ndarray:
+    """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""
+    if len(components) == 0:
+        return np.zeros(components.shape[1:])
+    if len(components) == 1:
+        return np.abs(components[0])
+    return np.hypot(components[0], components[1])

@@ -1,0 +1,77 @@
+"""What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution)."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from taichi_bearings.scene.scene import Scene
+
+
+class Status(Enum):
+    """How a run ended. Only CERTIFIED claims the minimum."""
+
+    CERTIFIED = "certified"  # the proven gap is within the tolerance
+    STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
+    STEP_LIMIT = "step-limit"
+    TIME_LIMIT = "time-limit"
+    INTERRUPTED = "interrupted"
+    NOT_FINITE = "not-finite"
+
+    @property
+    def reached(self) -> bool:
+        """True if the run did what was asked for."""
+        return self in (Status.CERTIFIED, Status.STATIONARY)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a method at one check; everything float64 on the host.
+
+    staggered : (C, R, *N) spins that this check stands for, components as named by spin_axes.
+    force : contact forces, one array (T, R, *contacts) an axis, along the spin difference of the contact.
+    power, lower_bound : (R,), energy/time.
+    time : simulated time of a dynamics, else None.
+    resolution : slip speed below which the method cannot tell slip from rest, length/time.
+    unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
+    """
+
+    iteration: int
+    staggered: np.ndarray
+    spin_axes: tuple[int, ...]
+    force: tuple[np.ndarray, ...]
+    power: np.ndarray
+    lower_bound: np.ndarray
+    resolution: float
+    unbalanced_torque: np.ndarray
+    time: float | None = None
+    at_rest: bool = False
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The answer of a run, one entry a replica where an axis R is named.
+
+    spin : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time.
+    slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
+    power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
+    history : columns of equal length; power and lower_bound are (checks, R).
+    """
+
+    scene: Scene
+    method: str
+    status: Status
+    iterations: int
+    spin: np.ndarray
+    slip: tuple[np.ndarray, ...]
+    power_per_contact: tuple[np.ndarray, ...]
+    force: tuple[np.ndarray, ...]
+    state: tuple[np.ndarray, ...]
+    power: np.ndarray
+    lower_bound: np.ndarray
+    gap: np.ndarray
+    slip_threshold: float
+    unbalanced_torque: np.ndarray
+    seconds: float
+    seconds_compile: float
+    history: dict[str, np.ndarray] = field(default_factory=dict)

@@ -1,0 +1,16 @@
+"""Methods that reach the state of least dissipation, and the one loop that drives them."""
+
+import importlib
+from typing import Any
+
+# name -> "module:class", imported on use so that listing the names does not load Taichi
+METHODS = {
+    "gradient-descent": "taichi_bearings.solvers.gradient_descent:GradientDescent",
+    "cundall-strack": "taichi_bearings.solvers.cundall_strack:CundallStrack",
+}
+
+
+def method_class(name: str) -> Any:
+    """The class of a method by its name in METHODS."""
+    module, _, attribute = METHODS[name].partition(":")
+    return getattr(importlib.import_module(module), attribute)

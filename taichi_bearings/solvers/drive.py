@@ -1,0 +1,159 @@
+"""The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taichi_bearings.contact_state import classify
+from taichi_bearings.certificate import relative_gap
+from taichi_bearings.fields import borrow
+from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.scene import Progress, Scene, Solution, Status
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.stopping import StopRule
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a monitor hears at each check. power, gap : (R,), of the best state so far."""
+
+    progress: Progress
+    power: np.ndarray
+    gap: np.ndarray
+    seconds: float
+    stop: StopRule
+
+
+Monitor = Callable[[Report], None]
+
+
+def solve(
+    scene: Scene,
+    method: Method,
+    spin: np.ndarray,
+    stop: StopRule | None = None,
+    monitors: Sequence[Monitor] = (),
+    slip_threshold: float | None = None,
+) -> Solution:
+    """Run `method` on `scene` from the laboratory spins `spin` until `stop` says so.
+
+    slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
+    Ctrl-C ends the run with status INTERRUPTED and everything reached so far.
+    """
+    stop = stop or StopRule()
+    began = time.perf_counter()
+    spec = method.plan(scene, spin)
+    with borrow(make_layout(scene.replicas, scene.lattice.shape), spec) as fields:
+        method.begin(scene, spin, fields)
+        compiled = time.perf_counter()
+        best = _Best(method.keeps_best)
+        history = _History()
+        interrupted = False
+        progress = method.progress()
+        while True:
+            best.take(progress)
+            elapsed = time.perf_counter() - began
+            history.add(progress, best, time.perf_counter() - compiled)
+            gap = relative_gap(scene, best.power, best.bound)
+            for monitor in monitors:
+                monitor(Report(progress, best.power, gap, elapsed, stop))
+            status = stop.judge(scene, progress, best.power, best.bound, elapsed)
+            if interrupted and status is None:
+                status = Status.INTERRUPTED
+            if status is not None:
+                break
+            try:
+                method.advance(min(method.next_check(progress.iteration), stop.iterations) - progress.iteration)
+            except KeyboardInterrupt:
+                interrupted = True
+            progress = method.progress()
+        seconds = time.perf_counter() - compiled
+        final = replace(best.progress, iteration=progress.iteration)
+    return _collect(scene, method.name, status, final, best.bound, history, seconds, compiled - began, slip_threshold)
+
+
+class _Best:
+    """The state that counts, replica by replica, and the best lower bound seen."""
+
+    def __init__(self, keeps_best: bool) -> None:
+        self.keeps_best = keeps_best
+        self.progress: Progress
+        self.bound = np.zeros(0)
+
+    @property
+    def power(self) -> np.ndarray:
+        return self.progress.power
+
+    def take(self, new: Progress) -> None:
+        if len(self.bound) == 0:
+            self.progress, self.bound = new, new.lower_bound
+            return
+        self.bound = np.maximum(self.bound, new.lower_bound)
+        if not self.keeps_best:
+            self.progress = new
+            return
+        old = self.progress
+        better = new.power <= old.power  # False for NaN, so a failed step never counts
+        if better.all():
+            self.progress = new
+            return
+        pick = better.reshape(1, -1, *(1,) * (new.staggered.ndim - 2))
+        self.progress = replace(
+            new,
+            staggered=np.where(pick, new.staggered, old.staggered),
+            force=tuple(np.where(pick, a, b) for a, b in zip(new.force, old.force, strict=True)),
+            power=np.where(better, new.power, old.power),
+            unbalanced_torque=np.where(better, new.unbalanced_torque, old.unbalanced_torque),
+            resolution=new.resolution if better.any() else old.resolution,
+        )
+
+
+class _History:
+    def __init__(self) -> None:
+        self.columns: dict[str, list] = {}
+
+    def add(self, progress: Progress, best: _Best, seconds: float) -> None:
+        row = {
+            "iteration": progress.iteration,
+            "seconds": seconds,
+            "power": progress.power,
+            "lower_bound": best.bound,
+            "unbalanced_torque": progress.unbalanced_torque,
+        }
+        if progress.time is not None:
+            row["time"] = progress.time
+        for name, value in row.items():
+            self.columns.setdefault(name, []).append(value)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {name: np.asarray(values) for name, values in self.columns.items()}
+
+
+def _collect(
+    scene: Scene, method: str, status: Status, final: Progress, bound: np.ndarray, history: _History,
+    seconds: float, seconds_compile: float, slip_threshold: float | None,
+) -> Solution:
+    slip = scene.slips(final.staggered, final.spin_axes)
+    threshold = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump) if slip_threshold is None else slip_threshold
+    return Solution(
+        scene=scene,
+        method=method,
+        status=status,
+        iterations=final.iteration,
+        spin=scene.laboratory_spin(final.staggered, final.spin_axes),
+        slip=slip,
+        power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
+        force=tuple(vector_length(values) for values in final.force),
+        state=classify(scene, slip, final.force, threshold),
+        power=final.power,
+        lower_bound=bound,
+        gap=relative_gap(scene, final.power, bound),
+        slip_threshold=threshold,
+        unbalanced_torque=final.unbalanced_torque,
+        seconds=seconds,
+        seconds_compile=seconds_compile,
+        history=history.arrays(),
+    )

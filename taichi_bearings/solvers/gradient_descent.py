@@ -1,0 +1,203 @@
+"""Gradient descent on the dissipated power, the paper's first method, with step lengths that provably converge.
+
+The metric is diagonal: each spin is divided by the sum of its contacts' coefficients, which bounds the curvature of the
+power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and rates):
+
+* viscous: step 1/2, the inverse of that bound, so the power falls in every step; with momentum the error falls like
+  exp(-2 k / sqrt(condition number)) instead of exp(-k / condition number).
+* Coulomb without momentum: the subgradient counts slipping contacts only. Epochs of 64, 128, 256 ... steps of constant
+  length, shortened by sqrt(2) each time; spins and forces are averaged over the second half of an epoch. The average has
+  a proven gap that falls like 1 / sqrt(k).
+* Coulomb with momentum: contacts with |D| < width resist in proportion to D, which makes the power smooth; the width is
+  halved whenever at least half the proven gap is due to it. The proven gap falls like 1 / k.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.certificate import lower_bound
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import FieldSpec, runs_serially
+from taichi_bearings.kernels.descent import DescentSweeps
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.lattice.grid import contact_differences, torques, weights
+from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene.scene import vector_length
+
+FIRST_EPOCH = 64
+FIRST_STEP = 0.1  # of the imposed jump: length of the first steps without momentum
+FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
+CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
+
+
+@dataclass(frozen=True)
+class GradientDescentOptions:
+    """momentum : accelerate (and, for Coulomb, regularise); without it, the plain (sub)gradient method of the paper."""
+
+    momentum: bool = True
+
+
+class GradientDescent:
+    """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
+
+    name = "gradient-descent"
+    keeps_best = True
+
+    def __init__(self, options: GradientDescentOptions | None = None) -> None:
+        self.momentum = (options or GradientDescentOptions()).momentum
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        self.averages = scene.law == "coulomb" and not self.momentum
+        components, dimension = len(self.spin_axes), scene.lattice.dimension
+        spec = [(name, components) for name in ("point", "point_next", "inverse_weight", "box")]
+        spec.append(("coefficient", dimension))
+        if self.momentum:
+            spec.append(("spin", components))
+        if self.averages:
+            forces = Stencil(self.spin_axes, dimension, 1, 1).force_components
+            spec += [("spin_sum", components), ("force_sum", forces)]
+        return tuple(spec)
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace) -> None:
+        self.fields, layout = fields, fields.layout
+        self._load_spins(self._clip_to_box(scene.staggered_spin(spin, self.spin_axes)))
+        fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
+        weight = weights(scene.acting_coefficient, scene.lattice, self.spin_axes)
+        weight[..., scene.lattice.is_driven] = 0.0
+        fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
+        for corner, values in enumerate(np.sort(scene.driven_values(self.spin_axes), axis=0)):
+            fields.fields["box"][corner] = values.tolist()
+        stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.lead)
+        self.serial = runs_serially(layout, stencil.components)
+        self.sweeps = {
+            averaging: fields.kernels(DescentSweeps, stencil, scene.law, self.momentum, averaging)
+            for averaging in ((False, True) if self.averages else (False,))
+        }
+        for sweeps in self.sweeps.values():
+            sweeps.compile(self.serial)
+        jump = scene.jump or 1.0
+        precision = np.float64 if runtime.current().precision == "f64" else np.float32
+        self.least_width = 1e4 * float(np.finfo(precision).eps) * jump
+        self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
+        self.step_length = FIRST_STEP * jump
+        self.iteration = self.age = 0
+        self.last_smooth_power = np.full(scene.replicas, np.inf)
+        self._begin_epoch(FIRST_EPOCH)
+
+    def _clip_to_box(self, staggered: np.ndarray) -> np.ndarray:
+        """Into the interval of the driven values (PHYSICS 3.4): a minimiser lies there, and the power never rises."""
+        low, high = np.sort(self.scene.driven_values(self.spin_axes), axis=0)
+        shape = (-1, *(1,) * (staggered.ndim - 1))
+        return np.clip(staggered, low.reshape(shape), high.reshape(shape))
+
+    def _load_spins(self, staggered: np.ndarray) -> None:
+        for name in ("point", "point_next", "spin") if self.momentum else ("point", "point_next"):
+            self.fields.load(name, staggered)
+
+    def _begin_epoch(self, length: int) -> None:
+        self.epoch_start, self.epoch_length, self.averaged = self.iteration, length, 0
+        if self.averages:
+            self.fields.clear("spin_sum")
+            self.fields.clear("force_sum")
+
+    def next_check(self, iteration: int) -> int:
+        if self.averages:
+            return iteration + self.epoch_length // CHECKS_AN_EPOCH
+        return iteration + 2 * (16 + iteration // 16)
+
+    def advance(self, steps: int) -> None:
+        """At least `steps` sweeps: an odd number is rounded up, since sweeps come in pairs."""
+        pairs = -(-steps // 2)
+        averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
+        step, sharpness = self._step_and_sharpness()
+        self.sweeps[averaging].run(pairs, self.fields.layout, step, sharpness, self.age, self.serial)
+        self.iteration += 2 * pairs
+        if self.momentum:
+            self.age += 2 * pairs
+        if averaging:
+            self.averaged += 2 * pairs
+
+    def _step_and_sharpness(self) -> tuple[float, float]:
+        if self.scene.law == "viscous":
+            return 0.5, 0.0
+        return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
+
+    def progress(self) -> Progress:
+        scene = self.scene
+        if self.averaged:
+            staggered = scene.impose_driving(self.fields.read("spin_sum") / self.averaged, self.spin_axes)
+            force = self._averaged_force()
+        else:
+            staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
+            force = self._force_at(staggered)
+        power = scene.power(staggered, self.spin_axes)
+        bound = lower_bound(scene, force, self.spin_axes)
+        resolution = self._resolution()
+        if self.momentum:
+            self._steer(staggered, power, bound)
+        elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
+            self._load_spins(staggered)
+            self.step_length /= np.sqrt(2)
+            self._begin_epoch(2 * self.epoch_length)
+        pull = torques(force, scene.lattice, self.spin_axes)[..., 1:-1]
+        return Progress(
+            iteration=self.iteration,
+            staggered=staggered,
+            spin_axes=self.spin_axes,
+            force=force,
+            power=power,
+            lower_bound=bound,
+            resolution=resolution,
+            unbalanced_torque=scene.lattice.radius * np.abs(pull).max(axis=(0, *range(2, pull.ndim))),
+        )
+
+    def _force_at(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Contact forces of the law that the sweeps use, (T, R, *contacts) an axis."""
+        scene = self.scene
+        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
+        if scene.law == "viscous":
+            return tuple(scene.lattice.radius * c * d for c, d in zip(scene.acting_coefficient, differences, strict=True))
+        return tuple(
+            scene.normal_force * c / np.maximum(vector_length(d), self.width) * d
+            for c, d in zip(scene.acting_coefficient, differences, strict=True)
+        )
+
+    def _averaged_force(self) -> tuple[np.ndarray, ...]:
+        stored = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
+        slots = Stencil(self.spin_axes, self.scene.lattice.dimension, 1, 1)
+        return tuple(
+            self.fields.layout.from_lower_sphere(stored[first : first + len(kept)], axis)
+            for axis, (first, kept) in enumerate(zip(slots.force_slot, slots.kept, strict=True))
+        )
+
+    def _steer(self, staggered: np.ndarray, power: np.ndarray, bound: np.ndarray) -> None:
+        """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""
+        if self.scene.law == "viscous":
+            smooth_power, shorten = power, False
+        else:
+            smooth_power = power - self._regularisation_error(staggered)
+            shorten = self.width > self.least_width and bool((power - smooth_power >= 0.5 * (power - bound)).all())
+        if shorten:
+            self.width = max(self.width / 2, self.least_width)
+            smooth_power = np.full_like(power, np.inf)
+        if shorten or (smooth_power > self.last_smooth_power).any():
+            self.age = 0
+        self.last_smooth_power = smooth_power
+
+    def _regularisation_error(self, staggered: np.ndarray) -> np.ndarray:
+        """(R,) power minus the smooth power that the sweeps descend: at most width / 2 a contact and unit of force."""
+        scene, total = self.scene, np.zeros(self.scene.replicas)
+        for axis, difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
+            size = np.minimum(vector_length(difference), self.width)
+            error = scene.lattice.radius * (size - size**2 / (2 * self.width))
+            total += (scene.strength * scene.acting_coefficient[axis] * error).reshape(scene.replicas, -1).sum(axis=1)
+        return total
+
+    def _resolution(self) -> float:
+        """Slip speed below which this stage cannot tell slip from rest."""
+        if self.scene.law == "viscous":
+            return 0.0
+        return self.scene.lattice.radius * (self.width if self.momentum else self.step_length)

@@ -1,0 +1,39 @@
+"""What every method offers to the common loop in drive.py."""
+
+from typing import Protocol
+
+import numpy as np
+
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.scene import Progress, Scene
+
+
+class Method(Protocol):
+    """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
+
+    A method never prints, times, opens a file or decides when to stop.
+    """
+
+    name: str
+    keeps_best: bool  # True for a minimisation, whose best state counts; False for a dynamics, whose last one does
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried."""
+        ...
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace) -> None:
+        """Load the fields and compile the kernels."""
+        ...
+
+    def next_check(self, iteration: int) -> int:
+        """Iteration at which to look at the progress next."""
+        ...
+
+    def advance(self, steps: int) -> None:
+        """Launch kernels for `steps` iterations; reads nothing back."""
+        ...
+
+    def progress(self) -> Progress:
+        """Where the method stands, judged by the certificate; the only device-to-host read."""
+        ...

@@ -1,0 +1,45 @@
+"""When a run ends, and what to call it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.certificate import relative_gap
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene import Progress, Scene, Status
+
+
+@dataclass(frozen=True)
+class StopRule:
+    """Stop at a proven relative gap, at rest, or at a limit.
+
+    tolerance : (power - lower bound) / power at which every replica counts as done, in (0, 1).
+    iterations : limit on iterations of the method.
+    seconds : limit on wall time, compilation included; infinity for none.
+    """
+
+    tolerance: float = 1e-8
+    iterations: int = 1_000_000
+    seconds: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < 1:
+            raise InputError(f"tolerance is {self.tolerance}; it must be between 0 and 1")
+        if self.iterations < 0:
+            raise InputError(f"iterations is {self.iterations}; it must be 0 or more")
+        if not self.seconds > 0:
+            raise InputError(f"time_limit is {self.seconds}; it must be a positive number of seconds")
+
+    def judge(self, scene: Scene, progress: Progress, power: np.ndarray, bound: np.ndarray, elapsed: float) -> Status | None:
+        """The status if the run should end now, else None. power, bound : (R,), the best known so far."""
+        if not np.isfinite(progress.power).all():
+            return Status.NOT_FINITE
+        if (relative_gap(scene, power, bound) <= self.tolerance).all():
+            return Status.CERTIFIED
+        if progress.at_rest:
+            return Status.STATIONARY
+        if progress.iteration >= self.iterations:
+            return Status.STEP_LIMIT
+        if elapsed >= self.seconds:
+            return Status.TIME_LIMIT
+        return None
