@@ -14,6 +14,7 @@ FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fi
 
 CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
 SERIAL_NUMBERS = 100_000  # site values below which one core beats several: waking them takes 0.05 to 0.1 ms
+IDLE_BYTES = 256 * 2**20  # fields kept for the next scene; the least recently used go first
 CPU_LEAD = 4  # sites a block looks back, a multiple of the SIMD width so that no remainder loop is left
 
 
@@ -84,10 +85,9 @@ _pool: list[Workspace] = []
 
 @contextmanager
 def borrow(layout: Layout, spec: FieldSpec) -> Iterator[Workspace]:
-    """Fields for `layout`: those of an earlier scene if they fit, else new ones (and idle misfits are freed)."""
+    """Fields for `layout`: those of an earlier scene if they fit, else new ones."""
     workspace = next((w for w in _pool if not w.busy and w.spec == spec and _fits(layout, w.capacity)), None)
     if workspace is None:
-        release_all()
         workspace = Workspace(spec, layout.length)
         _pool.append(workspace)
     workspace.layout, workspace.busy = layout, True
@@ -95,6 +95,10 @@ def borrow(layout: Layout, spec: FieldSpec) -> Iterator[Workspace]:
         yield workspace
     finally:
         workspace.busy = False
+        _pool.remove(workspace)
+        _pool.append(workspace)  # most recently used last
+        while sum(w.bytes for w in _pool if not w.busy) > IDLE_BYTES:
+            _release(next(w for w in _pool if not w.busy))
 
 
 def _fits(layout: Layout, capacity: int) -> bool:
@@ -105,8 +109,12 @@ def _fits(layout: Layout, capacity: int) -> bool:
 def release_all() -> None:
     """Free every field that is not in use."""
     for workspace in [w for w in _pool if not w.busy]:
-        _pool.remove(workspace)
-        workspace.destroy()
+        _release(workspace)
+
+
+def _release(workspace: Workspace) -> None:
+    _pool.remove(workspace)
+    workspace.destroy()
 
 
 def runs_serially(layout: Layout, components: int) -> bool:

@@ -1,0 +1,77 @@
+"""Entry point of the console script `bearings`. Commands load what they need only when they run."""
+
+import importlib
+import os
+import sys
+
+import click
+
+from taichi_bearings.errors import BearingsError
+
+COMMANDS = {  # name -> (module, one line for --help)
+    "run": "Solve one scene, or a block of seeds, and write a run directory.",
+    "histogram": "Distribution of the power per contact of one or more runs.",
+    "plot": "One figure from a run.",
+    "benchmark": "Measure speed, as ratios within one run.",
+    "info": "Versions, devices, precision and cache.",
+}
+
+
+class LazyGroup(click.Group):
+    """Lists the commands without importing them, so that --help answers at once."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        return getattr(importlib.import_module(f"taichi_bearings_cli.{name}"), "command")
+
+    def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+def show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted and not context.resilient_parsing:
+        from taichi_bearings import __version__
+
+        click.echo(f"bearings {__version__}")
+        context.exit()
+
+
+@click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=show_version,
+              help="Show the version and exit.")
+def bearings() -> None:
+    """Frustrated bearings: touching spheres on a lattice, their state of least dissipation and the way to it.
+
+    \b
+    Example:
+      bearings run --shape 10,10,10 --seed 1 --tolerance 1e-5
+    """
+
+
+def main() -> None:
+    """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
+    try:
+        code = bearings.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = 2
+    except click.Abort:
+        code = 130
+    except KeyboardInterrupt:
+        click.echo("interrupted", err=True)
+        code = 130
+    except BearingsError as error:
+        click.echo(f"bearings: {error}", err=True)
+        code = 2
+    except MemoryError as error:
+        click.echo(f"bearings: not enough memory for this scene: {error}", err=True)
+        code = 1
+    except BrokenPipeError:  # the reader of our output went away
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,73 @@
+"""bearings run"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from taichi_bearings_cli.options import json_option, run_options
+
+
+@click.command()
+@click.argument("scene", required=False, metavar="[SCENE.toml]")
+@run_options
+@click.option("--out", metavar="DIR", default=None, help="Run directory. [default: outputs/<time>-run-<id>]")
+@click.option("--force", is_flag=True, default=None, help="Replace an existing run directory.")
+@json_option
+@click.pass_context
+def command(context: click.Context, scene: str | None, out: str | None, force: bool | None, as_json: bool, **options: Any) -> None:
+    """Solve one scene (or a block of seeds) and write a run directory.
+
+    SCENE.toml holds the same keys as the options, dashes as underscores; options win. A run directory or its run.h5
+    serves too: it is run again. The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures.
+    Ctrl-C saves what was reached.
+
+    \b
+    Exit codes: 0 reached, 1 not reached (the result is written), 2 bad input, 130 interrupted.
+
+    \b
+    Examples:
+      bearings run --shape 10,10,10 --seed 3 --tolerance 1e-5
+      bearings run scene.toml --method cundall-strack --initial random --out outputs/relaxation
+    """
+    from taichi_bearings.studies.run import run
+    from taichi_bearings.studies.settings import RunSettings, read_toml
+    from taichi_bearings_cli.progress import TerminalProgress
+
+    values = read_toml(Path(scene)) if scene else {}
+    out, force = out or values.pop("out", None), bool(values.pop("force", False) if force is None else force)
+    values |= {key: value for key, value in options.items() if value is not None}
+    settings = RunSettings.from_mapping(values, scene or "the options")
+    with TerminalProgress() as progress:
+        solution, summary = run(settings, Path(out) if out else None, force, [progress])
+    click.echo(json.dumps(summary) if as_json else describe(summary))
+    if solution.status.value == "interrupted":
+        context.exit(130)
+    context.exit(0 if solution.status.reached else 1)
+
+
+def describe(summary: dict[str, Any]) -> str:
+    """A short summary for people."""
+    shape = "x".join(map(str, summary["shape"]))
+    lines = [f"{shape} {summary['law']}, {summary['method']}: {summary['status']}"]
+    seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
+    keys = ("power", "gap", "slipping", "slipless", "undecided")
+    rows = zip(seeds, *(v if isinstance(v, list) else [v] for v in (summary[k] for k in keys)), strict=True)
+    for number, (seed, power, gap, slipping, slipless, undecided) in enumerate(rows):
+        if number == 10 and len(seeds) > 11:
+            lines.append(f"  ... and {len(seeds) - 10} more seeds, in summary.json")
+            break
+        lines.append(
+            f"  seed {seed}: P = {power:.12g}, proven within {gap:.1e}; of {summary['contacts']:,} contacts "
+            f"{slipping:,} slip, {slipless:,} do not, {undecided:,} are undecided"
+        )
+    if "power_normalised" in summary and len(seeds) == 1:
+        lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")
+    lines.append(
+        f"  {summary['iterations']:,} iterations in {summary['seconds']:.2f} s "
+        f"(and {summary['seconds_compile']:.2f} s to compile) on {summary['arch']}, {summary['precision']}"
+    )
+    lines.append(f"  run: {summary['run']}")
+    lines.append(f"  histogram: {summary['run']}/power_histogram.png")
+    return "\n".join(lines)

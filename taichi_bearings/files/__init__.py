@@ -1,0 +1,1 @@
+"""The run file, written and read."""

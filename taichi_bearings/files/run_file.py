@@ -1,0 +1,120 @@
+"""run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.scene import Solution
+
+SCHEMA = "taichi_bearings.run"
+SCHEMA_VERSION = 1
+AXES = "xyz"
+
+CONTACT_SETS = {  # name -> (attribute of Solution, unit, description)
+    "slip": ("slip", "length/time", "slip speed |v|"),
+    "power": ("power_per_contact", "energy/time", "power dissipated at the contact"),
+    "force": ("force", "force", "magnitude of the tangential contact force"),
+    "state": ("state", "1", "0 slipless, 1 slipping, 2 undecided, 3 between driven spheres"),
+}
+HISTORY_UNITS = {
+    "iteration": ("1", "iterations done"),
+    "seconds": ("s", "wall time of the solve, compilation apart"),
+    "time": ("time", "simulated time"),
+    "power": ("energy/time", "power dissipated by the spins"),
+    "lower_bound": ("energy/time", "best proven lower bound on the least power so far"),
+    "unbalanced_torque": ("force*length", "largest torque left over on a free sphere"),
+}
+
+
+def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
+    """Write run.h5 under a temporary name and rename it. With one replica the replica axis is left out."""
+    scene = solution.scene
+    one = scene.replicas == 1
+    temporary = path.with_name(path.name + ".partial")
+
+    def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
+        packed = {"compression": "gzip", "shuffle": True} if values.dtype == np.uint8 else {}
+        stored = file.create_dataset(name, data=values, dtype=values.dtype, **packed)
+        stored.attrs["units"], stored.attrs["description"] = unit, text
+
+    def strip(values: np.ndarray) -> np.ndarray:
+        return values[0] if one else values
+
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        for key, value in attributes.items():
+            file.attrs[key] = value
+        law_unit = "1" if scene.law == "coulomb" else "force*time/length"
+        for axis in range(scene.lattice.dimension):
+            name, values = AXES[axis], scene.coefficient[axis]
+            kind = "friction" if scene.law == "coulomb" else "damping"
+            put(file, f"coefficient/{name}", strip(values), law_unit, f"{kind} coefficient of the {name}-contacts")
+            for key, (attribute, unit, text) in CONTACT_SETS.items():
+                put(file, f"contact/{name}/{key}", strip(getattr(solution, attribute)[axis]), unit, text)
+        put(file, "spin", strip(solution.spin), "1/time", "angular velocity in the laboratory frame")
+        for key, column in solution.history.items():
+            values = column[:, 0] if one and column.ndim == 2 else column
+            put(file, f"history/{key}", values, *HISTORY_UNITS[key])
+    os.replace(temporary, path)
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """A run as read back. Arrays always have the replica axis; contact sets are one array an axis."""
+
+    path: Path
+    attributes: dict[str, Any]
+    coefficient: tuple[np.ndarray, ...]
+    spin: np.ndarray
+    slip: tuple[np.ndarray, ...]
+    power: tuple[np.ndarray, ...]
+    force: tuple[np.ndarray, ...]
+    state: tuple[np.ndarray, ...]
+    history: dict[str, np.ndarray]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(int(n) for n in self.attributes["shape"])
+
+
+def read_run_file(run: Path) -> StoredRun:
+    """Read a run directory or its run.h5; FileError if it is missing, damaged or of an unknown version."""
+    path = run / "run.h5" if run.is_dir() else run
+    if not path.is_file():
+        raise FileError(f"{run} is not a run: there is no {path}")
+    try:
+        with h5py.File(path, "r") as file:
+            version = file.attrs.get("schema_version")
+            if file.attrs.get("schema") != SCHEMA:
+                raise FileError(f"{path} was not written by taichi_bearings")
+            if version != SCHEMA_VERSION:
+                raise FileError(f"{path} has layout version {version}; this program reads version {SCHEMA_VERSION}")
+            return _read(path, file)
+    except (OSError, KeyError) as error:
+        raise FileError(f"{path} cannot be read as a run: {str(error).strip(chr(39))}") from None
+
+
+def _read(path: Path, file: h5py.File) -> StoredRun:
+    attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
+    axes = AXES[: len(attributes["shape"])]
+    one = file["coefficient/x"].ndim == len(axes)
+
+    def get(name: str) -> np.ndarray:
+        values = file[name][()]
+        return values[None] if one else values
+
+    sets = {key: tuple(get(f"contact/{axis}/{key}") for axis in axes) for key in CONTACT_SETS}
+    return StoredRun(
+        path=path,
+        attributes=attributes,
+        coefficient=tuple(get(f"coefficient/{axis}") for axis in axes),
+        spin=get("spin"),
+        history={key: values[()] for key, values in file["history"].items()},
+        **sets,
+    )

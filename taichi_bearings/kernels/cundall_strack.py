@@ -1,0 +1,168 @@
+"""Cundall–Strack steps: elongation springs at the contacts (paper Eqs. 7-9) and Gear's integration of the spins (Eq. 10).
+
+A step is two passes. The contact pass stretches the springs by the predicted slip and caps the force by friction; the
+sphere pass gathers the torques, corrects the spins and predicts the next step, so that every field is read and written
+once a pass.
+"""
+
+import taichi as ti
+
+from taichi_bearings.kernels.contact import difference, length
+from taichi_bearings.kernels.stencil import Stencil, copy_out
+
+
+@ti.data_oriented
+class CundallStrackSteps:
+    """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient` and, for Coulomb,
+    `integral` and `elongation`.
+
+    gear_n : the n-th derivative of the staggered spin times (time step)^n / n!.
+    predicted, integral : the spin extrapolated to the end of the step, and its mean over the step.
+    elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
+    spins stand at the end of the last step; the force is that at its predicted end.
+    """
+
+    def __init__(self, fields, stencil: Stencil, law: str, corrector: tuple[float, ...]):
+        self.gear = [fields[f"gear_{n}"] for n in range(len(corrector))]
+        self.predicted, self.is_free = fields["predicted"], fields["is_free"]
+        self.force, self.coefficient = fields["force"], fields["coefficient"]
+        self.integral, self.elongation = fields.get("integral"), fields.get("elongation")
+        self.stencil, self.coulomb, self.corrector, self.order = stencil, law == "coulomb", corrector, len(corrector)
+
+    def run(self, steps, layout, numbers, serial):
+        """Make `steps` time steps; numbers: see `step`."""
+        stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
+        constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, *numbers)
+        if serial:
+            self.steps_serial(steps, *constants)
+            return
+        for _ in range(steps):
+            self.step_parallel(*constants)
+
+    def compile(self, serial):
+        """Compile the kernel that `run` will launch, on no sites at all."""
+        if serial:
+            self.steps_serial(0, *(0,) * 4, *(0.0,) * 6)
+        else:
+            self.step_parallel(*(0,) * 4, *(0.0,) * 6)
+
+    @ti.func
+    def spring_block(self, first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance):
+        """Coulomb contacts of one block. reach: radius * time step; damping: A_t * radius; compliance: 1 / K_t.
+
+        kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
+        """
+        forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
+        stretches = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
+        for m in range(self.stencil.block):
+            site = first + m
+            for axis in ti.static(range(self.stencil.dimension)):
+                upper = site + 1
+                if ti.static(axis < self.stencil.height):
+                    upper = site + (stride_x if ti.static(axis == 0) else stride_y)
+                moved = difference(self.integral[site], self.integral[upper], self.stencil.kept[axis])
+                speed = difference(self.predicted[site], self.predicted[upper], self.stencil.kept[axis])
+                stretch = reach * moved
+                for t in ti.static(range(moved.n)):
+                    stretch[t] += self.elongation[site][self.stencil.force_slot[axis] + t]
+                trial = stiffness * stretch + damping * speed
+                friction = self.coefficient[site][axis]
+                size = length(trial)
+                slips = size > static * friction
+                share = ti.select(slips, kinetic * friction / size, 1.0)
+                for t in ti.static(range(moved.n)):
+                    force = share * trial[t]
+                    forces[self.stencil.force_slot[axis] + t, m] = force
+                    # after a slip the spring alone carries the friction force (paper Eq. 9, with a unit vector)
+                    stretches[self.stencil.force_slot[axis] + t, m] = ti.select(slips, force * compliance, stretch[t])
+        copy_out(forces, self.force, first, self.stencil.force_components, self.stencil.block)
+        copy_out(stretches, self.elongation, first, self.stencil.force_components, self.stencil.block)
+
+    @ti.func
+    def dashpot_block(self, first, stride_x, stride_y, radius):
+        """Viscous contacts of one block."""
+        forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
+        for m in range(self.stencil.block):
+            site = first + m
+            for axis in ti.static(range(self.stencil.dimension)):
+                upper = site + 1
+                if ti.static(axis < self.stencil.height):
+                    upper = site + (stride_x if ti.static(axis == 0) else stride_y)
+                speed = difference(self.predicted[site], self.predicted[upper], self.stencil.kept[axis])
+                for t in ti.static(range(speed.n)):
+                    forces[self.stencil.force_slot[axis] + t, m] = self.coefficient[site][axis] * radius * speed[t]
+        copy_out(forces, self.force, first, self.stencil.force_components, self.stencil.block)
+
+    @ti.func
+    def sphere_block(self, first, stride_x, stride_y, response):
+        """Correct the spins of one block and predict the next step. response: time step * radius / inertia."""
+        corrected = ti.Matrix.zero(float, self.order * self.stencil.components, self.stencil.block)
+        predicted = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
+        integral = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
+        for m in range(self.stencil.block):
+            site = first + m
+            pull = ti.Vector.zero(float, self.stencil.components)
+            for axis in ti.static(range(self.stencil.dimension)):
+                below = site - 1
+                if ti.static(axis < self.stencil.height):
+                    below = site - (stride_x if ti.static(axis == 0) else stride_y)
+                for t, slot in ti.static(enumerate(self.stencil.kept[axis])):
+                    v = self.stencil.force_slot[axis] + t
+                    pull[slot] += self.force[site][v] - self.force[below][v]
+            for c in ti.static(range(self.stencil.components)):
+                derivative = ti.Vector.zero(float, self.order)
+                for n in ti.static(range(self.order)):
+                    derivative[n] = self.gear[n][site][c]
+                for lowest in ti.static(range(self.order - 1)):  # Pascal's triangle: the Taylor series one step on
+                    for n in ti.static(range(self.order - 2, lowest - 1, -1)):
+                        derivative[n] += derivative[n + 1]
+                error = response * self.is_free[site][0] * pull[c] - derivative[1]
+                ahead, mean = 0.0, 0.0
+                for n in ti.static(range(self.order)):
+                    value = derivative[n] + self.corrector[n] * error
+                    corrected[n * self.stencil.components + c, m] = value
+                    ahead += value
+                    mean += value * ti.static(1.0 / (n + 1))
+                predicted[c, m] = ahead
+                # the stretch of the last step was predicted: the term in `error` is Gear's correction of it
+                integral[c, m] = mean + ti.static(self.corrector[0] ** 2) * error
+        for n in ti.static(range(self.order)):
+            for c in ti.static(range(self.stencil.components)):
+                for m in range(ti.static(max(self.stencil.block // 8, 1))):
+                    for lane in ti.static(range(min(8, self.stencil.block))):
+                        here = m * 8 + lane
+                        self.gear[n][first + here][c] = corrected[n * self.stencil.components + c, here]
+        copy_out(predicted, self.predicted, first, self.stencil.components, self.stencil.block)
+        if ti.static(self.coulomb):
+            copy_out(integral, self.integral, first, self.stencil.components, self.stencil.block)
+
+    @ti.func
+    def step(
+        self, blocks, margin, stride_x, stride_y, time_step_radius, stiffness, damping, kinetic, static, response
+    ):
+        for b in range(blocks):
+            first = margin + b * self.stencil.block
+            if ti.static(self.coulomb):
+                self.spring_block(
+                    first, stride_x, stride_y, time_step_radius, stiffness, damping, kinetic, static, 1.0 / stiffness
+                )
+            else:
+                self.dashpot_block(first, stride_x, stride_y, damping)
+        for b in range(blocks):
+            self.sphere_block(margin + b * self.stencil.block, stride_x, stride_y, response)
+
+    @ti.kernel
+    def steps_serial(
+        self, steps: int, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
+        damping: float, kinetic: float, static: float, response: float,
+    ):
+        ti.loop_config(serialize=True)
+        for _ in range(steps):
+            self.step(blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, response)
+
+    @ti.kernel
+    def step_parallel(
+        self, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
+        damping: float, kinetic: float, static: float, response: float,
+    ):
+        self.step(blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, response)

@@ -1,0 +1,64 @@
+"""Where the power is dissipated: every contact coloured by its power."""
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.files.run_file import StoredRun
+from taichi_bearings.plots.style import GREY, new_figure
+
+
+def draw_power(run: StoredRun, replica: int = 0) -> Figure:
+    """2D: all contacts. 3D: the contacts in two cuts through the middle, and the power of each layer of the height."""
+    power = [p[replica] for p in run.power]
+    state = [s[replica] for s in run.state]
+    slipping = np.concatenate([p[s == ContactState.SLIPPING] for p, s in zip(power, state, strict=True)])
+    slipping = slipping[slipping > 0]
+    norm = LogNorm(slipping.min(), slipping.max()) if len(slipping) else LogNorm(1e-1, 1)
+    if len(run.shape) == 2:
+        figure = new_figure(5.6, 4.9)
+        axes = figure.add_subplot()
+        drawn = _draw_plane(axes, power, state, run.shape, norm)
+        figure.colorbar(drawn, ax=axes, label="power of a slipping contact", shrink=0.8)
+        return figure
+    nx, ny, nz = run.shape
+    figure = new_figure(11.0, 4.0)
+    cuts = [
+        (f"cut at y = {ny // 2}", [v[:, ny // 2, :] for v in (power[0], power[2])], [v[:, ny // 2, :] for v in (state[0], state[2])], (nx, nz)),
+        (f"cut at x = {nx // 2}", [v[nx // 2] for v in (power[1], power[2])], [v[nx // 2] for v in (state[1], state[2])], (ny, nz)),
+    ]
+    for place, (name, values, states, shape) in enumerate(cuts):
+        axes = figure.add_subplot(1, 3, 1 + place)
+        drawn = _draw_plane(axes, values, states, shape, norm)
+        axes.set_title(name, fontsize=9)
+    figure.colorbar(drawn, ax=figure.axes, label="power of a slipping contact", shrink=0.8)
+    axes = figure.add_subplot(1, 3, 3)
+    layers = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
+    axes.step(layers, np.arange(nz), where="mid", label="contacts in the layer")
+    axes.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", label="contacts to the next layer")
+    axes.set(xlabel="power", ylabel="height")
+    axes.legend(fontsize=8)
+    return figure
+
+
+def _draw_plane(axes, power: list[np.ndarray], state: list[np.ndarray], shape: tuple[int, ...], norm: LogNorm):
+    """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey."""
+    segments, values = [], []
+    for axis, (p, s) in enumerate(zip(power, state, strict=True)):
+        i, j = np.indices(p.shape)
+        ends = np.stack([np.stack([i, j], -1), np.stack([i + (axis == 0), j + (axis == 1)], -1)], -2)
+        segments.append(ends.reshape(-1, 2, 2))
+        values.append(np.where((s == ContactState.SLIPPING) & (p > 0), p, np.nan).ravel())
+    lines, value = np.concatenate(segments), np.concatenate(values)
+    slips = np.isfinite(value)
+    width = float(np.clip(60.0 / max(shape), 0.3, 3.0))
+    axes.add_collection(LineCollection(lines[~slips], colors=GREY, lw=0.25 * width))
+    drawn = LineCollection(lines[slips], cmap="viridis", norm=norm, lw=width)
+    drawn.set_array(value[slips])
+    axes.add_collection(drawn)
+    axes.set(xlim=(-0.7, shape[0] - 0.3), ylim=(-0.7, shape[1] - 0.3), aspect="equal", xticks=[], yticks=[])
+    for side in axes.spines.values():
+        side.set_visible(False)
+    return drawn

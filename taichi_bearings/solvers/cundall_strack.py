@@ -1,0 +1,236 @@
+"""Cundall–Strack dynamics, the paper's second method: how the state of least dissipation is reached in time.
+
+I dw/dt = sum of r x F (paper Eq. 10) with the spring-and-damper friction of Eqs. 7-9, integrated by Gear's method. The
+power of the spins is an upper bound of the least power, and the spring forces, once balanced, give a lower one: a
+dynamical run proves its own gap.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.certificate import lower_bound
+from taichi_bearings.errors import InputError
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import FieldSpec, runs_serially
+from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.lattice.grid import contact_differences, torques
+from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.gear import (
+    CORRECTORS,
+    largest_laplacian_eigenvalue,
+    largest_stable_step,
+    largest_weighted_eigenvalue,
+)
+
+DEFAULT_STEP = 0.8  # of the stability bound
+REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
+
+
+@dataclass(frozen=True)
+class CundallStrackOptions:
+    """Material and integration, paper's values as defaults.
+
+    stiffness : K_t, force / length. damping : A_t, force * time / length. mass : of a sphere.
+    inertia : moment of inertia; default m R^2 / 2 (disc) or 2 m R^2 / 5 (sphere).
+    static_ratio : mu_s / mu_k of every contact, 1 or more.
+    gear_order : derivatives kept by Gear's method, 2 to 5.
+    time_step : default 0.8 of the computed stability bound; larger than the bound is refused.
+    rest_tolerance : the run has come to rest when the power changes by less than this fraction over three checks in a
+    row, no contact changes between sticking and slipping, and no free sphere feels more than this share of the
+    typical friction torque.
+    """
+
+    stiffness: float = 1e5
+    damping: float = 1e3
+    mass: float = 1.0
+    inertia: float | None = None
+    static_ratio: float = 1.0
+    gear_order: int = 2
+    time_step: float | None = None
+    rest_tolerance: float = 1e-9
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "mass", "inertia", "time_step", "rest_tolerance"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value}; it must be a positive number")
+        if not (np.isfinite(self.damping) and self.damping >= 0):
+            raise InputError(f"damping is {self.damping}; it must be 0 or a positive number")
+        if not (np.isfinite(self.static_ratio) and self.static_ratio >= 1):
+            raise InputError(f"static_ratio is {self.static_ratio}; it must be 1 or more")
+        if self.gear_order not in CORRECTORS:
+            raise InputError(f"gear_order is {self.gear_order}; allowed are {', '.join(map(str, CORRECTORS))}")
+
+
+class CundallStrack:
+    """See the module docstring. An iteration is one time step."""
+
+    name = "cundall-strack"
+    keeps_best = False
+
+    def __init__(self, options: CundallStrackOptions | None = None) -> None:
+        self.options = options or CundallStrackOptions()
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
+        components, dimension = len(self.spin_axes), scene.lattice.dimension
+        forces = Stencil(self.spin_axes, dimension, 1, 1).force_components
+        spec = [(f"gear_{n}", components) for n in range(self.options.gear_order + 1)]
+        spec += [("predicted", components), ("is_free", 1), ("force", forces), ("coefficient", dimension)]
+        if scene.law == "coulomb":
+            spec += [("integral", components), ("elongation", forces)]
+        return tuple(spec)
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace) -> None:
+        self.fields, layout, options = fields, fields.layout, self.options
+        self.inertia = options.inertia or default_inertia(scene, options.mass)
+        self.stability_bound = stability_bound(scene, self.spin_axes, options)
+        self.time_step = choose_time_step(self.stability_bound, options.time_step)
+        self._load_gear(scene.staggered_spin(spin, self.spin_axes))
+        is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
+        fields.load("is_free", is_free.astype(np.float64))
+        fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
+        fields.clear("force")
+        if scene.law == "coulomb":
+            fields.clear("elongation")
+        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.lead)
+        self.serial = runs_serially(layout, self.stencil.components + self.stencil.force_components)
+        corrector = CORRECTORS[options.gear_order]
+        self.steps = fields.kernels(CundallStrackSteps, self.stencil, scene.law, corrector)
+        self.steps.compile(self.serial)
+        self.iteration = self.quiet_checks = 0
+        self.last_power = np.full(scene.replicas, np.inf)
+        self.last_slipping = -1
+
+    def _load_gear(self, staggered: np.ndarray) -> None:
+        """Spins and their derivatives at the start, from the equation of motion: all of them for the linear viscous
+        law; the first for Coulomb, whose force may jump in the first step anyway."""
+        lattice, order = self.scene.lattice, self.options.gear_order
+        derivatives = [staggered]
+        for n in range(1, order + 1):
+            if self.scene.law == "coulomb" and n > 1:
+                derivatives.append(np.zeros_like(staggered))
+                continue
+            force = self._damping_force(derivatives[-1])
+            rate = lattice.radius / self.inertia * torques(force, lattice, self.spin_axes)
+            rate[..., lattice.is_driven] = 0.0
+            derivatives.append(self.time_step / n * rate)
+        for n, values in enumerate(derivatives):
+            self.fields.load(f"gear_{n}", values)
+        self.fields.load("predicted", sum(derivatives))
+        if self.scene.law == "coulomb":
+            self.fields.load("integral", sum(values / (n + 1) for n, values in enumerate(derivatives)))
+
+    def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Forces of unstretched contacts: damping, capped by friction for Coulomb."""
+        scene, forces = self.scene, []
+        for axis, spin_difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
+            coefficient = scene.acting_coefficient[axis]
+            if scene.law == "viscous":
+                forces.append(scene.lattice.radius * coefficient * spin_difference)
+                continue
+            force = self.options.damping * scene.lattice.radius * spin_difference
+            limit = scene.normal_force * coefficient
+            forces.append(force * np.minimum(1.0, limit / np.maximum(vector_length(force), 1e-300)))
+        return tuple(forces)
+
+    def next_check(self, iteration: int) -> int:
+        return iteration + 100 + iteration // 16
+
+    def advance(self, steps: int) -> None:
+        scene, options = self.scene, self.options
+        radius = scene.lattice.radius
+        viscous = scene.law == "viscous"
+        numbers = (
+            radius * self.time_step,
+            options.stiffness,
+            radius * (1.0 if viscous else options.damping),
+            scene.normal_force,
+            scene.normal_force * options.static_ratio,
+            self.time_step * radius / self.inertia,
+        )
+        self.steps.run(steps, self.fields.layout, numbers, self.serial)
+        self.iteration += steps
+
+    def progress(self) -> Progress:
+        scene = self.scene
+        staggered = scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
+        force = self._contact_forces("force")
+        springs = force
+        if scene.law == "coulomb":
+            springs = tuple(self.options.stiffness * e for e in self._contact_forces("elongation"))
+        power = scene.power(staggered, self.spin_axes)
+        pull = scene.lattice.radius * np.abs(torques(force, scene.lattice, self.spin_axes)[..., 1:-1])
+        left_over = pull.max(axis=(0, *range(2, pull.ndim)))
+        return Progress(
+            iteration=self.iteration,
+            staggered=staggered,
+            spin_axes=self.spin_axes,
+            force=force,
+            power=power,
+            lower_bound=lower_bound(scene, springs, self.spin_axes),
+            resolution=1e-6 * scene.lattice.radius * scene.jump,
+            unbalanced_torque=left_over,
+            time=self.iteration * self.time_step,
+            at_rest=self._at_rest(power, force, left_over),
+        )
+
+    def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
+        stored = self.fields.read(name)
+        return tuple(
+            self.fields.layout.from_lower_sphere(stored[first : first + len(kept)], axis)
+            for axis, (first, kept) in enumerate(zip(self.stencil.force_slot, self.stencil.kept, strict=True))
+        )
+
+    def _at_rest(self, power: np.ndarray, force: tuple[np.ndarray, ...], left_over: np.ndarray) -> bool:
+        """True once power, slipping contacts and torque balance have been stationary for some checks in a row."""
+        scene, tolerance = self.scene, self.options.rest_tolerance
+        slipping = 0
+        typical_torque = scene.lattice.radius * max(float(vector_length(f).max(initial=0.0)) for f in force)
+        if scene.law == "coulomb":
+            for axis, values in enumerate(force):
+                limit = scene.normal_force * scene.acting_coefficient[axis]
+                slipping += int((vector_length(values) >= (1 - 1e-12) * limit)[limit > 0].sum())
+        still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
+        balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
+        quiet = still and balanced and slipping == self.last_slipping
+        self.quiet_checks = self.quiet_checks + 1 if quiet else 0
+        self.last_power, self.last_slipping = power, slipping
+        return self.quiet_checks >= REST_CHECKS
+
+
+def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
+    """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
+    unlike the driven planes."""
+    needed = scene.minimum_spin_axes
+    if scene.lattice.dimension == 2:
+        return needed
+    full = scene.staggered_spin(spin, scene.lattice.all_spin_axes)
+    bottom, _ = scene.driven_values(scene.lattice.all_spin_axes)
+    return tuple(k for k in scene.lattice.all_spin_axes if k in needed or (full[k] != bottom[k]).any())
+
+
+def default_inertia(scene: Scene, mass: float) -> float:
+    """m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
+    return mass * scene.lattice.radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
+
+
+def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrackOptions) -> float:
+    """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
+    inertia = options.inertia or default_inertia(scene, options.mass)
+    over = scene.lattice.radius**2 / inertia
+    if scene.law == "viscous":
+        return largest_stable_step(options.gear_order, over * largest_weighted_eigenvalue(scene, spin_axes), 0.0)
+    stiffest = over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
+    return largest_stable_step(options.gear_order, options.damping * stiffest, options.stiffness * stiffest)
+
+
+def choose_time_step(bound: float, wanted: float | None) -> float:
+    if wanted is None:
+        return DEFAULT_STEP * bound
+    if wanted > bound:
+        raise InputError(f"time_step is {wanted:g}; this scene is stable only up to {bound:.6g}")
+    return wanted

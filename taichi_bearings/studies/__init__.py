@@ -1,0 +1,1 @@
+"""Whole jobs: from a description of a run to its files."""

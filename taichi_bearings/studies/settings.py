@@ -1,0 +1,217 @@
+"""Everything a run can be told, once: the command line, the TOML file and the stored scene all read this table."""
+
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.errors import FileError, InputError
+
+METHOD_NAMES = ("auto", "gradient-descent", "cundall-strack")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a value is read and what is allowed, in words that complete "it must be ..."."""
+
+    read: Callable[[Any], Any]
+    allowed: str
+    metavar: str
+    choices: tuple[str, ...] = ()
+
+
+def _numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
+    def read(value: Any) -> tuple:
+        parts = value.replace("x", ",").split(",") if isinstance(value, str) else list(value)
+        if len(parts) not in counts:
+            raise ValueError
+        return tuple(convert(part) for part in parts)
+
+    return read
+
+
+def _integer(value: Any) -> int:
+    if isinstance(value, bool) or (isinstance(value, float) and not value.is_integer()):
+        raise ValueError
+    return int(value)
+
+
+def _real(value: Any) -> float:
+    if isinstance(value, bool):
+        raise ValueError
+    number = float(value)
+    if math.isnan(number):
+        raise ValueError
+    return number
+
+
+def _truth(value: Any) -> bool:
+    if isinstance(value, bool):
+        return value
+    return {"true": True, "false": False}[str(value).lower()]
+
+
+def _bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, open_low: bool = False) -> Callable:
+    def read(value: Any) -> Any:
+        number = convert(value)
+        if not (low < number if open_low else low <= number) or not number <= high:
+            raise ValueError
+        return number
+
+    return read
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError
+    return value
+
+
+def _one_of(*choices: str) -> Kind:
+    def read(value: Any) -> str:
+        if value not in choices:
+            raise ValueError
+        return value
+
+    return Kind(read, "one of " + ", ".join(choices), "|".join(choices), choices)
+
+
+SHAPE = Kind(_numbers(_integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
+VECTOR = Kind(_numbers(_real, (3,)), "three numbers such as 1,1,0", "X,Y,Z")
+TEXT = Kind(_text, "a text", "TEXT")
+FILE = Kind(_text, "the name of a file", "FILE")
+REAL = Kind(_real, "a number", "NUMBER")
+POSITIVE = Kind(_bounded(_real, 0, open_low=True), "a positive number", "NUMBER")
+NOT_NEGATIVE = Kind(_bounded(_real, 0), "0 or a positive number", "NUMBER")
+COUNT = Kind(_bounded(_integer, 1), "a whole number, 1 or more", "N")
+SEED = Kind(_bounded(_integer, 0), "a whole number, 0 or more", "N")
+TRUTH = Kind(_truth, "true or false", "")
+
+
+def setting(default: Any, kind: Kind, help: str) -> Any:
+    return field(default=default, metadata={"kind": kind, "help": help})
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """One run, fully described. Values are checked when it is built; InputError names the key and what is allowed."""
+
+    shape: tuple[int, ...] = setting((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
+    law: str = setting("coulomb", _one_of("coulomb", "viscous"), "Contact law.")
+    method: str = setting("auto", _one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
+    tolerance: float = setting(1e-8, Kind(_bounded(_real, 0, 1, True), "between 0 and 1", "NUMBER"),
+                               "Relative gap (P - lower bound)/P at which the run counts as done.")
+    seed: int = setting(0, SEED, "Seed of the disorder.")
+    replicas: int = setting(1, COUNT, "Solve seeds seed ... seed + replicas - 1 together.")
+    spin_top: float = setting(1.0, REAL, "Imposed spin of the top.")
+    spin_bottom: float = setting(0.0, REAL, "Imposed spin of the bottom.")
+    direction: tuple[float, ...] = setting((1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.")
+    coefficients: str | None = setting(None, FILE, "Read the coefficients (npz or HDF5) instead of drawing them.")
+    distribution: str = setting("uniform:0.1,1.0", TEXT,
+                                "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
+                                "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.")
+    initial: str = setting("linear", TEXT, "Spins to start from: random, zero, linear, or a file with an array `spin`.")
+    normal_force: float = setting(50.0, POSITIVE, "Normal force at every contact.")
+    radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
+    iterations: int = setting(1_000_000, SEED, "Limit on the iterations (sweeps or time steps).")
+    time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time, in seconds.")
+    slip_threshold: float | None = setting(None, POSITIVE,
+                                           "Slip speed up to which a contact counts as slipless. "
+                                           "Default: what the method can resolve.")
+    momentum: bool = setting(True, TRUTH, "gradient-descent: accelerate; --no-momentum is the paper's plain method.")
+    stiffness: float = setting(1e5, POSITIVE, "cundall-strack: tangential stiffness K_t.")
+    damping: float = setting(1e3, NOT_NEGATIVE, "cundall-strack: tangential damping A_t.")
+    mass: float = setting(1.0, POSITIVE, "cundall-strack: mass of a sphere.")
+    inertia: float | None = setting(None, POSITIVE,
+                                    "cundall-strack: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).")
+    static_ratio: float = setting(1.0, Kind(_bounded(_real, 1), "1 or more", "NUMBER"),
+                                  "cundall-strack: static over kinetic friction, mu_s/mu_k.")
+    gear_order: int = setting(2, Kind(_bounded(_integer, 2, 5), "a whole number from 2 to 5", "N"),
+                              "cundall-strack: derivatives kept by Gear's predictor-corrector.")
+    time_step: float | None = setting(None, POSITIVE, "cundall-strack: default 0.8 of the computed stability bound.")
+    rest_tolerance: float = setting(1e-9, POSITIVE, "cundall-strack: change of P that counts as rest.")
+    arch: str = setting("cpu", _one_of("cpu", "cuda", "auto"), "Device.")
+    precision: str = setting("f64", _one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
+    threads: int = setting(0, SEED, "CPU threads; 0 for all.")
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value is None and item.default is None:
+                continue
+            kind: Kind = item.metadata["kind"]
+            try:
+                object.__setattr__(self, item.name, kind.read(value))
+            except (ValueError, TypeError, KeyError, OverflowError):
+                shown = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+                raise InputError(f"{item.name} is {shown!r}; it must be {kind.allowed}") from None
+
+    @classmethod
+    def keys(cls) -> tuple[str, ...]:
+        return tuple(item.name for item in fields(cls))
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
+        """Settings from key-value pairs; an unknown key is refused, with the nearest known one."""
+        for key in values:
+            if key not in cls.keys():
+                near = difflib.get_close_matches(key, cls.keys(), n=1)
+                hint = f"; did you mean {near[0]!r}?" if near else f"; known keys are {', '.join(cls.keys())}"
+                raise InputError(f"unknown key {key!r} in {source}{hint}")
+        return cls(**values)
+
+    def to_toml(self) -> str:
+        """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
+        lines = [f"{key} = {_toml(getattr(self, key))}" for key in self.keys() if getattr(self, key) is not None]
+        return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(part) for part in value) + "]"
+    return repr(value)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Key-value pairs of a scene file; names of files in it are taken relative to its folder.
+
+    path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
+    """
+    import sys
+
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    if path.is_dir():
+        path = path / "scene.toml"
+    if not path.is_file():
+        raise FileError(f"scene file {path} does not exist")
+    try:
+        text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else path.read_text(encoding="utf-8")
+        values = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"scene file {path} cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"scene file {path} is not valid TOML: {error}") from None
+    for key in ("coefficients", "initial"):
+        value = values.get(key)
+        if isinstance(value, str) and (path.parent / value).is_file():
+            values[key] = str(path.parent / value)
+    return values
+
+
+def _scene_of_run(path: Path) -> str:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        if "scene" not in file.attrs:
+            raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
+        return str(file.attrs["scene"])
