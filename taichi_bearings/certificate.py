@@ -28,7 +28,7 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
     force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
     """
     force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
-    finite = np.all([np.isfinite(f).reshape(f.shape[0], scene.replicas, -1).all(axis=(0, 2)) for f in force], axis=0)
+    finite = np.all([np.isfinite(f).all(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
     if not finite.all():
         keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
         force = tuple(np.where(keep, f, 0.0) for f in force)

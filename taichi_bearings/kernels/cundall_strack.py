@@ -56,7 +56,7 @@ class CundallStrackSteps:
         stretches = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
         for m in range(self.stencil.block):
             site = first + m
-            for axis in ti.static(range(self.stencil.dimension)):
+            for axis in ti.static(self.stencil.slipping_axes):
                 upper = site + 1
                 if ti.static(axis < self.stencil.height):
                     upper = site + (stride_x if ti.static(axis == 0) else stride_y)
@@ -84,7 +84,7 @@ class CundallStrackSteps:
         forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
         for m in range(self.stencil.block):
             site = first + m
-            for axis in ti.static(range(self.stencil.dimension)):
+            for axis in ti.static(self.stencil.slipping_axes):
                 upper = site + 1
                 if ti.static(axis < self.stencil.height):
                     upper = site + (stride_x if ti.static(axis == 0) else stride_y)
@@ -102,7 +102,7 @@ class CundallStrackSteps:
         for m in range(self.stencil.block):
             site = first + m
             pull = ti.Vector.zero(float, self.stencil.components)
-            for axis in ti.static(range(self.stencil.dimension)):
+            for axis in ti.static(self.stencil.slipping_axes):
                 below = site - 1
                 if ti.static(axis < self.stencil.height):
                     below = site - (stride_x if ti.static(axis == 0) else stride_y)

@@ -55,12 +55,14 @@ class DescentSweeps:
     def update_block(self, points: ti.template(), points_new: ti.template(), first, stride_x, stride_y, step, sharpness, beta):
         """Update one block of sites. Results go to local arrays first: then the loops over sites vectorise."""
         # forces along the height from `lead` sites below the block on, so that each is computed once
-        along_height = ti.Matrix.zero(float, self.stencil.height_kept, self.stencil.block + self.stencil.lead)
-        for m in range(self.stencil.block + self.stencil.lead):
-            site = first + m - self.stencil.lead
-            force = self.force(points, site, site + 1, self.stencil.height, sharpness)
-            for t in ti.static(range(self.stencil.height_kept)):
-                along_height[t, m] = force[t]
+        rows = ti.static(max(self.stencil.height_kept, 1))
+        along_height = ti.Matrix.zero(float, rows, self.stencil.block + self.stencil.lead)
+        if ti.static(self.stencil.height_kept > 0):
+            for m in range(self.stencil.block + self.stencil.lead):
+                site = first + m - self.stencil.lead
+                force = self.force(points, site, site + 1, self.stencil.height, sharpness)
+                for t in ti.static(range(self.stencil.height_kept)):
+                    along_height[t, m] = force[t]
         moved = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
         ahead = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
         acting = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
@@ -68,7 +70,7 @@ class DescentSweeps:
         for m in range(self.stencil.block):
             site = first + m
             pull = ti.Vector.zero(float, self.stencil.components)
-            for axis in ti.static(range(self.stencil.height)):
+            for axis in ti.static(self.stencil.sideways_axes):
                 stride = stride_x if ti.static(axis == 0) else stride_y
                 above = self.force(points, site, site + stride, axis, sharpness)
                 below = self.force(points, site - stride, site, axis, sharpness)

@@ -35,6 +35,16 @@ class Stencil:
         return tuple(tangential(axis, self.spin_axes) for axis in range(self.dimension))
 
     @property
+    def slipping_axes(self) -> tuple[int, ...]:
+        """Axes whose contacts can slip at all; with one component carried, those along it cannot."""
+        return tuple(axis for axis in range(self.dimension) if self.kept[axis])
+
+    @property
+    def sideways_axes(self) -> tuple[int, ...]:
+        """The slipping axes other than the height."""
+        return tuple(axis for axis in self.slipping_axes if axis != self.height)
+
+    @property
     def height_kept(self) -> int:
         return len(self.kept[self.height])
 

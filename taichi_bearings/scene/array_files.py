@@ -19,7 +19,7 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         if path.suffix == ".npy":
             return {names[0]: np.load(path, allow_pickle=False)}
         if path.suffix == ".npz":
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 return {name: stored[name if name in stored else name.split("/")[-1]] for name in names}
         import h5py
 

@@ -27,7 +27,7 @@ from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 
 FIRST_EPOCH = 64
-FIRST_STEP = 0.1  # of the imposed jump: length of the first steps without momentum
+FIRST_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
 FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
 RESOLVED = 100  # widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins

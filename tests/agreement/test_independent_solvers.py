@@ -1,0 +1,126 @@
+"""Agreement with methods that share no code: sparse linear algebra and linear programming."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import spsolve
+
+from taichi_bearings.scene import Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
+from taichi_bearings.solvers.stopping import StopRule
+from tests.kernels.twins import is_driven, neighbours
+from tests.scenes import make_scene
+
+
+def incidence(shape):
+    """(contacts x sites) matrix of the staggered differences, with axis and lower site of each row."""
+    rows, columns, values, where = [], [], [], []
+    for lower, upper, axis in neighbours(shape):
+        if is_driven(lower, shape) and is_driven(upper, shape):
+            continue
+        for site, sign in ((upper, 1.0), (lower, -1.0)):
+            rows.append(len(where))
+            columns.append(np.ravel_multi_index(site, shape))
+            values.append(sign)
+        where.append((axis, lower))
+    return csr_matrix(coo_matrix((values, (rows, columns)), (len(where), int(np.prod(shape))))), where
+
+
+def viscous_minimum(scene):
+    """Least viscous power: one sparse linear system for each spin component."""
+    shape, total = scene.lattice.shape, 0.0
+    matrix, where = incidence(shape)
+    driven = scene.lattice.is_driven.ravel()
+    eta = np.array([scene.coefficient[axis][0][site] for axis, site in where]) * scene.lattice.radius**2
+    for slot, component in enumerate(scene.minimum_spin_axes):
+        weight = eta * np.array([axis != component for axis, _ in where])
+        laplacian = (matrix.T.multiply(weight) @ matrix).tocsr()
+        omega = np.zeros(shape)
+        omega[..., -1] = scene.driven_values(scene.minimum_spin_axes)[1][slot]
+        omega = omega.ravel()
+        right = -laplacian[~driven][:, driven] @ omega[driven]
+        omega[~driven] = spsolve(laplacian[~driven][:, ~driven].tocsc(), right)
+        total += omega @ (laplacian @ omega)
+    return total
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("shape", [(9, 7), (4, 5, 6), (10, 10, 10)])
+@pytest.mark.parametrize("momentum", [True, False])
+def test_viscous_gradient_descent_equals_a_sparse_solve(shape, momentum):
+    scene = make_scene(shape, "viscous")
+    method = GradientDescent(GradientDescentOptions(momentum))
+    solution = solve(scene, method, initial_spin(scene, "random"), StopRule(5e-11))
+    assert solution.status is Status.CERTIFIED
+    assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("shape", [(9, 7), (4, 5, 6)])
+def test_viscous_dynamics_comes_to_rest_at_a_sparse_solve(shape):
+    scene = make_scene(shape, "viscous")
+    method = CundallStrack(CundallStrackOptions(gear_order=2))
+    solution = solve(scene, method, initial_spin(scene, "random"), StopRule(5e-11))
+    assert solution.status is Status.CERTIFIED
+    assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("distribution", ["uniform:0.1,1.0", "lognormal:0.5,2.0", "constant:0.3", "bimodal:1e-3,1,0.5"])
+@pytest.mark.parametrize("shape", [(6, 9), (13, 4)])
+def test_coulomb_discs_equal_a_linear_programme(shape, distribution):
+    """2D Coulomb friction is the linear programme of the minimum cut, here solved by HiGHS."""
+    scene = make_scene(shape, distribution=distribution)
+    matrix, where = incidence(shape)
+    contacts, sites = matrix.shape
+    mu = np.array([scene.coefficient[axis][0][site] for axis, site in where])
+    bounds = [(None, None)] * sites + [(0, None)] * contacts
+    for site in np.ndindex(*shape):
+        if is_driven(site, shape):
+            bounds[np.ravel_multi_index(site, shape)] = (1.0, 1.0) if site[-1] else (0.0, 0.0)
+    eye = csr_matrix((np.ones(contacts), (range(contacts), range(contacts))))
+    from scipy.sparse import bmat
+
+    above = bmat([[matrix, -eye], [-matrix, -eye]])
+    programme = linprog(np.concatenate([np.zeros(sites), mu]), A_ub=above, b_ub=np.zeros(2 * contacts), bounds=bounds)
+    exact = scene.normal_force * scene.lattice.radius * programme.fun
+    solution = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-5))
+    assert solution.status is Status.CERTIFIED
+    assert solution.power[0] == pytest.approx(exact, rel=2e-5)
+    assert solution.lower_bound[0] <= exact * (1 + 1e-12)
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_replicas_together_equal_replicas_alone():
+    together = make_scene((3, 4, 5), seeds=(5, 6, 7))
+    spins = initial_spin(together, "random")
+    batch = solve(together, CundallStrack(), spins, StopRule(1e-4, 3_000))
+    for n, seed in enumerate(together.seeds):
+        alone = make_scene((3, 4, 5), seeds=(seed,))
+        single = solve(alone, CundallStrack(), initial_spin(alone, "random"), StopRule(1e-12, batch.iterations))
+        assert (batch.spin[n] == single.spin[0]).all()
+
+
+@pytest.mark.parametrize(
+    "driving",
+    [{"spin_bottom": 0.7}, {"spin_bottom": -2.0}, {"direction": (1, 0, 0)}, {"direction": (1, -2, 3)}],
+)  # fmt: skip
+def test_other_drivings_are_certified_by_both_methods_alike(driving):
+    scene = make_scene((5, 4, 6), **driving)
+    start = initial_spin(scene, "random")
+    descent = solve(scene, GradientDescent(), start, StopRule(2e-4, 200_000))
+    dynamics = solve(scene, CundallStrack(), start, StopRule(2e-3, 200_000))
+    assert descent.status is dynamics.status is Status.CERTIFIED
+    assert max(descent.lower_bound[0], dynamics.lower_bound[0]) <= min(descent.power[0], dynamics.power[0])
+
+
+def test_spins_about_the_height_cost_nothing():
+    """Driven about z, every layer is a bearing of its own: the power vanishes and the gap still makes sense."""
+    scene = make_scene((4, 3, 5), direction=(0, 0, 1), spin_bottom=-0.5)
+    solution = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-6, 100_000))
+    assert solution.status is Status.CERTIFIED
+    assert solution.power[0] == pytest.approx(0, abs=1e-9)

@@ -1,0 +1,26 @@
+"""One Taichi runtime for the session, in the precision that `--precision` names; bad neighbours run in subprocesses."""
+
+import pytest
+
+from taichi_bearings import runtime
+
+
+def pytest_addoption(parser):
+    parser.addoption("--precision", choices=runtime.PRECISIONS, default="f64")
+    parser.addoption("--taichi-debug", action="store_true", help="bounds checks in every kernel (slow)")
+
+
+@pytest.fixture(scope="session")
+def precision(request):
+    return request.config.getoption("--precision")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def taichi_runtime(request, precision):
+    return runtime.start("cpu", precision, threads=1, debug=request.config.getoption("--taichi-debug"))
+
+
+@pytest.fixture(scope="session")
+def needs_f64(precision):
+    if precision != "f64":
+        pytest.skip("a statement about double precision")

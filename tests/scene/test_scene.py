@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from tests.scenes import make_scene
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -0.3, 0.0])
+def test_bad_coefficients_are_named(bad):
+    scene = make_scene((3, 4, 5))
+    broken = [c.copy() for c in scene.coefficient]
+    broken[1][0, 2, 1, 3] = bad
+    with pytest.raises(InputError, match=r"at \[2, 1, 3\] along y is not allowed"):
+        Scene(scene.lattice, "coulomb", tuple(broken))
+
+
+def test_coefficients_of_another_shape_are_refused():
+    scene = make_scene((3, 4, 5))
+    with pytest.raises(InputError, match="this lattice needs"):
+        Scene(scene.lattice, "coulomb", make_scene((4, 3, 5)).coefficient)
+
+
+def test_only_frustrated_components_are_carried():
+    assert make_scene((3, 3, 4)).minimum_spin_axes == (0, 1)
+    assert make_scene((3, 3, 4), direction=(1, 0, 0)).minimum_spin_axes == (0,)
+    assert make_scene((3, 3, 4), direction=(1, 2, 3)).minimum_spin_axes == (0, 1, 2)
+    assert make_scene((3, 4)).minimum_spin_axes == (2,)
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
+@pytest.mark.parametrize("start", STARTS)
+def test_every_start_survives_the_change_of_frame_and_obeys_the_driving(shape, start):
+    scene = make_scene(shape, spin_bottom=0.3)
+    axes = scene.lattice.all_spin_axes
+    staggered = scene.staggered_spin(initial_spin(scene, start), axes)
+    again = scene.staggered_spin(scene.laboratory_spin(staggered, axes), axes)
+    assert (again == staggered).all()
+    for slot, (bottom, top) in enumerate(zip(*scene.driven_values(axes), strict=True)):
+        assert (staggered[slot][..., 0] == bottom).all()
+        assert (staggered[slot][..., -1] == top).all()
+
+
+def test_random_starts_do_not_touch_the_disorder_and_follow_the_seed():
+    first, second = make_scene((3, 4, 5), seeds=(8,)), make_scene((3, 4, 5), seeds=(8, 9))
+    assert (initial_spin(first, "random")[0] == initial_spin(second, "random")[0]).all()
+    assert (first.coefficient[0][0] == second.coefficient[0][0]).all()
+
+
+@pytest.mark.parametrize("kind", ["npz", "h5"])
+def test_coefficients_are_read_from_files(tmp_path, kind):
+    scene, path = make_scene((3, 4, 5)), tmp_path / f"mu.{kind}"
+    if kind == "npz":
+        np.savez(path, **{axis: c[0] for axis, c in zip("xyz", scene.coefficient, strict=True)})
+    else:
+        import h5py
+
+        with h5py.File(path, "w") as file:
+            for axis, c in zip("xyz", scene.coefficient, strict=True):
+                file[f"coefficient/{axis}"] = c[0]
+    assert all((a == b[0]).all() for a, b in zip(read_coefficients(path, 3), scene.coefficient, strict=True))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(FileError, match="damaged, truncated"):
+        read_coefficients(path, 3)
+
+
+def test_missing_files_and_arrays_are_named(tmp_path):
+    with pytest.raises(FileError, match="does not exist"):
+        read_coefficients(tmp_path / "none.npz", 2)
+    np.savez(tmp_path / "half.npz", x=np.ones((2, 4)))
+    with pytest.raises(FileError, match="lacks one of"):
+        read_coefficients(tmp_path / "half.npz", 2)
+    with pytest.raises(InputError, match="initial is"):
+        initial_spin(make_scene((3, 4)), "upside-down")
+    np.save(tmp_path / "spin.npy", np.ones((5, 5)))
+    with pytest.raises(InputError, match="has shape"):
+        initial_spin(make_scene((3, 4)), str(tmp_path / "spin.npy"))
