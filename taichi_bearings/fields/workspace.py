@@ -8,12 +8,12 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
-from taichi_bearings.fields.layout import Layout
+from taichi_bearings.lattice.layout import Layout
 
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
 
 CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
-SERIAL_NUMBERS = 100_000  # site values below which one core beats several: waking them takes 0.05 to 0.1 ms
+LEAST_SHARE = 1_000  # site values a worker must have, or meeting the others would cost more than it saves
 IDLE_BYTES = 256 * 2**20  # fields kept for the next scene; the least recently used go first
 CPU_LEAD = 4  # sites a block looks back, a multiple of the SIMD width so that no remainder loop is left
 
@@ -45,6 +45,8 @@ class Workspace:
             for component in range(components):  # structure of arrays: inner loops run along memory
                 builder.dense(ti.i, capacity).place(field.get_scalar_field(component))
             self.fields[name] = field
+        self.fields["arrived"] = ti.field(ti.i32)  # where a team of workers counts itself
+        builder.place(self.fields["arrived"])
         try:
             self._tree = builder.finalize()
         except RuntimeError as error:
@@ -117,7 +119,9 @@ def _release(workspace: Workspace) -> None:
     workspace.destroy()
 
 
-def runs_serially(layout: Layout, components: int) -> bool:
-    """True if one core does a sweep sooner than several could be woken: below about 0.2 ms of work."""
+def team_size(layout: Layout, components: int) -> int:
+    """Workers for kernels that keep `components` numbers a site: 0 on a GPU, else as many threads as pay."""
     running = runtime.current()
-    return not running.is_gpu and (running.threads == 1 or layout.sites * components < SERIAL_NUMBERS)
+    if running.is_gpu:
+        return 0
+    return max(1, min(running.threads, layout.sites * components // LEAST_SHARE))

@@ -9,10 +9,12 @@ import taichi as ti
 
 from taichi_bearings.kernels.contact import difference, length
 from taichi_bearings.kernels.stencil import Stencil, copy_out
+from taichi_bearings.kernels.team import LEAST_CHUNK, Team
+from taichi_bearings.lattice.layout import Layout
 
 
 @ti.data_oriented
-class CundallStrackSteps:
+class CundallStrackSteps(Team):
     """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient` and, for Coulomb,
     `integral` and `elongation`.
 
@@ -22,29 +24,30 @@ class CundallStrackSteps:
     spins stand at the end of the last step; the force is that at its predicted end.
     """
 
-    def __init__(self, fields, stencil: Stencil, law: str, corrector: tuple[float, ...]):
+    def __init__(self, fields, stencil: Stencil, workers: int, law: str, corrector: tuple[float, ...]):
+        super().__init__(fields, workers)
         self.gear = [fields[f"gear_{n}"] for n in range(len(corrector))]
         self.predicted, self.is_free = fields["predicted"], fields["is_free"]
         self.force, self.coefficient = fields["force"], fields["coefficient"]
         self.integral, self.elongation = fields.get("integral"), fields.get("elongation")
         self.stencil, self.coulomb, self.corrector, self.order = stencil, law == "coulomb", corrector, len(corrector)
 
-    def run(self, steps, layout, numbers, serial):
-        """Make `steps` time steps; numbers: see `step`."""
+    def run(self, steps, layout, numbers):
+        """Make `steps` time steps in one launch: alone, as a team, or on a GPU. numbers: from `reach` to `response`."""
         stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
         constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, *numbers)
-        if serial:
-            self.steps_serial(steps, *constants)
-            return
-        for _ in range(steps):
-            self.step_parallel(*constants)
-
-    def compile(self, serial):
-        """Compile the kernel that `run` will launch, on no sites at all."""
-        if serial:
-            self.steps_serial(0, *(0,) * 4, *(0.0,) * 6)
+        if self.workers > 1:
+            self.steps_by_team(steps, *constants)
+            self.check()
+        elif self.workers == 1:
+            self.steps_alone(steps, *constants)
         else:
-            self.step_parallel(*(0,) * 4, *(0.0,) * 6)
+            for _ in range(steps):
+                self.step_on_gpu(*constants)
+
+    def compile(self):
+        """Compile the kernel that `run` will launch, on no sites at all."""
+        self.run(1, Layout(0, (0, 0), block=1, lead=0), (0.0,) * 6)
 
     @ti.func
     def spring_block(self, first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance):
@@ -137,32 +140,56 @@ class CundallStrackSteps:
             copy_out(integral, self.integral, first, self.stencil.components, self.stencil.block)
 
     @ti.func
-    def step(
-        self, blocks, margin, stride_x, stride_y, time_step_radius, stiffness, damping, kinetic, static, response
-    ):
-        for b in range(blocks):
+    def contact_pass(self, low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static):
+        """Forces of blocks low ... high - 1. kinetic, static: normal force, times mu_s / mu_k for `static`."""
+        for b in range(low, high):
             first = margin + b * self.stencil.block
             if ti.static(self.coulomb):
                 self.spring_block(
-                    first, stride_x, stride_y, time_step_radius, stiffness, damping, kinetic, static, 1.0 / stiffness
+                    first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, 1.0 / stiffness
                 )
             else:
                 self.dashpot_block(first, stride_x, stride_y, damping)
-        for b in range(blocks):
+
+    @ti.func
+    def sphere_pass(self, low, high, margin, stride_x, stride_y, response):
+        for b in range(low, high):
             self.sphere_block(margin + b * self.stencil.block, stride_x, stride_y, response)
 
     @ti.kernel
-    def steps_serial(
+    def steps_alone(
         self, steps: int, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
         damping: float, kinetic: float, static: float, response: float,
     ):
         ti.loop_config(serialize=True)
         for _ in range(steps):
-            self.step(blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, response)
+            self.contact_pass(0, blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)
+            self.sphere_pass(0, blocks, margin, stride_x, stride_y, response)
 
     @ti.kernel
-    def step_parallel(
+    def steps_by_team(
+        self, steps: int, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
+        damping: float, kinetic: float, static: float, response: float,
+    ):
+        self.arrived[None] = 0
+        for item in range(self.items):
+            if item % LEAST_CHUNK == 0:
+                worker = item // LEAST_CHUNK
+                low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
+                for step in range(steps):
+                    self.contact_pass(
+                        low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static
+                    )
+                    self.meet((2 * step + 1) * self.workers)
+                    self.sphere_pass(low, high, margin, stride_x, stride_y, response)
+                    self.meet((2 * step + 2) * self.workers)
+
+    @ti.kernel
+    def step_on_gpu(
         self, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
         damping: float, kinetic: float, static: float, response: float,
     ):
-        self.step(blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, response)
+        for b in range(blocks):
+            self.contact_pass(b, b + 1, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)
+        for b in range(blocks):
+            self.sphere_pass(b, b + 1, margin, stride_x, stride_y, response)

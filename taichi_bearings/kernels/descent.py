@@ -4,12 +4,14 @@ import taichi as ti
 
 from taichi_bearings.kernels.contact import clamp, coulomb_force, difference, viscous_force
 from taichi_bearings.kernels.stencil import Stencil, copy_out
+from taichi_bearings.kernels.team import LEAST_CHUNK, Team
+from taichi_bearings.lattice.layout import Layout
 
 FORCE_LAWS = {"coulomb": coulomb_force, "viscous": viscous_force}
 
 
 @ti.data_oriented
-class DescentSweeps:
+class DescentSweeps(Team):
     """Sweeps over the fields `spin`, `point`, `point_next`, `coefficient`, `inverse_weight` and `box`.
 
     The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
@@ -22,29 +24,31 @@ class DescentSweeps:
     and `force_sum`. Without momentum `spin` is not used: `point` is the spin.
     """
 
-    def __init__(self, fields, stencil: Stencil, law: str, momentum: bool, averaging: bool):
+    def __init__(self, fields, stencil: Stencil, workers: int, law: str, momentum: bool, averaging: bool):
+        super().__init__(fields, workers)
         self.spin, self.point, self.point_next = fields.get("spin"), fields["point"], fields["point_next"]
         self.coefficient, self.inverse_weight, self.box = fields["coefficient"], fields["inverse_weight"], fields["box"]
         self.spin_sum, self.force_sum = fields.get("spin_sum"), fields.get("force_sum")
         self.stencil, self.force_law = stencil, FORCE_LAWS[law]
         self.momentum, self.averaging = momentum, averaging
 
-    def run(self, pairs, layout, step, sharpness, age, serial):
-        """Make `pairs` pairs of sweeps, serially in one launch or in parallel over blocks; both give the same bits."""
+    def run(self, pairs, layout, step, sharpness, age):
+        """Make `pairs` pairs of sweeps in one launch: alone, as a team, or on a GPU with one thread a site."""
         stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
         constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, step, sharpness)
-        if serial:
-            self.pairs_serial(pairs, age, *constants)
-            return
-        for pair in range(pairs):
-            self.pair_parallel(age + 2 * pair, *constants)
-
-    def compile(self, serial):
-        """Compile the kernel that `run` will launch, on no sites at all."""
-        if serial:
-            self.pairs_serial(0, 0, 0, 0, 0, 0, 0.0, 0.0)
+        if self.workers > 1:
+            self.pairs_by_team(pairs, age, *constants)
+            self.check()
+        elif self.workers == 1:
+            self.pairs_alone(pairs, age, *constants)
         else:
-            self.pair_parallel(0, 0, 0, 0, 0, 0.0, 0.0)
+            for pair in range(pairs):
+                self.pair_on_gpu(age + 2 * pair, *constants)
+
+    def compile(self):
+        """Compile the kernel that `run` will launch, on no sites at all."""
+        nothing = Layout(0, (0, 0), block=1, lead=0)
+        self.run(1, nothing, 0.0, 0.0, 0)
 
     @ti.func
     def force(self, points: ti.template(), lower, upper, axis: ti.template(), sharpness):
@@ -103,27 +107,44 @@ class DescentSweeps:
             copy_out(moved, points_new, first, self.stencil.components, self.stencil.block)
 
     @ti.func
-    def sweep_pair(self, age, blocks, margin, stride_x, stride_y, step, sharpness):
-        """Two sweeps, from `point` to `point_next` and back; parallel over blocks if called at a kernel's top level."""
-        for b in range(blocks):
-            beta = ti.cast(age, float) / ti.cast(age + 3, float)
+    def half_pair(self, back: ti.template(), age, low, high, margin, stride_x, stride_y, step, sharpness):
+        """One sweep over blocks low ... high - 1: from `point` to `point_next`, or back."""
+        beta = ti.cast(age, float) / ti.cast(age + 3, float)
+        for b in range(low, high):
             first = margin + b * self.stencil.block
-            self.update_block(self.point, self.point_next, first, stride_x, stride_y, step, sharpness, beta)
-        for b in range(blocks):
-            beta = ti.cast(age + 1, float) / ti.cast(age + 4, float)
-            first = margin + b * self.stencil.block
-            self.update_block(self.point_next, self.point, first, stride_x, stride_y, step, sharpness, beta)
+            if ti.static(back):
+                self.update_block(self.point_next, self.point, first, stride_x, stride_y, step, sharpness, beta)
+            else:
+                self.update_block(self.point, self.point_next, first, stride_x, stride_y, step, sharpness, beta)
 
     @ti.kernel
-    def pairs_serial(
+    def pairs_alone(
         self, pairs: int, age: int, blocks: int, margin: int, stride_x: int, stride_y: int, step: float, sharpness: float
     ):
         ti.loop_config(serialize=True)
         for pair in range(pairs):
-            self.sweep_pair(age + 2 * pair, blocks, margin, stride_x, stride_y, step, sharpness)
+            for back in ti.static((0, 1)):
+                self.half_pair(back, age + 2 * pair + back, 0, blocks, margin, stride_x, stride_y, step, sharpness)
 
     @ti.kernel
-    def pair_parallel(
+    def pairs_by_team(
+        self, pairs: int, age: int, blocks: int, margin: int, stride_x: int, stride_y: int, step: float, sharpness: float
+    ):
+        self.arrived[None] = 0
+        for item in range(self.items):
+            if item % LEAST_CHUNK == 0:
+                worker = item // LEAST_CHUNK
+                low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
+                for pair in range(pairs):
+                    for back in ti.static((0, 1)):
+                        self.half_pair(back, age + 2 * pair + back, low, high, margin, stride_x, stride_y, step, sharpness)
+                        self.meet((2 * pair + back + 1) * self.workers)
+
+    @ti.kernel
+    def pair_on_gpu(
         self, age: int, blocks: int, margin: int, stride_x: int, stride_y: int, step: float, sharpness: float
     ):
-        self.sweep_pair(age, blocks, margin, stride_x, stride_y, step, sharpness)
+        for b in range(blocks):
+            self.half_pair(0, age, b, b + 1, margin, stride_x, stride_y, step, sharpness)
+        for b in range(blocks):
+            self.half_pair(1, age + 1, b, b + 1, margin, stride_x, stride_y, step, sharpness)

@@ -12,7 +12,7 @@ import numpy as np
 from taichi_bearings.certificate import lower_bound
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec, runs_serially
+from taichi_bearings.fields.workspace import FieldSpec, team_size
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences, torques
@@ -97,10 +97,10 @@ class CundallStrack:
         if scene.law == "coulomb":
             fields.clear("elongation")
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.lead)
-        self.serial = runs_serially(layout, self.stencil.components + self.stencil.force_components)
+        workers = team_size(layout, self.stencil.components + self.stencil.force_components)
         corrector = CORRECTORS[options.gear_order]
-        self.steps = fields.kernels(CundallStrackSteps, self.stencil, scene.law, corrector)
-        self.steps.compile(self.serial)
+        self.steps = fields.kernels(CundallStrackSteps, self.stencil, workers, scene.law, corrector)
+        self.steps.compile()
         self.iteration = self.quiet_checks = 0
         self.last_power = np.full(scene.replicas, np.inf)
         self.last_slipping = -1
@@ -152,7 +152,7 @@ class CundallStrack:
             scene.normal_force * options.static_ratio,
             self.time_step * radius / self.inertia,
         )
-        self.steps.run(steps, self.fields.layout, numbers, self.serial)
+        self.steps.run(steps, self.fields.layout, numbers)
         self.iteration += steps
 
     def progress(self) -> Progress:

@@ -19,7 +19,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.certificate import lower_bound
 from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec, runs_serially
+from taichi_bearings.fields.workspace import FieldSpec, team_size
 from taichi_bearings.kernels.descent import DescentSweeps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences, torques, weights
@@ -72,13 +72,13 @@ class GradientDescent:
         for corner, values in enumerate(np.sort(scene.driven_values(self.spin_axes), axis=0)):
             fields.fields["box"][corner] = values.tolist()
         stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.lead)
-        self.serial = runs_serially(layout, stencil.components)
+        workers = team_size(layout, stencil.components)
         self.sweeps = {
-            averaging: fields.kernels(DescentSweeps, stencil, scene.law, self.momentum, averaging)
+            averaging: fields.kernels(DescentSweeps, stencil, workers, scene.law, self.momentum, averaging)
             for averaging in ((False, True) if self.averages else (False,))
         }
         for sweeps in self.sweeps.values():
-            sweeps.compile(self.serial)
+            sweeps.compile()
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
         self.least_width = 1e4 * float(np.finfo(precision).eps) * jump
@@ -114,7 +114,7 @@ class GradientDescent:
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
-        self.sweeps[averaging].run(pairs, self.fields.layout, step, sharpness, self.age, self.serial)
+        self.sweeps[averaging].run(pairs, self.fields.layout, step, sharpness, self.age)
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs
