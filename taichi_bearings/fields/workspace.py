@@ -15,14 +15,13 @@ FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fi
 CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
 LEAST_SHARE = 1_000  # site values a worker must have, or meeting the others would cost more than it saves
 IDLE_BYTES = 256 * 2**20  # fields kept for the next scene; the least recently used go first
-CPU_LEAD = 4  # sites a block looks back, a multiple of the SIMD width so that no remainder loop is left
 
 
 def make_layout(replicas: int, shape: tuple[int, ...]) -> Layout:
     """The flat layout for the running device: blocks for SIMD on a CPU, one site a thread on a GPU."""
     if runtime.current().is_gpu:
-        return Layout(replicas, shape, block=1, lead=1)
-    return Layout(replicas, shape, block=CPU_BLOCK, lead=CPU_LEAD)
+        return Layout(replicas, shape, block=1)
+    return Layout(replicas, shape, block=CPU_BLOCK)
 
 
 class Workspace:

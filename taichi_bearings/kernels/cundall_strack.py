@@ -8,7 +8,7 @@ once a pass.
 import taichi as ti
 
 from taichi_bearings.kernels.contact import difference, length
-from taichi_bearings.kernels.stencil import Stencil, copy_out
+from taichi_bearings.kernels.stencil import Stencil, copy_out, in_range
 from taichi_bearings.kernels.team import LEAST_CHUNK, Team
 from taichi_bearings.lattice.layout import Layout
 
@@ -47,14 +47,15 @@ class CundallStrackSteps(Team):
 
     def compile(self):
         """Compile the kernel that `run` will launch, on no sites at all."""
-        self.run(1, Layout(0, (0, 0), block=1, lead=0), (0.0,) * 6)
+        self.run(1, Layout(0, (0, 0), block=1), (0.0,) * 6)
 
     @ti.func
-    def spring_block(self, first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance):
+    def spring_block(self, first_site, x, y, reach, stiffness, damping, kinetic, static, compliance):
         """Coulomb contacts of one block. reach: radius * time step; damping: A_t * radius; compliance: 1 / K_t.
 
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         """
+        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
         forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
         stretches = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
         for m in range(self.stencil.block):
@@ -82,8 +83,9 @@ class CundallStrackSteps(Team):
         copy_out(stretches, self.elongation, first, self.stencil.force_components, self.stencil.block)
 
     @ti.func
-    def dashpot_block(self, first, stride_x, stride_y, radius):
+    def dashpot_block(self, first_site, x, y, radius):
         """Viscous contacts of one block."""
+        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
         forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
         for m in range(self.stencil.block):
             site = first + m
@@ -97,8 +99,9 @@ class CundallStrackSteps(Team):
         copy_out(forces, self.force, first, self.stencil.force_components, self.stencil.block)
 
     @ti.func
-    def sphere_block(self, first, stride_x, stride_y, response):
+    def sphere_block(self, first_site, x, y, response):
         """Correct the spins of one block and predict the next step. response: time step * radius / inertia."""
+        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
         corrected = ti.Matrix.zero(float, self.order * self.stencil.components, self.stencil.block)
         predicted = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
         integral = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
@@ -131,10 +134,8 @@ class CundallStrackSteps(Team):
                 integral[c, m] = mean + ti.static(self.corrector[0] ** 2) * error
         for n in ti.static(range(self.order)):
             for c in ti.static(range(self.stencil.components)):
-                for m in range(ti.static(max(self.stencil.block // 8, 1))):
-                    for lane in ti.static(range(min(8, self.stencil.block))):
-                        here = m * 8 + lane
-                        self.gear[n][first + here][c] = corrected[n * self.stencil.components + c, here]
+                for m in ti.static(range(self.stencil.block)):
+                    self.gear[n][first + m][c] = corrected[n * self.stencil.components + c, m]
         copy_out(predicted, self.predicted, first, self.stencil.components, self.stencil.block)
         if ti.static(self.coulomb):
             copy_out(integral, self.integral, first, self.stencil.components, self.stencil.block)

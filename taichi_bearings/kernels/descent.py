@@ -3,7 +3,7 @@
 import taichi as ti
 
 from taichi_bearings.kernels.contact import clamp, coulomb_force, difference, viscous_force
-from taichi_bearings.kernels.stencil import Stencil, copy_out
+from taichi_bearings.kernels.stencil import Stencil, copy_out, in_range
 from taichi_bearings.kernels.team import LEAST_CHUNK, Team
 from taichi_bearings.lattice.layout import Layout
 
@@ -47,7 +47,7 @@ class DescentSweeps(Team):
 
     def compile(self):
         """Compile the kernel that `run` will launch, on no sites at all."""
-        nothing = Layout(0, (0, 0), block=1, lead=0)
+        nothing = Layout(0, (0, 0), block=1)
         self.run(1, nothing, 0.0, 0.0, 0)
 
     @ti.func
@@ -56,19 +56,15 @@ class DescentSweeps(Team):
         return self.force_law(spin_difference, self.coefficient[lower][axis], sharpness)
 
     @ti.func
-    def update_block(self, points: ti.template(), points_new: ti.template(), first, stride_x, stride_y, step, sharpness, beta):
-        """Update one block of sites. Results go to local arrays first: then the loops over sites vectorise."""
-        # forces along the height from `lead` sites below the block on, so that each is computed once
-        rows = ti.static(max(self.stencil.height_kept, 1))
-        along_height = ti.Matrix.zero(float, rows, self.stencil.block + self.stencil.lead)
+    def update_block(self, points: ti.template(), points_new: ti.template(), first_site, x, y, step, sharpness, beta):
+        """Update one block of sites. Results go to local arrays first: then the loop over sites vectorises."""
+        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
+        below_height = ti.Vector.zero(float, ti.static(max(self.stencil.height_kept, 1)))
         if ti.static(self.stencil.height_kept > 0):
-            for m in range(self.stencil.block + self.stencil.lead):
-                site = first + m - self.stencil.lead
-                force = self.force(points, site, site + 1, self.stencil.height, sharpness)
-                for t in ti.static(range(self.stencil.height_kept)):
-                    along_height[t, m] = force[t]
+            below_height = self.force(points, first - 1, first, self.stencil.height, sharpness)
         moved = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
         ahead = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
+        spins = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)  # these two: sums, with averaging
         acting = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
         low, high = self.box[0], self.box[1]
         for m in range(self.stencil.block):
@@ -81,25 +77,28 @@ class DescentSweeps(Team):
                 for t, slot in ti.static(enumerate(self.stencil.kept[axis])):
                     pull[slot] += above[t] - below[t]
                     if ti.static(self.averaging):
-                        acting[self.stencil.force_slot[axis] + t, m] = above[t]
-            for t, slot in ti.static(enumerate(self.stencil.kept[self.stencil.height])):
-                above_height = along_height[t, m + self.stencil.lead]
-                pull[slot] += above_height - along_height[t, m + self.stencil.lead - 1]
-                if ti.static(self.averaging):
-                    acting[self.stencil.force_slot[self.stencil.height] + t, m] = above_height
+                        v = self.stencil.force_slot[axis] + t
+                        acting[v, m] = self.force_sum[site][v] + above[t]
+            if ti.static(self.stencil.height_kept > 0):
+                above_height = self.force(points, site, site + 1, self.stencil.height, sharpness)
+                for t, slot in ti.static(enumerate(self.stencil.kept[self.stencil.height])):
+                    pull[slot] += above_height[t] - below_height[t]
+                    if ti.static(self.averaging):
+                        v = self.stencil.force_slot[self.stencil.height] + t
+                        acting[v, m] = self.force_sum[site][v] + above_height[t]
+                below_height = above_height  # carried up the column, so that each is computed once
             for c in ti.static(range(self.stencil.components)):
                 here = points[site][c]
                 weight = self.inverse_weight[site][c]
                 new = clamp(here + step * weight * pull[c], low[c], high[c])
                 if ti.static(self.momentum):
                     ahead[c, m] = new + beta * (new - self.spin[site][c])
+                if ti.static(self.averaging):
+                    spins[c, m] = self.spin_sum[site][c] + here
                 moved[c, m] = new
         if ti.static(self.averaging):
-            for m in range(self.stencil.block):
-                self.spin_sum[first + m] = self.spin_sum[first + m] + points[first + m]
-            for v in ti.static(range(self.stencil.force_components)):
-                for m in range(self.stencil.block):
-                    self.force_sum[first + m][v] = self.force_sum[first + m][v] + acting[v, m]
+            copy_out(spins, self.spin_sum, first, self.stencil.components, self.stencil.block)
+            copy_out(acting, self.force_sum, first, self.stencil.force_components, self.stencil.block)
         if ti.static(self.momentum):
             copy_out(ahead, points_new, first, self.stencil.components, self.stencil.block)
             copy_out(moved, self.spin, first, self.stencil.components, self.stencil.block)

@@ -13,13 +13,12 @@ class Stencil:
 
     spin_axes : components carried, e.g. (2,) in 2D or (0, 1) in 3D driven in the xy plane.
     dimension : 2 or 3; the height is the last axis and runs along memory.
-    block, lead : sites a task updates at a time, and how many sites below the block it looks back (see Layout).
+    block : sites a task updates at a time (see Layout).
     """
 
     spin_axes: tuple[int, ...]
     dimension: int
     block: int
-    lead: int
 
     @property
     def components(self) -> int:
@@ -60,9 +59,15 @@ class Stencil:
 
 
 @ti.func
+def in_range(index):
+    """The same index (they are all below 2^29), in a form that lets the compiler rule out overflow of index + offset:
+    only then does it merge the loads and stores of neighbouring sites into SIMD ones."""
+    return index & 0x1FFFFFFF
+
+
+@ti.func
 def copy_out(local: ti.template(), field: ti.template(), first, components: ti.template(), block: ti.template()):
-    """field[first + m][c] = local[c, m], eight sites unrolled at a time."""
+    """field[first + m][c] = local[c, m]; `first` from :func:`in_range`."""
     for c in ti.static(range(components)):
-        for m in range(ti.static(max(block // 8, 1))):
-            for lane in ti.static(range(min(8, block))):
-                field[first + m * 8 + lane][c] = local[c, m * 8 + lane]
+        for m in ti.static(range(block)):
+            field[first + m][c] = local[c, m]

@@ -13,12 +13,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Layout:
-    """Flat layout of `replicas` lattices of `shape`, walked in blocks of `block` sites that begin `lead` sites early."""
+    """Flat layout of `replicas` lattices of `shape`, walked in blocks of `block` sites."""
 
     replicas: int
     shape: tuple[int, ...]
     block: int
-    lead: int
 
     @property
     def sites(self) -> int:
@@ -31,7 +30,7 @@ class Layout:
 
     @property
     def margin(self) -> int:
-        return max(self.strides[0], self.lead)
+        return max(self.strides[0], 1)
 
     @property
     def blocks(self) -> int:

@@ -77,7 +77,7 @@ class CundallStrack:
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
         components, dimension = len(self.spin_axes), scene.lattice.dimension
-        forces = Stencil(self.spin_axes, dimension, 1, 1).force_components
+        forces = Stencil(self.spin_axes, dimension, 1).force_components
         spec = [(f"gear_{n}", components) for n in range(self.options.gear_order + 1)]
         spec += [("predicted", components), ("is_free", 1), ("force", forces), ("coefficient", dimension)]
         if scene.law == "coulomb":
@@ -96,7 +96,7 @@ class CundallStrack:
         fields.clear("force")
         if scene.law == "coulomb":
             fields.clear("elongation")
-        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.lead)
+        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         workers = team_size(layout, self.stencil.components + self.stencil.force_components)
         corrector = CORRECTORS[options.gear_order]
         self.steps = fields.kernels(CundallStrackSteps, self.stencil, workers, scene.law, corrector)

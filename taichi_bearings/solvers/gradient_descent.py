@@ -58,7 +58,7 @@ class GradientDescent:
         if self.momentum:
             spec.append(("spin", components))
         if self.averages:
-            forces = Stencil(self.spin_axes, dimension, 1, 1).force_components
+            forces = Stencil(self.spin_axes, dimension, 1).force_components
             spec += [("spin_sum", components), ("force_sum", forces)]
         return tuple(spec)
 
@@ -71,7 +71,7 @@ class GradientDescent:
         fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
         for corner, values in enumerate(np.sort(scene.driven_values(self.spin_axes), axis=0)):
             fields.fields["box"][corner] = values.tolist()
-        stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.lead)
+        stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         workers = team_size(layout, stencil.components)
         self.sweeps = {
             averaging: fields.kernels(DescentSweeps, stencil, workers, scene.law, self.momentum, averaging)
@@ -168,7 +168,7 @@ class GradientDescent:
 
     def _averaged_force(self) -> tuple[np.ndarray, ...]:
         stored = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
-        slots = Stencil(self.spin_axes, self.scene.lattice.dimension, 1, 1)
+        slots = Stencil(self.spin_axes, self.scene.lattice.dimension, 1)
         return tuple(
             self.fields.layout.from_lower_sphere(stored[first : first + len(kept)], axis)
             for axis, (first, kept) in enumerate(zip(slots.force_slot, slots.kept, strict=True))
