@@ -4,7 +4,6 @@ import json
 from dataclasses import asdict
 
 import click
-
 from taichi_bearings_cli.options import json_option
 
 

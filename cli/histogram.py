@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import click
-
 from taichi_bearings_cli.options import json_option
 
 
@@ -61,5 +60,7 @@ def command(runs: tuple[str, ...], bins_per_decade: int, out: str | None, force:
     if as_json:
         click.echo(json.dumps(report))
         return
-    click.echo(f"{report['slipping']:,} slipping contacts from {report['smallest_power']:.2e} to {report['largest_power']:.2e}")
+    click.echo(
+        f"{report['slipping']:,} slipping contacts from {report['smallest_power']:.2e} to {report['largest_power']:.2e}"
+    )
     click.echo("\n".join(report["files"]))

@@ -3,7 +3,6 @@
 import json
 
 import click
-
 from taichi_bearings_cli.options import json_option
 
 

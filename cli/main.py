@@ -26,7 +26,7 @@ class LazyGroup(click.Group):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        return getattr(importlib.import_module(f"taichi_bearings_cli.{name}"), "command")
+        return importlib.import_module(f"taichi_bearings_cli.{name}").command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -42,8 +42,14 @@ def show_version(context: click.Context, _: click.Parameter, wanted: bool) -> No
 
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=show_version,
-              help="Show the version and exit.")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=show_version,
+    help="Show the version and exit.",
+)
 def bearings() -> None:
     """Frustrated bearings: touching spheres on a lattice, their state of least dissipation and the way to it.
 

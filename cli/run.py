@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-
 from taichi_bearings_cli.options import json_option, run_options
 
 
@@ -16,7 +15,9 @@ from taichi_bearings_cli.options import json_option, run_options
 @click.option("--force", is_flag=True, default=None, help="Replace an existing run directory.")
 @json_option
 @click.pass_context
-def command(context: click.Context, scene: str | None, out: str | None, force: bool | None, as_json: bool, **options: Any) -> None:
+def command(
+    context: click.Context, scene: str | None, out: str | None, force: bool | None, as_json: bool, **options: Any
+) -> None:
     """Solve one scene (or a block of seeds) and write a run directory.
 
     SCENE.toml holds the same keys as the options, dashes as underscores; options win. A run directory or its run.h5
@@ -31,9 +32,10 @@ def command(context: click.Context, scene: str | None, out: str | None, force: b
       bearings run --shape 10,10,10 --seed 3 --tolerance 1e-5
       bearings run scene.toml --method cundall-strack --initial random --out outputs/relaxation
     """
+    from taichi_bearings_cli.progress import TerminalProgress
+
     from taichi_bearings.studies.run import run
     from taichi_bearings.studies.settings import RunSettings, read_toml
-    from taichi_bearings_cli.progress import TerminalProgress
 
     values = read_toml(Path(scene)) if scene else {}
     out, force = out or values.pop("out", None), bool(values.pop("force", False) if force is None else force)

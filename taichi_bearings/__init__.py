@@ -1,4 +1,4 @@
-"""taichi_bearings: frustrated bearings on square and cubic lattices, solved on CPU and GPU, with proven error bounds."""
+"""Frustrated bearings on square and cubic lattices, solved on CPU and GPU, with proven error bounds."""
 
 from taichi_bearings.errors import BearingsError, DeviceError, FileError, InputError
 from taichi_bearings.version import VERSION

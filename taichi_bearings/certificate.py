@@ -118,10 +118,12 @@ def _solve_poisson(source: np.ndarray, dimension: int, component: int) -> np.nda
     sideways = [offset + a for a in range(height) if a != component]
     eigenvalue = np.zeros((1,) * source.ndim)
     for axis in sideways:
-        eigenvalue = eigenvalue + _along(axis, source.ndim, 2 - 2 * np.cos(np.pi * np.arange(source.shape[axis]) / source.shape[axis]))
+        side = source.shape[axis]
+        eigenvalue = eigenvalue + _along(axis, source.ndim, 2 - 2 * np.cos(np.pi * np.arange(side) / side))
     if component != height:
         free = source.shape[-1]
-        eigenvalue = eigenvalue + _along(source.ndim - 1, source.ndim, 2 - 2 * np.cos(np.pi * np.arange(1, free + 1) / (free + 1)))
+        modes = 2 - 2 * np.cos(np.pi * np.arange(1, free + 1) / (free + 1))
+        eigenvalue = eigenvalue + _along(source.ndim - 1, source.ndim, modes)
     if not sideways and component == height:
         return np.zeros_like(source)
     spectrum = fft.dctn(source, type=2, axes=sideways, norm="ortho") if sideways else source

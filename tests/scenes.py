@@ -25,7 +25,9 @@ def minima(*shapes):
 
 
 def scene_of(entry):
-    return make_scene(entry["shape"], seeds=(entry["seed"],), spin_top=entry["spin_top"], spin_bottom=entry["spin_bottom"])
+    return make_scene(
+        entry["shape"], seeds=(entry["seed"],), spin_top=entry["spin_top"], spin_bottom=entry["spin_bottom"]
+    )
 
 
 def name_of(entry):

@@ -27,7 +27,9 @@ def imported_modules(path: Path):
             yield from (alias.name for alias in node.names)
 
 
-@pytest.mark.parametrize("path", [f for f in FILES if f.parent.name != "taichi_bearings" or f.stem != "__init__"], ids=str)
+@pytest.mark.parametrize(
+    "path", [f for f in FILES if f.parent.name != "taichi_bearings" or f.stem != "__init__"], ids=str
+)
 def test_imports_only_go_down(path):
     here = floor_name(path)
     for module in imported_modules(path):

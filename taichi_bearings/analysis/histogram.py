@@ -31,8 +31,11 @@ class PowerHistogram:
 
 
 def power_histogram(
-    power: Sequence[np.ndarray], state: Sequence[np.ndarray], slip_threshold: float,
-    bins_per_decade: int = 5, samples: int = 1,
+    power: Sequence[np.ndarray],
+    state: Sequence[np.ndarray],
+    slip_threshold: float,
+    bins_per_decade: int = 5,
+    samples: int = 1,
 ) -> PowerHistogram:
     """Histogram of the power of slipping contacts.
 

@@ -1,4 +1,4 @@
-"""Allocate, load, read back and free Taichi fields; keep them, and the kernels compiled for them, for the next scene."""
+"""Allocate, load, read back and free Taichi fields; keep them, and their compiled kernels, for the next scene."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -20,7 +20,7 @@ def difference(lower, upper, kept: ti.template()):
 def length(vector):
     """Euclidean length; one component needs no square root."""
     result = 0.0
-    if ti.static(vector.n == 1):
+    if ti.static(vector.n == 1):  # noqa: SIM108 (Taichi needs the statement to drop the other branch)
         result = ti.abs(vector[0])
     else:
         result = ti.sqrt(vector.dot(vector))

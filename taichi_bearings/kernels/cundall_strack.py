@@ -1,4 +1,4 @@
-"""Cundall–Strack steps: elongation springs at the contacts (paper Eqs. 7-9) and Gear's integration of the spins (Eq. 10).
+"""Cundall–Strack steps: springs at the contacts (paper Eqs. 7-9) and Gear's integration of the spins (Eq. 10).
 
 A step is two passes. The contact pass stretches the springs by the predicted slip and caps the force by friction; the
 sphere pass gathers the torques, corrects the spins and predicts the next step, so that every field is read and written
@@ -159,8 +159,18 @@ class CundallStrackSteps(Team):
 
     @ti.kernel
     def steps_alone(
-        self, steps: int, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
-        damping: float, kinetic: float, static: float, response: float,
+        self,
+        steps: int,
+        blocks: int,
+        margin: int,
+        stride_x: int,
+        stride_y: int,
+        reach: float,
+        stiffness: float,
+        damping: float,
+        kinetic: float,
+        static: float,
+        response: float,
     ):
         ti.loop_config(serialize=True)
         for _ in range(steps):
@@ -169,8 +179,18 @@ class CundallStrackSteps(Team):
 
     @ti.kernel
     def steps_by_team(
-        self, steps: int, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
-        damping: float, kinetic: float, static: float, response: float,
+        self,
+        steps: int,
+        blocks: int,
+        margin: int,
+        stride_x: int,
+        stride_y: int,
+        reach: float,
+        stiffness: float,
+        damping: float,
+        kinetic: float,
+        static: float,
+        response: float,
     ):
         self.arrived[None] = 0
         for item in range(self.items):
@@ -178,17 +198,24 @@ class CundallStrackSteps(Team):
                 worker = item // LEAST_CHUNK
                 low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
                 for step in range(steps):
-                    self.contact_pass(
-                        low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static
-                    )
+                    self.contact_pass(low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)
                     self.meet((2 * step + 1) * self.workers)
                     self.sphere_pass(low, high, margin, stride_x, stride_y, response)
                     self.meet((2 * step + 2) * self.workers)
 
     @ti.kernel
     def step_on_gpu(
-        self, blocks: int, margin: int, stride_x: int, stride_y: int, reach: float, stiffness: float,
-        damping: float, kinetic: float, static: float, response: float,
+        self,
+        blocks: int,
+        margin: int,
+        stride_x: int,
+        stride_y: int,
+        reach: float,
+        stiffness: float,
+        damping: float,
+        kinetic: float,
+        static: float,
+        response: float,
     ):
         for b in range(blocks):
             self.contact_pass(b, b + 1, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)

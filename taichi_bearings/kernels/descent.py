@@ -118,7 +118,15 @@ class DescentSweeps(Team):
 
     @ti.kernel
     def pairs_alone(
-        self, pairs: int, age: int, blocks: int, margin: int, stride_x: int, stride_y: int, step: float, sharpness: float
+        self,
+        pairs: int,
+        age: int,
+        blocks: int,
+        margin: int,
+        stride_x: int,
+        stride_y: int,
+        step: float,
+        sharpness: float,
     ):
         ti.loop_config(serialize=True)
         for pair in range(pairs):
@@ -127,7 +135,15 @@ class DescentSweeps(Team):
 
     @ti.kernel
     def pairs_by_team(
-        self, pairs: int, age: int, blocks: int, margin: int, stride_x: int, stride_y: int, step: float, sharpness: float
+        self,
+        pairs: int,
+        age: int,
+        blocks: int,
+        margin: int,
+        stride_x: int,
+        stride_y: int,
+        step: float,
+        sharpness: float,
     ):
         self.arrived[None] = 0
         for item in range(self.items):
@@ -136,7 +152,9 @@ class DescentSweeps(Team):
                 low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
                 for pair in range(pairs):
                     for back in ti.static((0, 1)):
-                        self.half_pair(back, age + 2 * pair + back, low, high, margin, stride_x, stride_y, step, sharpness)
+                        self.half_pair(
+                            back, age + 2 * pair + back, low, high, margin, stride_x, stride_y, step, sharpness
+                        )
                         self.meet((2 * pair + back + 1) * self.workers)
 
     @ti.kernel

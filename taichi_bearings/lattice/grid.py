@@ -103,9 +103,7 @@ def upper(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
     return field[tuple(index)]
 
 
-def contact_differences(
-    staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]
-) -> tuple[np.ndarray, ...]:
+def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
     """Difference of the staggered spins across every contact, without its component along the contact.
 
     staggered : (C, R, *N), components as named by `spin_axes`.

@@ -1,7 +1,7 @@
 """Where sphere (r, i, j, k) lives in a field: flat, height fastest, with margins so that no stencil leaves the field.
 
-Every field is one-dimensional in sites: p = margin + ((r * nx + i) * ny + j) * nz + k. The upper neighbour along an axis
-is p + stride. A sphere on a side has no upper contact there: its coefficient is 0, so what lies at p + stride (the
+Every field is one-dimensional in sites: p = margin + ((r * nx + i) * ny + j) * nz + k. The upper neighbour along an
+axis is p + stride. A sphere on a side has no upper contact there: its coefficient is 0, so what lies at p + stride (the
 other side, the next replica or the margin) does not matter as long as it is finite. Hence kernels have no branch for
 the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions/0002).
 """
@@ -61,4 +61,4 @@ class Layout:
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
         """(..., R, *N) -> (..., R, *contacts of axis)."""
         sides = tuple(slice(0, n - (a == axis)) for a, n in enumerate(self.shape))
-        return full[(Ellipsis, *sides)]
+        return np.asarray(full[(Ellipsis,) + sides])

@@ -1,5 +1,7 @@
 """Where the power is dissipated: every contact coloured by its power."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
@@ -24,26 +26,30 @@ def draw_power(run: StoredRun, replica: int = 0) -> Figure:
         figure.colorbar(drawn, ax=axes, label="power of a slipping contact", shrink=0.8)
         return figure
     nx, ny, nz = run.shape
-    figure = new_figure(11.0, 4.0)
+    figure = new_figure(11.5, 3.9)
+    columns = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
+    middle_y, middle_x = (slice(None), ny // 2), (nx // 2,)
     cuts = [
-        (f"cut at y = {ny // 2}", [v[:, ny // 2, :] for v in (power[0], power[2])], [v[:, ny // 2, :] for v in (state[0], state[2])], (nx, nz)),
-        (f"cut at x = {nx // 2}", [v[nx // 2] for v in (power[1], power[2])], [v[nx // 2] for v in (state[1], state[2])], (ny, nz)),
+        (f"cut at y = {ny // 2}", [v[middle_y] for v in power[::2]], [v[middle_y] for v in state[::2]], (nx, nz)),
+        (f"cut at x = {nx // 2}", [v[middle_x] for v in power[1:]], [v[middle_x] for v in state[1:]], (ny, nz)),
     ]
     for place, (name, values, states, shape) in enumerate(cuts):
-        axes = figure.add_subplot(1, 3, 1 + place)
+        axes = columns[place]
         drawn = _draw_plane(axes, values, states, shape, norm)
         axes.set_title(name, fontsize=9)
-    figure.colorbar(drawn, ax=figure.axes, label="power of a slipping contact", shrink=0.8)
-    axes = figure.add_subplot(1, 3, 3)
+    figure.colorbar(drawn, ax=columns[:2], label="power of a slipping contact", shrink=0.8)
+    axes = columns[2]
     layers = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
     axes.step(layers, np.arange(nz), where="mid", label="contacts in the layer")
     axes.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", label="contacts to the next layer")
     axes.set(xlabel="power", ylabel="height")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 
-def _draw_plane(axes, power: list[np.ndarray], state: list[np.ndarray], shape: tuple[int, ...], norm: LogNorm):
+def _draw_plane(
+    axes: Any, power: list[np.ndarray], state: list[np.ndarray], shape: tuple[int, ...], norm: LogNorm
+) -> Any:
     """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey."""
     segments, values = [], []
     for axis, (p, s) in enumerate(zip(power, state, strict=True)):

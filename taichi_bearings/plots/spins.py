@@ -1,5 +1,7 @@
 """The spins of a run: discs in 2D, spheres and cuts in 3D (paper Figs. 1, 3a and 4)."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
@@ -32,12 +34,11 @@ def _draw_discs(speed: np.ndarray, state: list[np.ndarray]) -> Figure:
     return figure
 
 
-def _paint_plane(axes, speed: np.ndarray, state: list[np.ndarray]):
+def _paint_plane(axes: Any, speed: np.ndarray, state: list[np.ndarray]) -> Any:
     """Discs of one plane (first index to the right, second up) and the slipping contacts between them."""
     nx, ny = speed.shape
-    x, y = np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
     if nx * ny <= 10_000:
-        discs = PatchCollection([Circle((a, b), 0.47) for a, b in zip(x.ravel(), y.ravel(), strict=True)], cmap=COLOURS, lw=0)
+        discs = PatchCollection([Circle((a, b), 0.47) for a, b in np.ndindex(nx, ny)], cmap=COLOURS, lw=0)
         discs.set_array(speed.ravel())
         discs.set_clim(0, 1)
         axes.add_collection(discs)
@@ -63,11 +64,22 @@ def _draw_spheres(speed: np.ndarray, state: list[np.ndarray]) -> Figure:
     nx, ny, nz = speed.shape
     figure = new_figure(11.0, 4.2)
     block = figure.add_subplot(1, 3, 1, projection="3d", computed_zorder=True)
-    x, y, z = np.indices(speed.shape)
+    x, y, z = (np.asarray(index) for index in np.indices(speed.shape))
     outside = (x == nx - 1) | (y == 0) | (z == nz - 1) | (x == 0) | (y == ny - 1)
     size = (150.0 / max(speed.shape)) ** 2 / 1.6
-    block.scatter(x[outside], y[outside], z[outside], c=speed[outside], cmap=COLOURS, vmin=0, vmax=1, s=size, alpha=1.0,
-                  edgecolors="none", depthshade=False)
+    block.scatter(
+        x[outside],
+        y[outside],
+        z[outside],
+        c=speed[outside],
+        cmap=COLOURS,
+        vmin=0,
+        vmax=1,
+        s=size,
+        alpha=1.0,
+        edgecolors="none",
+        depthshade=False,
+    )
     block.set_box_aspect((nx, ny, nz))
     block.set_axis_off()
     block.view_init(elev=18, azim=-60)

@@ -28,7 +28,9 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
     except KeyError:
         raise FileError(f"{path} lacks one of the arrays {', '.join(names)}") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        raise FileError(f"{path} cannot be read as npy, npz or HDF5: it is damaged, truncated or of another kind") from None
+        raise FileError(
+            f"{path} cannot be read as npy, npz or HDF5: it is damaged, truncated or of another kind"
+        ) from None
 
 
 def read_coefficients(path: Path, dimension: int) -> tuple[np.ndarray, ...]:

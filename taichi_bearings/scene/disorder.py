@@ -1,4 +1,4 @@
-"""Random contact coefficients from a seed, the same on any machine (CONTRACT: one draw an axis, in the order x, y, z)."""
+"""Random contact coefficients from a seed, the same on any machine: one draw an axis, in the order x, y, z."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -120,9 +120,9 @@ class CundallStrack:
             derivatives.append(self.time_step / n * rate)
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
-        self.fields.load("predicted", sum(derivatives))
+        self.fields.load("predicted", np.sum(derivatives, axis=0))
         if self.scene.law == "coulomb":
-            self.fields.load("integral", sum(values / (n + 1) for n, values in enumerate(derivatives)))
+            self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
 
     def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forces of unstretched contacts: damping, capped by friction for Coulomb."""

@@ -1,13 +1,15 @@
 """The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
 
+import signal
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.contact_state import classify
 from taichi_bearings.certificate import relative_gap
+from taichi_bearings.contact_state import classify
 from taichi_bearings.fields import borrow
 from taichi_bearings.fields.workspace import make_layout
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -46,12 +48,12 @@ def solve(
     stop = stop or StopRule()
     began = time.perf_counter()
     spec = method.plan(scene, spin)
-    with borrow(make_layout(scene.replicas, scene.lattice.shape), spec) as fields:
+    with _Interrupt() as interrupt, borrow(make_layout(scene.replicas, scene.lattice.shape), spec) as fields:
         method.begin(scene, spin, fields)
         compiled = time.perf_counter()
         best = _Best(method.keeps_best)
         history = _History()
-        interrupted = False
+        pace = _Pace()
         progress = method.progress()
         while True:
             best.take(progress)
@@ -61,18 +63,54 @@ def solve(
             for monitor in monitors:
                 monitor(Report(progress, best.power, gap, elapsed, stop))
             status = stop.judge(scene, progress, best.power, best.bound, elapsed)
-            if interrupted and status is None:
+            if status is None and interrupt.heard:
                 status = Status.INTERRUPTED
             if status is not None:
                 break
-            try:
-                method.advance(min(method.next_check(progress.iteration), stop.iterations) - progress.iteration)
-            except KeyboardInterrupt:
-                interrupted = True
+            wanted = min(method.next_check(progress.iteration), stop.iterations) - progress.iteration
+            pace.advance(method, wanted, lambda: interrupt.heard or time.perf_counter() - began >= stop.seconds)
             progress = method.progress()
         seconds = time.perf_counter() - compiled
         final = replace(best.progress, iteration=progress.iteration)
     return _collect(scene, method.name, status, final, best.bound, history, seconds, compiled - began, slip_threshold)
+
+
+class _Interrupt:
+    """Hears Ctrl-C without being torn out of a step; a second one ends the process as usual."""
+
+    def __init__(self) -> None:
+        self.heard = False
+        self._main = threading.current_thread() is threading.main_thread()
+
+    def __enter__(self) -> "_Interrupt":
+        if self._main:
+            self._before = signal.signal(signal.SIGINT, self._hear)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._main:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _hear(self, *_: object) -> None:
+        if self.heard:
+            raise KeyboardInterrupt
+        self.heard = True
+
+
+class _Pace:
+    """Splits the iterations between two checks into launches of about half a second."""
+
+    def __init__(self) -> None:
+        self.size = 64
+
+    def advance(self, method: Method, steps: int, ended: Callable[[], bool]) -> None:
+        while steps > 0 and not ended():
+            now = min(self.size, steps)
+            began = time.perf_counter()
+            method.advance(now)
+            steps -= now
+            if now == self.size:
+                self.size *= 2 if time.perf_counter() - began < 0.25 else 1
 
 
 class _Best:
@@ -133,11 +171,19 @@ class _History:
 
 
 def _collect(
-    scene: Scene, method: str, status: Status, final: Progress, bound: np.ndarray, history: _History,
-    seconds: float, seconds_compile: float, slip_threshold: float | None,
+    scene: Scene,
+    method: str,
+    status: Status,
+    final: Progress,
+    bound: np.ndarray,
+    history: _History,
+    seconds: float,
+    seconds_compile: float,
+    slip_threshold: float | None,
 ) -> Solution:
     slip = scene.slips(final.staggered, final.spin_axes)
-    threshold = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump) if slip_threshold is None else slip_threshold
+    default = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump)
+    threshold = default if slip_threshold is None else slip_threshold
     return Solution(
         scene=scene,
         method=method,

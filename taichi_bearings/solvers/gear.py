@@ -37,9 +37,7 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
     predicted = pascal @ identity[:values]  # rows: predicted scaled derivatives, as functionals of the state
     mean = sum(identity[n] / (n + 1) for n in range(values)) + corrector[0] ** 2 * identity[size - 1]
     stretch = identity[values] + mean
-    error = -(
-        oscillation[..., None] * stretch + decay[..., None] * predicted[0] + predicted[1]
-    )
+    error = -(oscillation[..., None] * stretch + decay[..., None] * predicted[0] + predicted[1])
     matrix = np.empty((*decay.shape, size, size))
     for n in range(values):
         matrix[..., n, :] = predicted[n] + corrector[n] * error
@@ -131,7 +129,9 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
                     columns.append(ends[j][inside])
                     entries.append(sign * weight[inside])
             size = int(free.sum())
-            matrix = coo_matrix((np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), (size, size))
+            matrix = coo_matrix(
+                (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), (size, size)
+            )
             if size < 3:
                 largest = max(largest, float(np.linalg.eigvalsh(matrix.toarray()).max()))
                 continue

@@ -6,8 +6,8 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
 * viscous: step 1/2, the inverse of that bound, so the power falls in every step; with momentum the error falls like
   exp(-2 k / sqrt(condition number)) instead of exp(-k / condition number).
 * Coulomb without momentum: the subgradient counts slipping contacts only. Epochs of 64, 128, 256 ... steps of constant
-  length, shortened by sqrt(2) each time; spins and forces are averaged over the second half of an epoch. The average has
-  a proven gap that falls like 1 / sqrt(k).
+  length, shortened by sqrt(2) each time; spins and forces are averaged over the second half of an epoch. The
+  average has a proven gap that falls like 1 / sqrt(k).
 * Coulomb with momentum: contacts with |D| < width resist in proportion to D, which makes the power smooth; the width is
   halved whenever at least half the proven gap is due to it. The proven gap falls like 1 / k.
 """
@@ -160,7 +160,9 @@ class GradientDescent:
         scene = self.scene
         differences = contact_differences(staggered, scene.lattice, self.spin_axes)
         if scene.law == "viscous":
-            return tuple(scene.lattice.radius * c * d for c, d in zip(scene.acting_coefficient, differences, strict=True))
+            return tuple(
+                scene.lattice.radius * c * d for c, d in zip(scene.acting_coefficient, differences, strict=True)
+            )
         return tuple(
             scene.normal_force * c / np.maximum(vector_length(d), self.width) * d
             for c, d in zip(scene.acting_coefficient, differences, strict=True)

@@ -30,7 +30,9 @@ class StopRule:
         if not self.seconds > 0:
             raise InputError(f"time_limit is {self.seconds}; it must be a positive number of seconds")
 
-    def judge(self, scene: Scene, progress: Progress, power: np.ndarray, bound: np.ndarray, elapsed: float) -> Status | None:
+    def judge(
+        self, scene: Scene, progress: Progress, power: np.ndarray, bound: np.ndarray, elapsed: float
+    ) -> Status | None:
         """The status if the run should end now, else None. power, bound : (R,), the best known so far."""
         if not np.isfinite(progress.power).all():
             return Status.NOT_FINITE

@@ -169,7 +169,8 @@ class RunDirectory:
     def __post_init__(self) -> None:
         if self.path.exists() and not self.force:
             raise FileError(f"output directory {self.path} already exists; choose another --out or add --force")
-        if self.path.exists() and not (self.path / "run.h5").is_file() and (not self.path.is_dir() or any(self.path.iterdir())):
+        is_run = (self.path / "run.h5").is_file() or (self.path.is_dir() and not any(self.path.iterdir()))
+        if self.path.exists() and not is_run:
             raise FileError(f"{self.path} is not a run directory; --force replaces only run directories")
         self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
         try:

@@ -101,35 +101,46 @@ class RunSettings:
     shape: tuple[int, ...] = setting((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
     law: str = setting("coulomb", _one_of("coulomb", "viscous"), "Contact law.")
     method: str = setting("auto", _one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
-    tolerance: float = setting(1e-8, Kind(_bounded(_real, 0, 1, True), "between 0 and 1", "NUMBER"),
-                               "Relative gap (P - lower bound)/P at which the run counts as done.")
+    tolerance: float = setting(
+        1e-8,
+        Kind(_bounded(_real, 0, 1, True), "between 0 and 1", "NUMBER"),
+        "Relative gap (P - lower bound)/P at which the run counts as done.",
+    )
     seed: int = setting(0, SEED, "Seed of the disorder.")
     replicas: int = setting(1, COUNT, "Solve seeds seed ... seed + replicas - 1 together.")
     spin_top: float = setting(1.0, REAL, "Imposed spin of the top.")
     spin_bottom: float = setting(0.0, REAL, "Imposed spin of the bottom.")
     direction: tuple[float, ...] = setting((1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.")
     coefficients: str | None = setting(None, FILE, "Read the coefficients (npz or HDF5) instead of drawing them.")
-    distribution: str = setting("uniform:0.1,1.0", TEXT,
-                                "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
-                                "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.")
+    distribution: str = setting(
+        "uniform:0.1,1.0",
+        TEXT,
+        "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
+        "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.",
+    )
     initial: str = setting("linear", TEXT, "Spins to start from: random, zero, linear, or a file with an array `spin`.")
     normal_force: float = setting(50.0, POSITIVE, "Normal force at every contact.")
     radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
     iterations: int = setting(1_000_000, SEED, "Limit on the iterations (sweeps or time steps).")
     time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time, in seconds.")
-    slip_threshold: float | None = setting(None, POSITIVE,
-                                           "Slip speed up to which a contact counts as slipless. "
-                                           "Default: what the method can resolve.")
+    slip_threshold: float | None = setting(
+        None, POSITIVE, "Slip speed up to which a contact counts as slipless. Default: what the method can resolve."
+    )
     momentum: bool = setting(True, TRUTH, "gradient-descent: accelerate; --no-momentum is the paper's plain method.")
     stiffness: float = setting(1e5, POSITIVE, "cundall-strack: tangential stiffness K_t.")
     damping: float = setting(1e3, NOT_NEGATIVE, "cundall-strack: tangential damping A_t.")
     mass: float = setting(1.0, POSITIVE, "cundall-strack: mass of a sphere.")
-    inertia: float | None = setting(None, POSITIVE,
-                                    "cundall-strack: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).")
-    static_ratio: float = setting(1.0, Kind(_bounded(_real, 1), "1 or more", "NUMBER"),
-                                  "cundall-strack: static over kinetic friction, mu_s/mu_k.")
-    gear_order: int = setting(2, Kind(_bounded(_integer, 2, 5), "a whole number from 2 to 5", "N"),
-                              "cundall-strack: derivatives kept by Gear's predictor-corrector.")
+    inertia: float | None = setting(
+        None, POSITIVE, "cundall-strack: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere)."
+    )
+    static_ratio: float = setting(
+        1.0, Kind(_bounded(_real, 1), "1 or more", "NUMBER"), "cundall-strack: static over kinetic friction, mu_s/mu_k."
+    )
+    gear_order: int = setting(
+        2,
+        Kind(_bounded(_integer, 2, 5), "a whole number from 2 to 5", "N"),
+        "cundall-strack: derivatives kept by Gear's predictor-corrector.",
+    )
     time_step: float | None = setting(None, POSITIVE, "cundall-strack: default 0.8 of the computed stability bound.")
     rest_tolerance: float = setting(1e-9, POSITIVE, "cundall-strack: change of P that counts as rest.")
     arch: str = setting("cpu", _one_of("cpu", "cuda", "auto"), "Device.")

@@ -43,10 +43,10 @@ class NumpySweep:
         axes = (0, 1, 2)[:components]
         self.layout = layout = Layout(1, scene.lattice.shape, block=1)
         self.kept = [tangential(axis, axes) for axis in range(3)]
-        self.spin = list(layout.flatten(scene.staggered_spin(initial_spin(scene, "random"), axes), layout.length).T.copy())
-        self.friction = list(
-            layout.flatten(layout.at_lower_sphere(scene.acting_coefficient), layout.length).T.copy()
+        self.spin = list(
+            layout.flatten(scene.staggered_spin(initial_spin(scene, "random"), axes), layout.length).T.copy()
         )
+        self.friction = list(layout.flatten(layout.at_lower_sphere(scene.acting_coefficient), layout.length).T.copy())
         weight = weights(scene.acting_coefficient, scene.lattice, axes)
         weight[..., scene.lattice.is_driven] = np.inf
         self.step = [1e-3 / w.ravel() for w in weight]
@@ -54,7 +54,11 @@ class NumpySweep:
         self.force = [[np.empty(most) for _ in kept] for kept in self.kept]
         self.square, self.scratch, self.pull = np.empty(most), np.empty(most), np.empty(layout.sites)
 
-    def __call__(self) -> None:
+    def repeat(self, sweeps: int) -> None:
+        for _ in range(sweeps):
+            self.sweep()
+
+    def sweep(self) -> None:
         start, sites = self.layout.margin, self.layout.sites
         for axis, (kept, stride) in enumerate(zip(self.kept, self.layout.strides, strict=True)):
             count = sites + stride  # from one stride below the first site on, so that each contact is computed once
@@ -116,7 +120,7 @@ def _measure_here(shape: tuple[int, ...], threads: int) -> list[dict[str, Any]]:
         spin = initial_spin(scene, "random")
         linear = initial_spin(scene, "linear")
         numpy_sweep = NumpySweep(scene, components)
-        candidates: dict[str, tuple[Callable[[int], Any], int]] = {"NumPy sweep": (lambda n: [numpy_sweep() for _ in range(n)], 20)}
+        candidates: dict[str, tuple[Callable[[int], None], int]] = {"NumPy sweep": (numpy_sweep.repeat, 20)}
         layout = make_layout(1, shape)
         plain = GradientDescent(GradientDescentOptions(momentum=False))
         fast = GradientDescent()

@@ -39,7 +39,8 @@ def test_steps_equal_plain_loops(shape, start, law, order, precision):
         elongation = {(lower, axis): np.zeros(3) for lower, _, axis in neighbours(shape)}
         last_error = np.zeros_like(gear[0])
         constants = (
-            options.stiffness, options.damping, scene.normal_force, options.static_ratio, method.inertia, method.time_step,
+            options.stiffness, options.damping, scene.normal_force, options.static_ratio, method.inertia,
+            method.time_step,
         )  # fmt: skip
         coefficient = [c[0] for c in scene.coefficient]
         slipped = 0

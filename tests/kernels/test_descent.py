@@ -10,7 +10,13 @@ from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDe
 from tests.kernels.twins import descent_sweep
 from tests.scenes import make_scene
 
-CASES = [((4, 5), (1, 1, 0)), ((3, 4, 5), (1, 1, 0)), ((3, 4, 5), (1, 2, 3)), ((4, 3, 4), (0, 1, 0)), ((2, 3, 20), (1, 1, 0))]
+CASES = [
+    ((4, 5), (1, 1, 0)),
+    ((3, 4, 5), (1, 1, 0)),
+    ((3, 4, 5), (1, 2, 3)),
+    ((4, 3, 4), (0, 1, 0)),
+    ((2, 3, 20), (1, 1, 0)),
+]
 
 
 def three_components(scene: Scene, spin):
@@ -36,7 +42,10 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
         width = 1 / sharpness if sharpness else 0.0
         box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
         parity = scene.lattice.parity
-        omega = three_components(scene, scene.laboratory_spin(method._clip_to_box(scene.staggered_spin(start, method.spin_axes)), method.spin_axes))
+        omega = three_components(
+            scene,
+            scene.laboratory_spin(method._clip_to_box(scene.staggered_spin(start, method.spin_axes)), method.spin_axes),
+        )
         ahead, coefficient = omega.copy(), [c[0] for c in scene.coefficient]
         for sweep in range(4):
             moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity)
@@ -44,7 +53,9 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
             ahead, omega = moved + beta * (moved - omega), moved
         method.advance(4)
         name = "spin" if momentum else "point"
-        found = three_components(scene, scene.laboratory_spin(scene.impose_driving(fields.read(name), method.spin_axes), method.spin_axes))
+        found = three_components(
+            scene, scene.laboratory_spin(scene.impose_driving(fields.read(name), method.spin_axes), method.spin_axes)
+        )
     assert np.abs(found - omega).max() <= accuracy
 
 

@@ -6,7 +6,9 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
 
 
-@pytest.mark.parametrize(("shape", "expected"), [((10, 10), 162), ((3, 3, 3), 30), ((10, 10, 10), 2340), ((32, 32, 32), 91264)])
+@pytest.mark.parametrize(
+    ("shape", "expected"), [((10, 10), 162), ((3, 3, 3), 30), ((10, 10, 10), 2340), ((32, 32, 32), 91264)]
+)
 def test_contacts_between_driven_spheres_are_not_counted(shape, expected):
     assert Lattice(shape).contacts == expected
 

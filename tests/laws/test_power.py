@@ -37,9 +37,7 @@ def test_swapping_the_horizontal_axes_changes_nothing(needs_f64):
         "coulomb",
         tuple(scene.coefficient[a].swapaxes(1, 2) for a in (1, 0, 2)),
     )
-    powers = [
-        solve(s, GradientDescent(), initial_spin(s, "linear"), StopRule(1e-6)).power[0] for s in (scene, swapped)
-    ]
+    powers = [solve(s, GradientDescent(), initial_spin(s, "linear"), StopRule(1e-6)).power[0] for s in (scene, swapped)]
     assert powers[0] == pytest.approx(powers[1], rel=2e-6)
 
 

@@ -1,0 +1,299 @@
+"""The command line as scripts use it: exit codes, one JSON object, files, and bad input in one sentence."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3")
+
+
+def bearings(*words, cwd=None, **kwargs):
+    command = [sys.executable, "-m", "taichi_bearings_cli", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300, **kwargs)
+
+
+@pytest.fixture(scope="module")
+def finished_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    done = bearings("run", *SMALL, "--seed", 3, "--out", folder, "--json")
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads(done.stdout)
+
+
+def test_help_answers_at_once():
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        done = bearings("--help")
+        times.append(time.perf_counter() - began)
+    assert done.returncode == 0
+    assert all(name in done.stdout for name in ("run", "histogram", "plot", "info"))
+    assert min(times) < 0.5
+
+
+@pytest.mark.parametrize("command", ["run", "histogram", "plot", "info", "benchmark"])
+def test_every_command_has_help_with_an_example(command):
+    done = bearings(command, "--help")
+    assert done.returncode == 0
+    assert "xample" in done.stdout or command == "benchmark"
+
+
+def test_json_is_one_object_with_the_promised_keys(finished_run):
+    folder, summary = finished_run
+    promised = {
+        "power", "lower_bound", "gap", "status", "method", "law", "shape", "seed", "iterations", "seconds",
+        "seconds_compile", "contacts", "slipping", "slipless", "largest_balance_residual", "run", "version",
+    }  # fmt: skip
+    assert promised <= set(summary)
+    assert summary["status"] == "certified"
+    assert summary["gap"] <= 1e-3
+    assert summary["lower_bound"] <= summary["power"]
+    assert summary["run"] == str(folder)
+    assert summary["slipping"] + summary["slipless"] + summary["undecided"] == summary["contacts"]
+
+
+def test_the_run_file_has_the_promised_layout(finished_run):
+    folder, summary = finished_run
+    shapes = {"x": (2, 4, 5), "y": (3, 3, 5), "z": (3, 4, 4)}
+    rng = np.random.default_rng(3)
+    with h5py.File(folder / "run.h5") as file:
+        total = 0.0
+        for axis, shape in shapes.items():
+            assert (file[f"coefficient/{axis}"][()] == rng.uniform(0.1, 1.0, shape)).all()
+            for name in ("slip", "power", "force", "state"):
+                assert file[f"contact/{axis}/{name}"].shape == shape
+                assert file[f"contact/{axis}/{name}"].attrs["description"]
+            mu_slip = 50 * file[f"coefficient/{axis}"][()] * file[f"contact/{axis}/slip"][()]
+            driven = file[f"contact/{axis}/state"][()] == 3
+            assert np.allclose(file[f"contact/{axis}/power"][()], np.where(driven, 0, mu_slip), rtol=1e-12)
+            total += file[f"contact/{axis}/power"][()].sum()
+        assert total == pytest.approx(summary["power"], rel=1e-12)
+        assert file["spin"].shape == (3, 4, 5, 3)
+        assert file["spin"].attrs["units"] == "1/time"
+        lengths = {len(column) for column in file["history"].values()}
+        assert len(lengths) == 1
+        assert {"iteration", "seconds", "power", "lower_bound"} <= set(file["history"])
+        for key in ("schema", "schema_version", "command", "scene", "power", "status", "numpy"):
+            assert key in file.attrs
+
+
+def test_a_run_can_be_run_again_from_what_it_stored(finished_run, tmp_path):
+    folder, summary = finished_run
+    for source in (folder, folder / "run.h5", folder / "scene.toml"):
+        out = tmp_path / f"again-{source.name}"
+        done = bearings("run", source, "--out", out, "--json")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["power"] == summary["power"]
+
+
+def test_coefficients_and_spins_from_a_file_travel_with_the_run(finished_run, tmp_path):
+    folder, summary = finished_run
+    first = bearings(
+        "run",
+        *SMALL,
+        "--coefficients",
+        folder / "run.h5",
+        "--initial",
+        folder / "run.h5",
+        "--out",
+        tmp_path / "a",
+        "--json",
+    )
+    assert first.returncode == 0, first.stderr
+    os.rename(tmp_path / "a", tmp_path / "moved")
+    second = bearings("run", tmp_path / "moved", "--out", tmp_path / "b", "--json")
+    assert second.returncode == 0, second.stderr
+    assert json.loads(second.stdout)["power"] == json.loads(first.stdout)["power"]
+    assert json.loads(first.stdout)["power"] == pytest.approx(summary["power"], rel=1e-3)
+
+
+def test_options_win_over_the_file_and_both_mean_the_same(tmp_path):
+    (tmp_path / "scene.toml").write_text('shape = [4, 5]\nlaw = "viscous"\nseed = 9\ntolerance = 1e-6\n')
+    done = bearings("run", tmp_path / "scene.toml", "--seed", 5, "--out", tmp_path / "a", "--json")
+    other = bearings(
+        "run",
+        "--shape",
+        "4x5",
+        "--law",
+        "viscous",
+        "--seed",
+        5,
+        "--tolerance",
+        "1e-6",
+        "--out",
+        tmp_path / "b",
+        "--json",
+    )
+    assert json.loads(done.stdout)["power"] == json.loads(other.stdout)["power"]
+    assert json.loads(done.stdout)["seed"] == 5
+
+
+def test_replicas_give_lists_and_a_replica_axis(tmp_path):
+    done = bearings(
+        "run", "--shape", "4,5", "--replicas", 3, "--seed", 2, "--tolerance", "1e-3", "--out", tmp_path / "r", "--json"
+    )
+    summary = json.loads(done.stdout)
+    assert summary["seed"] == [2, 3, 4]
+    assert len(summary["power"]) == 3
+    with h5py.File(tmp_path / "r" / "run.h5") as file:
+        assert file["spin"].shape == (3, 4, 5)
+        assert file["contact/x/slip"].shape == (3, 3, 5)
+    assert bearings("histogram", tmp_path / "r", "--force").returncode == 0
+    assert bearings("plot", "spins", tmp_path / "r", "--replica", 2).returncode == 0
+
+
+@pytest.mark.parametrize("kind", ["spins", "power", "history"])
+def test_figures_are_drawn(finished_run, tmp_path, kind):
+    done = bearings("plot", kind, finished_run[0], "--out", tmp_path / "figure.png")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "figure.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path):
+    folder, summary = finished_run
+    done = bearings("histogram", folder, folder, "--bins-per-decade", 7, "--out", tmp_path, "--json")
+    report = json.loads(done.stdout)
+    assert report["slipping"] == 2 * summary["slipping"]
+    lines = (tmp_path / "power_histogram.csv").read_text().splitlines()
+    assert lines[2] == "power_low,power_high,count"
+    rows = np.array([[float(word) for word in line.split(",")] for line in lines[3:]])
+    assert rows[:, 2].sum() == report["slipping"]
+    assert (rows[1:, 0] == rows[:-1, 1]).all()
+    with h5py.File(tmp_path / "power_histogram.h5") as file:
+        assert file["count"][()].sum() == report["slipping"]
+    again = bearings("histogram", folder, "--out", tmp_path)
+    assert again.returncode == 2
+    assert "already exists" in again.stderr
+
+
+def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):
+    done = bearings(
+        "run", "--shape", "4,5", "--tolerance", "1e-12", "--iterations", 50, "--out", tmp_path / "r", "--json"
+    )
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["status"] == "step-limit"
+    assert (tmp_path / "r" / "run.h5").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_ctrl_c_saves_what_was_reached(tmp_path):
+    command = [sys.executable, "-m", "taichi_bearings_cli", "run", "--shape", "16,16,16", "--tolerance", "1e-13",
+               "--iterations", "100000000", "--out", str(tmp_path / "r"), "--json"]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(8)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert json.loads(out)["status"] == "interrupted"
+    assert (tmp_path / "r" / "run.h5").exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["r"]
+
+
+BAD = {
+    "side of 1": (("--shape", "1,5,5"), "every side must be 2 or more"),
+    "height of 2": (("--shape", "5,5,2"), "must be 3 or more"),
+    "shape of letters": (("--shape", "a,b"), "two or three whole numbers"),
+    "unknown law": (("--law", "dry"), "one of coulomb, viscous"),
+    "unknown method": (("--method", "magic"), "one of auto"),
+    "tolerance of 0": (("--tolerance", "0"), "between 0 and 1"),
+    "tolerance that is no number": (("--tolerance", "nan"), "between 0 and 1"),
+    "spin that is no number": (("--spin-top", "nan"), "must be a number"),
+    "infinite spin": (("--spin-top", "inf"), "finite"),
+    "negative seed": (("--seed", "-1"), "0 or more"),
+    "fractional seed": (("--seed", "1.5"), "whole number"),
+    "no replicas": (("--replicas", "0"), "1 or more"),
+    "null direction": (("--direction", "0,0,0"), "not all zero"),
+    "negative friction": (("--distribution", "uniform:-1,1"), "positive"),
+    "unknown distribution": (("--distribution", "cauchy:1"), "allowed are"),
+    "missing coefficients": (("--coefficients", "nowhere.npz"), "does not exist"),
+    "missing start": (("--initial", "sideways"), "allowed are random"),
+    "absent device": (("--arch", "cuda"), "no CUDA device"),
+    "unknown device": (("--arch", "tpu"), "one of cpu"),
+    "too large a step": (("--method", "cundall-strack", "--time-step", "1"), "stable only up to"),
+    "gear order": (("--method", "cundall-strack", "--gear-order", "9"), "from 2 to 5"),
+    "missing scene": (("none.toml",), "does not exist"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path):
+    words, expected = BAD[name]
+    shape = () if "--shape" in words else ("--shape", "3,3,4")
+    done = bearings("run", *shape, *words, "--out", tmp_path / "r", cwd=tmp_path)
+    if name == "absent device" and done.returncode == 0:
+        pytest.skip("there is a CUDA device here")
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert expected in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_files_are_named(tmp_path):
+    def refused(text, *words, expected):
+        (tmp_path / "scene.toml").write_text(text)
+        done = bearings("run", tmp_path / "scene.toml", *words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert expected in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+
+    refused("shpe = [3, 3, 3]\n", expected="did you mean 'shape'")
+    refused("shape = [3, 3, 3\n", expected="not valid TOML")
+    refused('shape = "three"\n', expected="shape is 'three'")
+    refused("seed = true\n", expected="seed is 'True'")
+    np.savez(tmp_path / "mu.npz", x=np.ones((2, 3, 3)), y=np.ones((3, 2, 3)), z=-np.ones((3, 3, 2)))
+    refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="coefficient -1.0 at [0, 0, 0] along z")
+    refused("shape = [3, 4, 3]\ncoefficients = 'mu.npz'\n", expected="this lattice needs")
+    (tmp_path / "mu.npz").write_bytes((tmp_path / "mu.npz").read_bytes()[:300])
+    refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="truncated")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mu.npz", "scene.toml"]
+
+
+def test_nothing_is_overwritten_unless_asked(finished_run, tmp_path):
+    folder, _ = finished_run
+    before = (folder / "run.h5").read_bytes()
+    done = bearings("run", *SMALL, "--out", folder)
+    assert done.returncode == 2
+    assert "already exists" in done.stderr
+    assert (folder / "run.h5").read_bytes() == before
+    (tmp_path / "precious.txt").write_text("mine")
+    done = bearings("run", *SMALL, "--out", tmp_path, "--force")
+    assert done.returncode == 2
+    assert "not a run directory" in done.stderr
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+    done = bearings("run", *SMALL, "--out", "/dev/null/run")
+    assert done.returncode == 2
+    assert "cannot be written" in done.stderr
+    first = bearings("run", *SMALL, "--out", tmp_path / "r", "--json")
+    second = bearings("run", *SMALL, "--seed", 8, "--out", tmp_path / "r", "--force", "--json")
+    assert second.returncode == 0, second.stderr
+    assert json.loads(first.stdout)["power"] != json.loads(second.stdout)["power"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["precious.txt", "r"]
+
+
+def test_damaged_runs_are_refused(finished_run, tmp_path):
+    damaged = tmp_path / "run.h5"
+    damaged.write_bytes((finished_run[0] / "run.h5").read_bytes()[:5000])
+    for words in (
+        ("histogram", damaged),
+        ("plot", "spins", damaged),
+        ("plot", "spins", tmp_path / "none"),
+        ("run", damaged),
+    ):
+        done = bearings(*words, cwd=tmp_path)
+        assert done.returncode == 2, words
+        assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_info_knows_the_machine():
+    report = json.loads(bearings("info", "--json").stdout)
+    assert "cpu" in report["devices"]
+    assert report["threads"] >= 1

@@ -1,0 +1,98 @@
+"""The runtime: one choice a process, honest errors, quiet start, same bits for any number of workers."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from taichi_bearings import runtime
+from taichi_bearings.errors import DeviceError
+
+ROOT = Path(__file__).parents[1]
+
+
+def python(code: str, **environment: str) -> subprocess.CompletedProcess:
+    env = {k: v for k, v in os.environ.items() if k not in environment} | {k: v for k, v in environment.items() if v}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, cwd=ROOT, timeout=300)
+
+
+def test_the_same_choice_may_be_repeated_and_another_is_refused(taichi_runtime):
+    assert runtime.start(taichi_runtime.arch, taichi_runtime.precision, 1, taichi_runtime.debug) is taichi_runtime
+    other = "f32" if taichi_runtime.precision == "f64" else "f64"
+    with pytest.raises(DeviceError, match="already runs"):
+        runtime.start("cpu", other, 1)
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [({"arch": "tpu"}, "allowed are"), ({"precision": "f16"}, "allowed are"), ({"threads": -1}, "threads is -1")],
+)
+def test_unknown_choices_are_refused(choice, message):
+    with pytest.raises(DeviceError, match=message):
+        runtime.start(**choice)
+
+
+@pytest.mark.skipif(runtime.has_cuda(), reason="there is a CUDA device here")
+def test_an_absent_device_is_an_error_and_not_a_fall_back():
+    with pytest.raises(DeviceError, match="no CUDA device"):
+        runtime.start("cuda")
+
+
+def test_importing_the_package_does_not_load_taichi():
+    done = python(
+        "import sys, taichi_bearings, taichi_bearings_cli.main; print('taichi' in sys.modules, 'numpy' in sys.modules)"
+    )
+    assert done.stdout.split() == ["False", "False"]
+
+
+SMALL_RUN = """
+import numpy as np
+from taichi_bearings import runtime
+runtime.start("cpu", "f64", {threads})
+from tests.scenes import make_scene
+import taichi_bearings.fields.workspace as workspace
+workspace.LEAST_SHARE = {least_share}
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.cundall_strack import CundallStrack
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.gradient_descent import GradientDescent
+from taichi_bearings.solvers.stopping import StopRule
+import hashlib
+for law in ("coulomb", "viscous"):
+    scene = make_scene((7, 6, 9), law)
+    for method in (GradientDescent(), CundallStrack()):
+        solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-14, 700))
+        kernels = method.sweeps[False] if hasattr(method, "sweeps") else method.steps
+        print(hashlib.sha256(solution.spin.tobytes()).hexdigest(), kernels.workers)
+"""
+
+
+def test_one_and_two_workers_give_the_same_bits():
+    alone = python(SMALL_RUN.format(threads=1, least_share=1))
+    assert alone.returncode == 0, alone.stderr
+    assert [line.split()[1] for line in alone.stdout.splitlines()] == ["1"] * 4
+    if runtime.available_threads() < 2:
+        pytest.skip("one processor")
+    together = python(SMALL_RUN.format(threads=2, least_share=1))
+    assert together.returncode == 0, together.stderr
+    assert [line.split()[1] for line in together.stdout.splitlines()] == ["2"] * 4
+    assert [line.split()[0] for line in alone.stdout.splitlines()] == [
+        line.split()[0] for line in together.stdout.splitlines()
+    ]
+
+
+@pytest.mark.parametrize(
+    "environment", [{"HOME": "/dev/null/nowhere", "XDG_CACHE_HOME": ""}, {"XDG_CACHE_HOME": "/dev/null/cache"}]
+)
+def test_an_unwritable_cache_does_not_matter(environment):
+    done = python(SMALL_RUN.format(threads=1, least_share=1), **environment)
+    assert done.returncode == 0, done.stderr
+    assert "Taichi" not in done.stdout
+
+
+def test_nothing_but_the_answer_is_printed_on_stdout():
+    done = python("from taichi_bearings import runtime; runtime.start(); import json; print(json.dumps({'a': 1}))")
+    assert json.loads(done.stdout) == {"a": 1}
