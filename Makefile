@@ -1,0 +1,44 @@
+# `make run` and `make test` need only Python 3.10-3.13 and make; everything else is installed into .venv.
+PYTHON ?= python3
+VENV := .venv
+ifeq ($(OS),Windows_NT)
+BIN := $(VENV)/Scripts
+else
+BIN := $(VENV)/bin
+endif
+
+.PHONY: run test lint check format clean
+
+run: $(VENV)/installed
+	$(BIN)/bearings run --shape 32,32,32 --tolerance 1e-3
+
+test: $(VENV)/installed-dev
+	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --precision f32 tests/kernels tests/laws tests/agreement
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+check: lint
+	$(BIN)/python -m pytest -m "not slow" --ignore tests/cli
+
+format: $(VENV)/installed-dev
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+$(VENV)/bare:
+	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -c "open('$@', 'w')"
+
+$(VENV)/installed: $(VENV)/bare pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary=:all: --no-binary=taichi-bearings -e .
+	$(PYTHON) -c "open('$@', 'w')"
+
+$(VENV)/installed-dev: $(VENV)/bare pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary=:all: --no-binary=taichi-bearings -e ".[dev]"
+	$(PYTHON) -c "open('$@', 'w'); open('$(VENV)/installed', 'w')"
+
+clean:
+	$(PYTHON) -c "import shutil; shutil.rmtree('$(VENV)', ignore_errors=True)"
