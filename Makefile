@@ -33,11 +33,11 @@ $(VENV)/bare:
 	$(PYTHON) -c "open('$@', 'w')"
 
 $(VENV)/installed: $(VENV)/bare pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary=:all: --no-binary=taichi-bearings -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
 	$(PYTHON) -c "open('$@', 'w')"
 
 $(VENV)/installed-dev: $(VENV)/bare pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary=:all: --no-binary=taichi-bearings -e ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
 	$(PYTHON) -c "open('$@', 'w'); open('$(VENV)/installed', 'w')"
 
 clean:
