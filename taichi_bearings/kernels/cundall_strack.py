@@ -5,6 +5,8 @@ sphere pass gathers the torques, corrects the spins and predicts the next step, 
 once a pass.
 """
 
+from math import comb
+
 import taichi as ti
 
 from taichi_bearings.kernels.contact import difference, length
@@ -55,20 +57,19 @@ class CundallStrackSteps(Team):
 
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         """
-        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
-        forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
-        stretches = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
-        for m in range(self.stencil.block):
-            site = first + m
-            for axis in ti.static(self.stencil.slipping_axes):
-                upper = site + 1
-                if ti.static(axis < self.stencil.height):
-                    upper = site + (stride_x if ti.static(axis == 0) else stride_y)
-                moved = difference(self.integral[site], self.integral[upper], self.stencil.kept[axis])
-                speed = difference(self.predicted[site], self.predicted[upper], self.stencil.kept[axis])
+        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
+        for axis in ti.static(self.stencil.slipping_axes):
+            slot = ti.static(self.stencil.force_slot[axis])
+            forces = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
+            stretches = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
+            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
+            for m in range(self.stencil.block):
+                site = first + m
+                moved = difference(self.integral[site], self.integral[site + stride], self.stencil.kept[axis])
+                speed = difference(self.predicted[site], self.predicted[site + stride], self.stencil.kept[axis])
                 stretch = reach * moved
                 for t in ti.static(range(moved.n)):
-                    stretch[t] += self.elongation[site][self.stencil.force_slot[axis] + t]
+                    stretch[t] += self.elongation[site][slot + t]
                 trial = stiffness * stretch + damping * speed
                 friction = self.coefficient[site][axis]
                 size = length(trial)
@@ -76,69 +77,62 @@ class CundallStrackSteps(Team):
                 share = ti.select(slips, kinetic * friction / size, 1.0)
                 for t in ti.static(range(moved.n)):
                     force = share * trial[t]
-                    forces[self.stencil.force_slot[axis] + t, m] = force
+                    forces[t, m] = force
                     # after a slip the spring alone carries the friction force (paper Eq. 9, with a unit vector)
-                    stretches[self.stencil.force_slot[axis] + t, m] = ti.select(slips, force * compliance, stretch[t])
-        copy_out(forces, self.force, first, self.stencil.force_components, self.stencil.block)
-        copy_out(stretches, self.elongation, first, self.stencil.force_components, self.stencil.block)
+                    stretches[t, m] = ti.select(slips, force * compliance, stretch[t])
+            copy_out(forces, self.force, slot, first, self.stencil.block)
+            copy_out(stretches, self.elongation, slot, first, self.stencil.block)
 
     @ti.func
     def dashpot_block(self, first_site, x, y, radius):
         """Viscous contacts of one block."""
-        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
-        forces = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
-        for m in range(self.stencil.block):
-            site = first + m
-            for axis in ti.static(self.stencil.slipping_axes):
-                upper = site + 1
-                if ti.static(axis < self.stencil.height):
-                    upper = site + (stride_x if ti.static(axis == 0) else stride_y)
-                speed = difference(self.predicted[site], self.predicted[upper], self.stencil.kept[axis])
+        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
+        for axis in ti.static(self.stencil.slipping_axes):
+            forces = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
+            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
+            for m in range(self.stencil.block):
+                site = first + m
+                speed = difference(self.predicted[site], self.predicted[site + stride], self.stencil.kept[axis])
                 for t in ti.static(range(speed.n)):
-                    forces[self.stencil.force_slot[axis] + t, m] = self.coefficient[site][axis] * radius * speed[t]
-        copy_out(forces, self.force, first, self.stencil.force_components, self.stencil.block)
+                    forces[t, m] = self.coefficient[site][axis] * radius * speed[t]
+            copy_out(forces, self.force, self.stencil.force_slot[axis], first, self.stencil.block)
 
     @ti.func
     def sphere_block(self, first_site, x, y, response):
         """Correct the spins of one block and predict the next step. response: time step * radius / inertia."""
-        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
-        corrected = ti.Matrix.zero(float, self.order * self.stencil.components, self.stencil.block)
-        predicted = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        integral = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        for m in range(self.stencil.block):
-            site = first + m
-            pull = ti.Vector.zero(float, self.stencil.components)
-            for axis in ti.static(self.stencil.slipping_axes):
-                below = site - 1
-                if ti.static(axis < self.stencil.height):
-                    below = site - (stride_x if ti.static(axis == 0) else stride_y)
-                for t, slot in ti.static(enumerate(self.stencil.kept[axis])):
-                    v = self.stencil.force_slot[axis] + t
-                    pull[slot] += self.force[site][v] - self.force[below][v]
-            for c in ti.static(range(self.stencil.components)):
-                derivative = ti.Vector.zero(float, self.order)
-                for n in ti.static(range(self.order)):
-                    derivative[n] = self.gear[n][site][c]
-                for lowest in ti.static(range(self.order - 1)):  # Pascal's triangle: the Taylor series one step on
-                    for n in ti.static(range(self.order - 2, lowest - 1, -1)):
-                        derivative[n] += derivative[n + 1]
-                error = response * self.is_free[site][0] * pull[c] - derivative[1]
-                ahead, mean = 0.0, 0.0
-                for n in ti.static(range(self.order)):
-                    value = derivative[n] + self.corrector[n] * error
-                    corrected[n * self.stencil.components + c, m] = value
-                    ahead += value
-                    mean += value * ti.static(1.0 / (n + 1))
-                predicted[c, m] = ahead
-                # the stretch of the last step was predicted: the term in `error` is Gear's correction of it
-                integral[c, m] = mean + ti.static(self.corrector[0] ** 2) * error
-        for n in ti.static(range(self.order)):
-            for c in ti.static(range(self.stencil.components)):
-                for m in ti.static(range(self.stencil.block)):
-                    self.gear[n][first + m][c] = corrected[n * self.stencil.components + c, m]
-        copy_out(predicted, self.predicted, first, self.stencil.components, self.stencil.block)
-        if ti.static(self.coulomb):
-            copy_out(integral, self.integral, first, self.stencil.components, self.stencil.block)
+        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
+        for c in ti.static(range(self.stencil.components)):
+            error = ti.Matrix.zero(float, 1, self.stencil.block)
+            for m in range(self.stencil.block):
+                site = first + m
+                pull = 0.0
+                for axis in ti.static(self.stencil.slipping_axes):
+                    if ti.static(c in self.stencil.kept[axis]):
+                        v = ti.static(self.stencil.force_slot[axis] + self.stencil.kept[axis].index(c))
+                        stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
+                        pull += self.force[site][v] - self.force[site - stride][v]
+                derivative = 0.0
+                for k in ti.static(range(1, self.order)):
+                    derivative += ti.static(float(k)) * self.gear[k][site][c]
+                error[0, m] = response * self.is_free[site][0] * pull - derivative
+            ahead = ti.Matrix.zero(float, 1, self.stencil.block)
+            mean = ti.Matrix.zero(float, 1, self.stencil.block)
+            for n in ti.static(range(self.order)):  # ascending, so that the higher ones are still the old ones
+                corrected = ti.Matrix.zero(float, 1, self.stencil.block)
+                for m in range(self.stencil.block):
+                    value = self.corrector[n] * error[0, m]
+                    for k in ti.static(range(n, self.order)):  # the Taylor series one step on
+                        value += ti.static(float(comb(k, n))) * self.gear[k][first + m][c]
+                    corrected[0, m] = value
+                    ahead[0, m] += value
+                    mean[0, m] += value * ti.static(1.0 / (n + 1))
+                copy_out(corrected, self.gear[n], c, first, self.stencil.block)
+            copy_out(ahead, self.predicted, c, first, self.stencil.block)
+            if ti.static(self.coulomb):
+                for m in range(self.stencil.block):
+                    # the stretch of the last step was a prediction: this term is Gear's correction of it
+                    mean[0, m] += ti.static(self.corrector[0] ** 2) * error[0, m]
+                copy_out(mean, self.integral, c, first, self.stencil.block)
 
     @ti.func
     def contact_pass(self, low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static):

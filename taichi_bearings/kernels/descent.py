@@ -58,52 +58,56 @@ class DescentSweeps(Team):
     @ti.func
     def update_block(self, points: ti.template(), points_new: ti.template(), first_site, x, y, step, sharpness, beta):
         """Update one block of sites. Results go to local arrays first: then the loop over sites vectorises."""
-        first, stride_x, stride_y = in_range(first_site), in_range(x), in_range(y)
+        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
+        moved = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
+        ahead = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
+        low, high = self.box[0], self.box[1]
         below_height = ti.Vector.zero(float, ti.static(max(self.stencil.height_kept, 1)))
         if ti.static(self.stencil.height_kept > 0):
             below_height = self.force(points, first - 1, first, self.stencil.height, sharpness)
-        moved = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        ahead = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        spins = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)  # these two: sums, with averaging
-        acting = ti.Matrix.zero(float, self.stencil.force_components, self.stencil.block)
-        low, high = self.box[0], self.box[1]
         for m in range(self.stencil.block):
             site = first + m
             pull = ti.Vector.zero(float, self.stencil.components)
             for axis in ti.static(self.stencil.sideways_axes):
-                stride = stride_x if ti.static(axis == 0) else stride_y
-                above = self.force(points, site, site + stride, axis, sharpness)
-                below = self.force(points, site - stride, site, axis, sharpness)
+                above = self.force(points, site, site + strides[axis], axis, sharpness)
+                below = self.force(points, site - strides[axis], site, axis, sharpness)
                 for t, slot in ti.static(enumerate(self.stencil.kept[axis])):
                     pull[slot] += above[t] - below[t]
-                    if ti.static(self.averaging):
-                        v = self.stencil.force_slot[axis] + t
-                        acting[v, m] = self.force_sum[site][v] + above[t]
             if ti.static(self.stencil.height_kept > 0):
                 above_height = self.force(points, site, site + 1, self.stencil.height, sharpness)
                 for t, slot in ti.static(enumerate(self.stencil.kept[self.stencil.height])):
                     pull[slot] += above_height[t] - below_height[t]
-                    if ti.static(self.averaging):
-                        v = self.stencil.force_slot[self.stencil.height] + t
-                        acting[v, m] = self.force_sum[site][v] + above_height[t]
                 below_height = above_height  # carried up the column, so that each is computed once
             for c in ti.static(range(self.stencil.components)):
-                here = points[site][c]
-                weight = self.inverse_weight[site][c]
-                new = clamp(here + step * weight * pull[c], low[c], high[c])
+                new = clamp(points[site][c] + step * self.inverse_weight[site][c] * pull[c], low[c], high[c])
+                moved[c, m] = new
                 if ti.static(self.momentum):
                     ahead[c, m] = new + beta * (new - self.spin[site][c])
-                if ti.static(self.averaging):
-                    spins[c, m] = self.spin_sum[site][c] + here
-                moved[c, m] = new
         if ti.static(self.averaging):
-            copy_out(spins, self.spin_sum, first, self.stencil.components, self.stencil.block)
-            copy_out(acting, self.force_sum, first, self.stencil.force_components, self.stencil.block)
+            self.add_to_sums(points, first, strides, sharpness)
         if ti.static(self.momentum):
-            copy_out(ahead, points_new, first, self.stencil.components, self.stencil.block)
-            copy_out(moved, self.spin, first, self.stencil.components, self.stencil.block)
+            copy_out(ahead, points_new, 0, first, self.stencil.block)
+            copy_out(moved, self.spin, 0, first, self.stencil.block)
         else:
-            copy_out(moved, points_new, first, self.stencil.components, self.stencil.block)
+            copy_out(moved, points_new, 0, first, self.stencil.block)
+
+    @ti.func
+    def add_to_sums(self, points: ti.template(), first, strides, sharpness):
+        """Add the points and the forces of the contacts above them to `spin_sum` and `force_sum`."""
+        spins = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
+        for m in range(self.stencil.block):
+            for c in ti.static(range(self.stencil.components)):
+                spins[c, m] = self.spin_sum[first + m][c] + points[first + m][c]
+        copy_out(spins, self.spin_sum, 0, first, self.stencil.block)
+        for axis in ti.static(self.stencil.slipping_axes):
+            slot = ti.static(self.stencil.force_slot[axis])
+            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
+            forces = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
+            for m in range(self.stencil.block):
+                force = self.force(points, first + m, first + m + stride, axis, sharpness)
+                for t in ti.static(range(self.stencil.kept_count[axis])):
+                    forces[t, m] = self.force_sum[first + m][slot + t] + force[t]
+            copy_out(forces, self.force_sum, slot, first, self.stencil.block)
 
     @ti.func
     def half_pair(self, back: ti.template(), age, low, high, margin, stride_x, stride_y, step, sharpness):

@@ -44,6 +44,10 @@ class Stencil:
         return tuple(axis for axis in self.slipping_axes if axis != self.height)
 
     @property
+    def kept_count(self) -> tuple[int, ...]:
+        return tuple(len(slots) for slots in self.kept)
+
+    @property
     def height_kept(self) -> int:
         return len(self.kept[self.height])
 
@@ -66,8 +70,11 @@ def in_range(index):
 
 
 @ti.func
-def copy_out(local: ti.template(), field: ti.template(), first, components: ti.template(), block: ti.template()):
-    """field[first + m][c] = local[c, m]; `first` from :func:`in_range`."""
-    for c in ti.static(range(components)):
+def copy_out(local: ti.template(), field: ti.template(), slot: ti.template(), first, block: ti.template()):
+    """field[first + m][slot + c] = local[c, m]; `first` from :func:`in_range`.
+
+    Local arrays must stay small: beyond about 40 numbers LLVM no longer vectorises the loop that fills them.
+    """
+    for c in ti.static(range(local.n)):
         for m in ti.static(range(block)):
-            field[first + m][c] = local[c, m]
+            field[first + m][slot + c] = local[c, m]
