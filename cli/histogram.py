@@ -10,7 +10,9 @@ from taichi_bearings_cli.options import json_option
 @click.command()
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...")
 @click.option("--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True, help="Width of the bins.")
-@click.option("--out", metavar="DIR", default=None, help="Folder for the files. [default: the first run's]")
+@click.option(
+    "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-histogram-<id>]"
+)
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @json_option
 def command(runs: tuple[str, ...], bins_per_decade: int, out: str | None, force: bool, as_json: bool) -> None:
@@ -23,13 +25,19 @@ def command(runs: tuple[str, ...], bins_per_decade: int, out: str | None, force:
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --out outputs --force
     """
     from taichi_bearings.analysis.histogram import power_histogram, write_csv, write_hdf5
-    from taichi_bearings.errors import FileError
+    from taichi_bearings.errors import FileError, InputError
     from taichi_bearings.files.run_file import read_run_file
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.style import save
+    from taichi_bearings.studies.run import default_run_path
 
     stored = [read_run_file(Path(run)) for run in runs]
-    folder = Path(out) if out else stored[0].path.parent
+    if len({run.path.resolve() for run in stored}) < len(stored):
+        raise InputError(f"the runs {', '.join(runs)} name the same run twice")
+    laws = sorted({str(run.attributes["law"]) for run in stored})
+    if len(laws) > 1:
+        raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law")
+    folder = Path(out) if out else default_run_path("histogram")
     paths = {ending: folder / f"power_histogram.{ending}" for ending in ("csv", "h5", "png")}
     standing = [path for path in paths.values() if path.exists()]
     if standing and not force:
@@ -53,14 +61,13 @@ def command(runs: tuple[str, ...], bins_per_decade: int, out: str | None, force:
         "slipless": histogram.slipless,
         "undecided": histogram.undecided,
         "samples": histogram.samples,
-        "smallest_power": float(histogram.edges[0]),
-        "largest_power": float(histogram.edges[-1]),
+        "smallest_power": float(histogram.edges[0]) if histogram.slipping else None,
+        "largest_power": float(histogram.edges[-1]) if histogram.slipping else None,
         "files": [str(path) for path in paths.values()],
     }
     if as_json:
         click.echo(json.dumps(report))
         return
-    click.echo(
-        f"{report['slipping']:,} slipping contacts from {report['smallest_power']:.2e} to {report['largest_power']:.2e}"
-    )
+    span = f" from {histogram.edges[0]:.2e} to {histogram.edges[-1]:.2e}" if histogram.slipping else ""
+    click.echo(f"{histogram.slipping:,} slipping contacts{span}, {histogram.slipless:,} slipless")
     click.echo("\n".join(report["files"]))

@@ -80,4 +80,7 @@ def main() -> None:
     except BrokenPipeError:  # the reader of our output went away
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
+    except OSError as error:
+        click.echo(f"bearings: {error}", err=True)
+        code = 1
     sys.exit(code if isinstance(code, int) else 0)

@@ -45,7 +45,7 @@ def command(kind: str, run: str, replica: int, out: str | None, force: bool) -> 
     elif kind == "power":
         figure = draw_power(stored, replica)
     else:
-        figure = draw_history(stored.history, stored.attributes["method"])
+        figure = draw_history(stored)
     try:
         save(figure, path)
     except OSError as error:

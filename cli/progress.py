@@ -11,7 +11,7 @@ class TerminalProgress:
     """A monitor for solve(): one line on stderr that is rewritten at every check, if stderr is a terminal."""
 
     def __init__(self) -> None:
-        self.shown = sys.stderr.isatty()
+        self.shown = sys.stderr is not None and sys.stderr.isatty()
         self.checks: list[tuple[float, float]] = []  # (seconds, worst gap)
         self.first: tuple[float, int] | None = None
         self._status: Any = None

@@ -34,16 +34,20 @@ def command(
     """
     from taichi_bearings_cli.progress import TerminalProgress
 
+    from taichi_bearings.errors import InputError
     from taichi_bearings.studies.run import run
     from taichi_bearings.studies.settings import RunSettings, read_toml
 
     values = read_toml(Path(scene)) if scene else {}
-    out, force = out or values.pop("out", None), bool(values.pop("force", False) if force is None else force)
+    stored_out, stored_force = values.pop("out", None), values.pop("force", False)
+    out, force = out or stored_out, stored_force if force is None else force
+    if not isinstance(out, str | None) or not isinstance(force, bool):
+        raise InputError(f"out is {out!r} and force is {force!r}; they must be a text, and true or false")
     values |= {key: value for key, value in options.items() if value is not None}
     settings = RunSettings.from_mapping(values, scene or "the options")
     with TerminalProgress() as progress:
         solution, summary = run(settings, Path(out) if out else None, force, [progress])
-    click.echo(json.dumps(summary) if as_json else describe(summary))
+    click.echo(json.dumps(summary, allow_nan=False) if as_json else describe(summary))
     if solution.status.value == "interrupted":
         context.exit(130)
     context.exit(0 if solution.status.reached else 1)
@@ -52,7 +56,10 @@ def command(
 def describe(summary: dict[str, Any]) -> str:
     """A short summary for people."""
     shape = "x".join(map(str, summary["shape"]))
-    lines = [f"{shape} {summary['law']}, {summary['method']}: {summary['status']}"]
+    status = summary["status"] if isinstance(summary["status"], str) else ", ".join(sorted(set(summary["status"])))
+    lines = [f"{shape} {summary['law']}, {summary['method']}: {status}"]
+    if summary["coefficients"]:
+        lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
     keys = ("power", "gap", "slipping", "slipless", "undecided")
     rows = zip(seeds, *(v if isinstance(v, list) else [v] for v in (summary[k] for k in keys)), strict=True)
@@ -61,7 +68,8 @@ def describe(summary: dict[str, Any]) -> str:
             lines.append(f"  ... and {len(seeds) - 10} more seeds, in summary.json")
             break
         lines.append(
-            f"  seed {seed}: P = {power:.12g}, proven within {gap:.1e}; of {summary['contacts']:,} contacts "
+            f"  seed {seed}: P = {_number(power, '.12g')}, proven within {_number(gap, '.1e')}; "
+            f"of {summary['contacts']:,} contacts "
             f"{slipping:,} slip, {slipless:,} do not, {undecided:,} are undecided"
         )
     if "power_normalised" in summary and len(seeds) == 1:
@@ -73,3 +81,7 @@ def describe(summary: dict[str, Any]) -> str:
     lines.append(f"  run: {summary['run']}")
     lines.append(f"  histogram: {summary['run']}/power_histogram.png")
     return "\n".join(lines)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "not finite" if value is None else format(value, form)

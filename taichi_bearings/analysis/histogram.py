@@ -50,10 +50,10 @@ def power_histogram(
         edges = 10.0 ** (np.arange(low, high + 1) / bins_per_decade)
         edges[0], edges[-1] = min(edges[0], chosen.min()), max(edges[-1], chosen.max())
     else:
-        edges = np.array([1.0, 10.0 ** (1 / bins_per_decade)])
+        edges = np.zeros(0)
     return PowerHistogram(
         edges=edges,
-        count=np.histogram(chosen, edges)[0],
+        count=np.histogram(chosen, edges)[0] if len(chosen) else np.zeros(0, dtype=int),
         slipless=int((states == ContactState.SLIPLESS).sum()),
         undecided=int((states == ContactState.UNDECIDED).sum()),
         slip_threshold=slip_threshold,

@@ -13,7 +13,7 @@ from taichi_bearings.lattice.layout import Layout
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
 
 CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
-LEAST_SHARE = 1_000  # site values a worker must have, or meeting the others would cost more than it saves
+LEAST_SHARE = 2_000  # site values a worker must have, or meeting the others would cost more than it saves
 IDLE_BYTES = 256 * 2**20  # fields kept for the next scene; the least recently used go first
 
 

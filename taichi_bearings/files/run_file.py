@@ -49,7 +49,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     with h5py.File(temporary, "w") as file:
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in attributes.items():
-            file.attrs[key] = value
+            file.attrs[key] = "" if value is None else value
         law_unit = "1" if scene.law == "coulomb" else "force*time/length"
         for axis in range(scene.lattice.dimension):
             name, values = AXES[axis], scene.coefficient[axis]
@@ -59,14 +59,17 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
                 put(file, f"contact/{name}/{key}", strip(getattr(solution, attribute)[axis]), unit, text)
         put(file, "spin", strip(solution.spin), "1/time", "angular velocity in the laboratory frame")
         for key, column in solution.history.items():
-            values = column[:, 0] if one and column.ndim == 2 else column
+            if one:
+                values = column[:, 0] if column.ndim == 2 else column
+            else:  # a leading replica axis, like everything else
+                values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
             put(file, f"history/{key}", values, *HISTORY_UNITS[key])
     os.replace(temporary, path)
 
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as read back. Arrays always have the replica axis; contact sets are one array an axis."""
+    """A run as read back. Arrays always have the replica axis (history too); contact sets are one array an axis."""
 
     path: Path
     attributes: dict[str, Any]
@@ -115,6 +118,6 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         attributes=attributes,
         coefficient=tuple(get(f"coefficient/{axis}") for axis in axes),
         spin=get("spin"),
-        history={key: values[()] for key, values in file["history"].items()},
+        history={key: get(f"history/{key}") for key in file["history"]},
         **sets,
     )

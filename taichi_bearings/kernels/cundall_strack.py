@@ -38,11 +38,8 @@ class CundallStrackSteps(Team):
         """Make `steps` time steps in one launch: alone, as a team, or on a GPU. numbers: from `reach` to `response`."""
         stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
         constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, *numbers)
-        if self.workers > 1:
-            self.steps_by_team(steps, *constants)
-            self.check()
-        elif self.workers == 1:
-            self.steps_alone(steps, *constants)
+        if self.workers > 0:
+            self.launch(self.steps_alone, self.steps_by_team, steps, *constants)
         else:
             for _ in range(steps):
                 self.step_on_gpu(*constants)

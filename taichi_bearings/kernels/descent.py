@@ -36,11 +36,8 @@ class DescentSweeps(Team):
         """Make `pairs` pairs of sweeps in one launch: alone, as a team, or on a GPU with one thread a site."""
         stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
         constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, step, sharpness)
-        if self.workers > 1:
-            self.pairs_by_team(pairs, age, *constants)
-            self.check()
-        elif self.workers == 1:
-            self.pairs_alone(pairs, age, *constants)
+        if self.workers > 0:
+            self.launch(self.pairs_alone, self.pairs_by_team, pairs, age, *constants)
         else:
             for pair in range(pairs):
                 self.pair_on_gpu(age + 2 * pair, *constants)

@@ -3,28 +3,29 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
 
 
-def draw_history(history: dict[str, np.ndarray], method: str) -> Figure:
-    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics).
-
-    history : columns as in run.h5; power and lower_bound are (checks,) or (checks, R).
-    """
+def draw_history(run: StoredRun) -> Figure:
+    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics)."""
+    history = run.history
     figure = new_figure(5.5, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
     along = "time" if "time" in history else "iteration"
-    x = history[along]
-    power, bound = (values.reshape(len(values), -1) for values in (history["power"], history["lower_bound"]))
+    x = history[along][0]
+    title = f"{'x'.join(map(str, run.shape))} {run.attributes['law']}, {run.attributes['method']}"
+    power, bound = history["power"].T, history["lower_bound"].T
     started = x > 0
     top.plot(x[started], power[started], color=BLUE, lw=1.2)
     top.plot(x[started], bound[started], color=ORANGE, lw=1.2)
     top.plot([], [], color=BLUE, label="power $P$")
     top.plot([], [], color=ORANGE, label="proven lower bound")
-    top.set(xscale="log", ylabel="power", title=method)
+    top.set(ylabel="power", title=title)
     top.legend(fontsize=8)
     gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
     shown = started & (gap > 0).any(axis=1)
     bottom.plot(x[shown], gap[shown], color=GREY, lw=1.2)
-    bottom.set(xscale="log", yscale="log" if shown.any() else "linear", xlabel=along, ylabel="relative gap")
+    scale = "log" if shown.any() else "linear"
+    bottom.set(xscale=scale, yscale=scale, xlabel=along, ylabel="relative gap")
     return figure

@@ -37,7 +37,8 @@ def draw_power(run: StoredRun, replica: int = 0) -> Figure:
         axes = columns[place]
         drawn = _draw_plane(axes, values, states, shape, norm)
         axes.set_title(name, fontsize=9)
-    figure.colorbar(drawn, ax=columns[:2], label="power of a slipping contact", shrink=0.8)
+        axes.set(xlabel="xy"[place], ylabel="z")
+    figure.colorbar(drawn, ax=columns[:2], label="power of a slipping contact", shrink=0.8, location="left")
     axes = columns[2]
     layers = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
     axes.step(layers, np.arange(nz), where="mid", label="contacts in the layer")

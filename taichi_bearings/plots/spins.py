@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.files.run_file import StoredRun
@@ -64,26 +65,26 @@ def _draw_spheres(speed: np.ndarray, state: list[np.ndarray]) -> Figure:
     nx, ny, nz = speed.shape
     figure = new_figure(11.0, 4.2)
     block = figure.add_subplot(1, 3, 1, projection="3d", computed_zorder=True)
-    x, y, z = (np.asarray(index) for index in np.indices(speed.shape))
-    outside = (x == nx - 1) | (y == 0) | (z == nz - 1) | (x == 0) | (y == ny - 1)
-    size = (150.0 / max(speed.shape)) ** 2 / 1.6
-    block.scatter(
-        x[outside],
-        y[outside],
-        z[outside],
-        c=speed[outside],
-        cmap=COLOURS,
-        vmin=0,
-        vmax=1,
-        s=size,
-        alpha=1.0,
-        edgecolors="none",
-        depthshade=False,
-    )
-    block.set_box_aspect((nx, ny, nz))
+    faces = ((0, nx - 1), (1, 0), (2, nz - 1))  # (axis, index) of the three faces that are seen
+    squares, values = [], []
+    for axis, index in faces:
+        u, v = (a for a in range(3) if a != axis)
+        for i, j in np.ndindex(speed.shape[u], speed.shape[v]):
+            corners = np.empty((4, 3))
+            corners[:, axis] = index + (0.5 if index else -0.5)
+            corners[:, u] = i + np.array([-0.5, 0.5, 0.5, -0.5])
+            corners[:, v] = j + np.array([-0.5, -0.5, 0.5, 0.5])
+            squares.append(corners)
+        values.append(np.take(speed, index, axis=axis).ravel())
+    surface = Poly3DCollection(squares, cmap=COLOURS, lw=0.2, edgecolors="white")
+    surface.set_array(np.concatenate(values))
+    surface.set_clim(0, 1)
+    block.add_collection3d(surface)
+    block.set(xlim=(-0.5, nx - 0.5), ylim=(-0.5, ny - 0.5), zlim=(-0.5, nz - 0.5))
+    block.set_box_aspect((nx, ny, nz), zoom=1.15)
     block.set_axis_off()
-    block.view_init(elev=18, azim=-60)
-    block.set_title("all spheres", fontsize=9)
+    block.view_init(elev=22, azim=-55)
+    block.set_title("|spin| on three sides", fontsize=9)
     for place, (name, plane, crossing) in enumerate(
         (
             (f"cut at y = {ny // 2}", speed[:, ny // 2, :], [state[0][:, ny // 2, :], state[2][:, ny // 2, :]]),
@@ -93,5 +94,6 @@ def _draw_spheres(speed: np.ndarray, state: list[np.ndarray]) -> Figure:
         axes = figure.add_subplot(1, 3, 2 + place)
         colours = _paint_plane(axes, plane, crossing)
         axes.set_title(name + ", slipping contacts in black", fontsize=9)
+        axes.set(xlabel="xy"[place], ylabel="z")
     figure.colorbar(colours, ax=figure.axes, label=r"$|\omega| / \omega_{\max}$", shrink=0.7)
     return figure

@@ -13,10 +13,14 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
 
     Raises FileError if the file is missing, truncated, of another kind, or lacks a name.
     """
+    if path.is_dir():
+        path = path / "run.h5"
     if not path.is_file():
         raise FileError(f"{path} does not exist or is not a file")
     try:
         if path.suffix == ".npy":
+            if len(names) > 1:
+                raise FileError(f"{path} holds one array but {', '.join(names)} are needed; use npz or HDF5")
             return {names[0]: np.load(path, allow_pickle=False)}
         if path.suffix == ".npz":
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
@@ -37,7 +41,7 @@ def read_coefficients(path: Path, dimension: int) -> tuple[np.ndarray, ...]:
     """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on."""
     names = [f"coefficient/{axis}" for axis in "xyz"[:dimension]]
     stored = read_arrays(path, names)
-    try:
-        return tuple(np.asarray(stored[name], dtype=np.float64) for name in names)
-    except (TypeError, ValueError):
-        raise FileError(f"{path} holds coefficients that are not numbers") from None
+    for name in names:
+        if np.asarray(stored[name]).dtype.kind not in "fiu":
+            raise FileError(f"{name} in {path} is of type {np.asarray(stored[name]).dtype}; it must be real numbers")
+    return tuple(np.asarray(stored[name], dtype=np.float64) for name in names)

@@ -68,6 +68,11 @@ class Distribution:
         return f"{self.name}:{','.join(format(value, 'g') for value in self.parameters)}"
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+        """Values of `shape`; some may overflow for extreme parameters, which Scene refuses."""
+        with np.errstate(over="ignore", under="ignore"):
+            return self._draw(rng, shape)
+
+    def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         p = self.parameters
         if self.name == "uniform":
             return rng.uniform(p[0], p[1], shape)

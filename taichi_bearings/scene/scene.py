@@ -11,6 +11,7 @@ from taichi_bearings.lattice.grid import contact_differences
 
 LAWS = ("coulomb", "viscous")
 AXIS_NAMES = ("x", "y", "z")
+LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,12 @@ class Scene:
         values = self.coefficient[axis]
         if values.shape != expected:
             raise InputError(f"coefficients along {name} have shape {values.shape}; this lattice needs {expected}")
-        bad = ~(np.isfinite(values) & (values > 0))
+        bad = ~((values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
         if bad.any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
             raise InputError(
                 f"coefficient {values[where]} at {list(where[1:])} along {name} is not allowed; "
-                "every coefficient must be a positive finite number"
+                "every coefficient must be a positive number from 1e-15 to 1e15"
             )
 
     @property
@@ -68,7 +69,9 @@ class Scene:
         """Unit vector (3,) of the imposed spins."""
         if self.lattice.dimension == 2:
             return np.array([0.0, 0.0, 1.0])
-        return np.asarray(self.direction, dtype=np.float64) / np.linalg.norm(self.direction)
+        vector = np.asarray(self.direction, dtype=np.float64)
+        vector = vector / np.abs(vector).max()
+        return vector / np.linalg.norm(vector)
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:

@@ -13,6 +13,7 @@ class Status(Enum):
 
     CERTIFIED = "certified"  # the proven gap is within the tolerance
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
+    STALLED = "stalled"  # the method can get no closer in this precision
     STEP_LIMIT = "step-limit"
     TIME_LIMIT = "time-limit"
     INTERRUPTED = "interrupted"
@@ -46,6 +47,7 @@ class Progress:
     unbalanced_torque: np.ndarray
     time: float | None = None
     at_rest: bool = False
+    exhausted: bool = False  # the method can get no closer
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ def solve(
         progress = method.progress()
         while True:
             best.take(progress)
-            elapsed = time.perf_counter() - began
-            history.add(progress, best, time.perf_counter() - compiled)
+            elapsed = time.perf_counter() - compiled
+            history.add(progress, best, elapsed)
             gap = relative_gap(scene, best.power, best.bound)
             for monitor in monitors:
                 monitor(Report(progress, best.power, gap, elapsed, stop))
@@ -68,7 +68,7 @@ def solve(
             if status is not None:
                 break
             wanted = min(method.next_check(progress.iteration), stop.iterations) - progress.iteration
-            pace.advance(method, wanted, lambda: interrupt.heard or time.perf_counter() - began >= stop.seconds)
+            pace.advance(method, wanted, lambda: interrupt.heard or time.perf_counter() - compiled >= stop.seconds)
             progress = method.progress()
         seconds = time.perf_counter() - compiled
         final = replace(best.progress, iteration=progress.iteration)
@@ -76,7 +76,7 @@ def solve(
 
 
 class _Interrupt:
-    """Hears Ctrl-C without being torn out of a step; a second one ends the process as usual."""
+    """Hears Ctrl-C or a batch queue's SIGTERM without being torn out of a step; a second one ends the process."""
 
     def __init__(self) -> None:
         self.heard = False
@@ -84,12 +84,13 @@ class _Interrupt:
 
     def __enter__(self) -> "_Interrupt":
         if self._main:
-            self._before = signal.signal(signal.SIGINT, self._hear)
+            self._before = {number: signal.signal(number, self._hear) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._main:
-            signal.signal(signal.SIGINT, self._before)
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
 
     def _hear(self, *_: object) -> None:
         if self.heard:
@@ -109,8 +110,11 @@ class _Pace:
             began = time.perf_counter()
             method.advance(now)
             steps -= now
-            if now == self.size:
-                self.size *= 2 if time.perf_counter() - began < 0.25 else 1
+            took = time.perf_counter() - began
+            if took > 1.0:
+                self.size = max(64, self.size // 2)
+            elif took < 0.25 and now == self.size:
+                self.size *= 2
 
 
 class _Best:

@@ -29,6 +29,7 @@ from taichi_bearings.scene.scene import vector_length
 FIRST_EPOCH = 64
 FIRST_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
 FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
+COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
 RESOLVED = 100  # widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
@@ -81,10 +82,11 @@ class GradientDescent:
             sweeps.compile()
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
-        self.least_width = 1e4 * float(np.finfo(precision).eps) * jump
+        self.least_width = 1e2 * float(np.finfo(precision).eps) * jump
         self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
         self.step_length = FIRST_STEP * jump
         self.iteration = self.age = 0
+        self.exhausted = False
         self.last_smooth_power = np.full(scene.replicas, np.inf)
         self._begin_epoch(FIRST_EPOCH)
 
@@ -152,6 +154,7 @@ class GradientDescent:
             power=power,
             lower_bound=bound,
             resolution=resolution,
+            exhausted=self.exhausted,
             unbalanced_torque=scene.lattice.radius * np.abs(pull).max(axis=(0, *range(2, pull.ndim))),
         )
 
@@ -182,7 +185,9 @@ class GradientDescent:
             smooth_power, shorten = power, False
         else:
             smooth_power = power - self._regularisation_error(staggered)
-            shorten = self.width > self.least_width and bool((power - smooth_power >= 0.5 * (power - bound)).all())
+            settled = bool((power - smooth_power >= 0.5 * (power - bound)).all())
+            shorten = settled and self.width > self.least_width
+            self.exhausted = settled and not shorten
         if shorten:
             self.width = max(self.width / 2, self.least_width)
             smooth_power = np.full_like(power, np.inf)
@@ -203,4 +208,5 @@ class GradientDescent:
         """Slip speed below which this stage cannot tell slip from rest."""
         if self.scene.law == "viscous":
             return 0.0
-        return RESOLVED * self.scene.lattice.radius * (self.width if self.momentum else self.step_length)
+        width = RESOLVED * (self.width if self.momentum else self.step_length)
+        return self.scene.lattice.radius * min(width, COARSEST * self.scene.jump)

@@ -15,7 +15,7 @@ class StopRule:
 
     tolerance : (power - lower bound) / power at which every replica counts as done, in (0, 1).
     iterations : limit on iterations of the method.
-    seconds : limit on wall time, compilation included; infinity for none.
+    seconds : limit on wall time, compilation apart; infinity for none.
     """
 
     tolerance: float = 1e-8
@@ -40,6 +40,8 @@ class StopRule:
             return Status.CERTIFIED
         if progress.at_rest:
             return Status.STATIONARY
+        if progress.exhausted:
+            return Status.STALLED
         if progress.iteration >= self.iterations:
             return Status.STEP_LIMIT
         if elapsed >= self.seconds:

@@ -1,5 +1,6 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
+import contextlib
 import json
 import os
 import secrets
@@ -14,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.contact_state import ContactState, count
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.lattice.grid import MOST_SITES
+from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
@@ -26,6 +28,9 @@ from taichi_bearings.studies.settings import RunSettings
 def build_scene(settings: RunSettings) -> Scene:
     """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
     lattice = Lattice(settings.shape, settings.radius)
+    if lattice.sites * settings.replicas > MOST_SITES // 8:
+        most = MOST_SITES // 8 // lattice.sites
+        raise InputError(f"replicas is {settings.replicas}; with this shape at most {most} can be indexed")
     seeds = tuple(range(settings.seed, settings.seed + settings.replicas))
     if settings.coefficients is None:
         distribution = Distribution.parse(settings.distribution)
@@ -47,8 +52,10 @@ def build_scene(settings: RunSettings) -> Scene:
 
 
 def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndarray:
-    """Coefficients of one sample serve every replica; those with a replica axis are taken as they are."""
-    return np.repeat(values[None], replicas, axis=0) if values.ndim == dimension else values
+    """Coefficients with a replica axis, which a file of a single sample lacks."""
+    if values.ndim == dimension and replicas > 1:
+        raise InputError(f"replicas is {replicas}, but the coefficients file holds a single sample; it must be 1")
+    return values[None] if values.ndim == dimension else values
 
 
 def build_method(settings: RunSettings) -> Any:
@@ -104,14 +111,18 @@ def solve_job(job: Job, monitors: Sequence[Any] = ()) -> Solution:
     return solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold)
 
 
-def summarise(solution: Solution) -> dict[str, Any]:
-    """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas."""
+def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
+    """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas.
+
+    A replica whose own gap is within `tolerance` is certified, however the run as a whole ended. Numbers that are not
+    finite become None, so that the summary is valid JSON.
+    """
     from taichi_bearings import __version__
 
     scene = solution.scene
 
     def per_seed(values: Any) -> Any:
-        listed = [v.item() if hasattr(v, "item") else v for v in values]
+        listed = [_plain(v) for v in values]
         return listed if scene.replicas > 1 else listed[0]
 
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
@@ -119,7 +130,9 @@ def summarise(solution: Solution) -> dict[str, Any]:
         "power": per_seed(solution.power),
         "lower_bound": per_seed(solution.lower_bound),
         "gap": per_seed(solution.gap),
-        "status": solution.status.value,
+        "status": per_seed(
+            [Status.CERTIFIED.value if gap <= tolerance else solution.status.value for gap in solution.gap]
+        ),
         "method": solution.method,
         "law": scene.law,
         "shape": list(scene.lattice.shape),
@@ -146,6 +159,12 @@ def summarise(solution: Solution) -> dict[str, Any]:
     return summary
 
 
+def _plain(value: Any) -> Any:
+    """A Python number or text; None for one that is not finite."""
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def versions() -> dict[str, str]:
     """Versions of what shapes a result."""
     import platform
@@ -167,19 +186,23 @@ class RunDirectory:
     force: bool = False
 
     def __post_init__(self) -> None:
-        if self.path.exists() and not self.force:
+        try:
+            self._prepare()
+        except OSError as error:
+            raise FileError(f"output directory {self.path} cannot be written: {error.strerror or error}") from None
+
+    def _prepare(self) -> None:
+        exists = os.path.lexists(self.path)
+        if exists and not self.force:
             raise FileError(f"output directory {self.path} already exists; choose another --out or add --force")
         is_run = (self.path / "run.h5").is_file() or (self.path.is_dir() and not any(self.path.iterdir()))
-        if self.path.exists() and not is_run:
+        if exists and not is_run:
             raise FileError(f"{self.path} is not a run directory; --force replaces only run directories")
         self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
-        try:
-            self.partial.mkdir(parents=True)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise FileError(f"output directory {self.path} cannot be written: {reason}") from None
+        self._made = [folder for folder in self.path.parents if not folder.exists()]  # nearest first
+        self.partial.mkdir(parents=True)
 
-    def publish(self) -> Path:
+    def publish(self) -> None:
         """Rename to the final name, replacing an earlier run if that was allowed."""
         if self.path.exists():
             retired = self.partial.with_name(self.partial.name + "-replaced")
@@ -188,10 +211,13 @@ class RunDirectory:
             shutil.rmtree(retired)
         else:
             self.partial.rename(self.path)
-        return self.path
 
     def discard(self) -> None:
+        """Leave nothing behind, not even folders that were made for this run."""
         shutil.rmtree(self.partial, ignore_errors=True)
+        for folder in self._made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 def default_run_path(command: str = "run") -> Path:
@@ -211,27 +237,31 @@ def run(
     directory = RunDirectory(out or default_run_path(), force)
     try:
         solution = solve_job(job, monitors)
-        summary = write_run(directory.partial, job, solution)
-        path = directory.publish()
+        summary = write_run(directory.partial, directory.path, job, solution)
+        directory.publish()
     except BaseException:
         directory.discard()
         raise
-    summary["run"] = str(path)
     return solution, summary
 
 
-def write_run(folder: Path, job: Job, solution: Solution) -> dict[str, Any]:
-    """Write every file of a run into `folder`; returns the summary."""
+def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
+    """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
     from taichi_bearings import runtime
     from taichi_bearings.analysis.histogram import power_histogram, write_csv
-    from taichi_bearings.files.run_file import write_run_file
+    from taichi_bearings.files.run_file import read_run_file, write_run_file
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
 
-    summary = summarise(solution)
     running = runtime.current()
-    summary |= {"arch": running.arch, "precision": running.precision, "threads": running.threads}
+    summary = summarise(solution, job.settings.tolerance) | {
+        "arch": running.arch,
+        "precision": running.precision,
+        "threads": running.threads,
+        "coefficients": job.settings.coefficients,
+        "run": str(path),
+    }
     stored = _self_contained(job, folder)
     attributes = summary | {"command": " ".join(["bearings", *sys.argv[1:]]), "scene": stored.to_toml(), **versions()}
     write_run_file(folder / "run.h5", solution, attributes)
@@ -241,9 +271,9 @@ def write_run(folder: Path, job: Job, solution: Solution) -> dict[str, Any]:
     )
     write_csv(histogram, folder / "power_histogram.csv")
     save(draw_histogram(histogram), folder / "power_histogram.png")
-    save(draw_history(solution.history, solution.method), folder / "history.png")
+    save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
     full = summary | {"settings": asdict(job.settings), "versions": versions()}
-    (folder / "summary.json").write_text(json.dumps(full, indent=2) + "\n", encoding="utf-8")
+    (folder / "summary.json").write_text(json.dumps(full, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return summary
 
 
@@ -253,6 +283,6 @@ def _self_contained(job: Job, folder: Path) -> RunSettings:
     if settings.coefficients is not None:
         settings = replace(settings, coefficients="run.h5")
     if settings.initial not in STARTS:
-        np.savez(folder / "initial_spin.npz", spin=job.spin)
+        np.savez(folder / "initial_spin.npz", spin=job.spin[0] if job.scene.replicas == 1 else job.spin)
         settings = replace(settings, initial="initial_spin.npz")
     return settings

@@ -79,14 +79,24 @@ def _one_of(*choices: str) -> Kind:
 
 
 SHAPE = Kind(_numbers(_integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
-VECTOR = Kind(_numbers(_real, (3,)), "three numbers such as 1,1,0", "X,Y,Z")
+VECTOR = Kind(_numbers(_real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TEXT = Kind(_text, "a text", "TEXT")
 FILE = Kind(_text, "the name of a file", "FILE")
-REAL = Kind(_real, "a number", "NUMBER")
-POSITIVE = Kind(_bounded(_real, 0, open_low=True), "a positive number", "NUMBER")
-NOT_NEGATIVE = Kind(_bounded(_real, 0), "0 or a positive number", "NUMBER")
-COUNT = Kind(_bounded(_integer, 1), "a whole number, 1 or more", "N")
-SEED = Kind(_bounded(_integer, 0), "a whole number, 0 or more", "N")
+LEAST, MOST = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
+
+
+def _signed(value: Any) -> float:
+    number = _real(value)
+    if number and not LEAST <= abs(number) <= MOST:
+        raise ValueError
+    return number
+
+
+REAL = Kind(_signed, "0 or a number of size 1e-15 to 1e15", "NUMBER")
+POSITIVE = Kind(_bounded(_real, LEAST, MOST), "a positive number from 1e-15 to 1e15", "NUMBER")
+NOT_NEGATIVE = Kind(_bounded(_real, 0, MOST), "0 or a positive number up to 1e15", "NUMBER")
+COUNT = Kind(_bounded(_integer, 1, 2**31), "a whole number, 1 or more", "N")
+SEED = Kind(_bounded(_integer, 0, 2**62), "a whole number, 0 or more and below 2^62", "N")
 TRUTH = Kind(_truth, "true or false", "")
 
 
@@ -103,7 +113,7 @@ class RunSettings:
     method: str = setting("auto", _one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
     tolerance: float = setting(
         1e-8,
-        Kind(_bounded(_real, 0, 1, True), "between 0 and 1", "NUMBER"),
+        Kind(_bounded(_real, 0, 1, True), "above 0 and at most 1", "NUMBER"),
         "Relative gap (P - lower bound)/P at which the run counts as done.",
     )
     seed: int = setting(0, SEED, "Seed of the disorder.")
@@ -121,8 +131,8 @@ class RunSettings:
     initial: str = setting("linear", TEXT, "Spins to start from: random, zero, linear, or a file with an array `spin`.")
     normal_force: float = setting(50.0, POSITIVE, "Normal force at every contact.")
     radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
-    iterations: int = setting(1_000_000, SEED, "Limit on the iterations (sweeps or time steps).")
-    time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time, in seconds.")
+    iterations: int = setting(1_000_000, SEED, "Limit on the iterations (sweeps, which come in pairs, or time steps).")
+    time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time of the solve, in seconds.")
     slip_threshold: float | None = setting(
         None, POSITIVE, "Slip speed up to which a contact counts as slipless. Default: what the method can resolve."
     )

@@ -145,7 +145,9 @@ def test_replicas_give_lists_and_a_replica_axis(tmp_path):
     with h5py.File(tmp_path / "r" / "run.h5") as file:
         assert file["spin"].shape == (3, 4, 5)
         assert file["contact/x/slip"].shape == (3, 3, 5)
-    assert bearings("histogram", tmp_path / "r", "--force").returncode == 0
+        assert all(len(column) == 3 for column in file["history"].values())
+    assert summary["status"] == ["certified"] * 3
+    assert bearings("histogram", tmp_path / "r", "--out", tmp_path / "h").returncode == 0
     assert bearings("plot", "spins", tmp_path / "r", "--replica", 2).returncode == 0
 
 
@@ -158,7 +160,10 @@ def test_figures_are_drawn(finished_run, tmp_path, kind):
 
 def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path):
     folder, summary = finished_run
-    done = bearings("histogram", folder, folder, "--bins-per-decade", 7, "--out", tmp_path, "--json")
+    twin = tmp_path / "twin.h5"
+    twin.write_bytes((folder / "run.h5").read_bytes())
+    assert "twice" in bearings("histogram", folder, folder / "run.h5", "--out", tmp_path).stderr
+    done = bearings("histogram", folder, twin, "--bins-per-decade", 7, "--out", tmp_path, "--json")
     report = json.loads(done.stdout)
     assert report["slipping"] == 2 * summary["slipping"]
     lines = (tmp_path / "power_histogram.csv").read_text().splitlines()
@@ -183,12 +188,13 @@ def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_ctrl_c_saves_what_was_reached(tmp_path):
+@pytest.mark.parametrize("what", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_saves_what_was_reached(tmp_path, what):
     command = [sys.executable, "-m", "taichi_bearings_cli", "run", "--shape", "16,16,16", "--tolerance", "1e-13",
                "--iterations", "100000000", "--out", str(tmp_path / "r"), "--json"]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(8)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(what)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "Traceback" not in err
@@ -203,10 +209,10 @@ BAD = {
     "shape of letters": (("--shape", "a,b"), "two or three whole numbers"),
     "unknown law": (("--law", "dry"), "one of coulomb, viscous"),
     "unknown method": (("--method", "magic"), "one of auto"),
-    "tolerance of 0": (("--tolerance", "0"), "between 0 and 1"),
-    "tolerance that is no number": (("--tolerance", "nan"), "between 0 and 1"),
-    "spin that is no number": (("--spin-top", "nan"), "must be a number"),
-    "infinite spin": (("--spin-top", "inf"), "finite"),
+    "tolerance of 0": (("--tolerance", "0"), "above 0"),
+    "tolerance that is no number": (("--tolerance", "nan"), "above 0"),
+    "spin that is no number": (("--spin-top", "nan"), "0 or a number of size"),
+    "infinite spin": (("--spin-top", "inf"), "0 or a number of size"),
     "negative seed": (("--seed", "-1"), "0 or more"),
     "fractional seed": (("--seed", "1.5"), "whole number"),
     "no replicas": (("--replicas", "0"), "1 or more"),
@@ -219,6 +225,10 @@ BAD = {
     "unknown device": (("--arch", "tpu"), "one of cpu"),
     "too large a step": (("--method", "cundall-strack", "--time-step", "1"), "stable only up to"),
     "gear order": (("--method", "cundall-strack", "--gear-order", "9"), "from 2 to 5"),
+    "huge force": (("--normal-force", "1e308"), "from 1e-15 to 1e15"),
+    "huge seed": (("--seed", "99999999999999999999999"), "below 2^62"),
+    "too many replicas": (("--replicas", "100000000"), "can be indexed"),
+    "out of range friction": (("--distribution", "lognormal:1,1000"), "from 1e-15 to 1e15"),
     "missing scene": (("none.toml",), "does not exist"),
 }
 
@@ -255,6 +265,31 @@ def test_bad_files_are_named(tmp_path):
     (tmp_path / "mu.npz").write_bytes((tmp_path / "mu.npz").read_bytes()[:300])
     refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="truncated")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mu.npz", "scene.toml"]
+
+
+def test_a_dynamics_is_not_at_rest_before_it_has_begun(tmp_path):
+    """Springs that have not loaded yet look stationary; the certificate knows better. Powers scale with the spins."""
+    powers = []
+    for name, top in (("a", "1e-4"), ("b", "1")):
+        words = ("--shape", "4,4", "--method", "cundall-strack", "--spin-top", top, "--tolerance", "1e-4")
+        done = bearings("run", *words, "--iterations", 3_000_000, "--out", tmp_path / name, "--json")
+        assert done.returncode == 0, done.stderr
+        powers.append(json.loads(done.stdout)["power"] / float(top))
+    assert powers[0] == pytest.approx(powers[1], rel=2e-4)
+
+
+def test_a_file_of_one_sample_is_not_taken_for_many(finished_run, tmp_path):
+    done = bearings("run", "--shape", "3,4,5", "--coefficients", finished_run[0], "--replicas", 3, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "single sample" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_equal_coefficients_are_resolved(tmp_path):
+    done = bearings("run", "--shape", "4,4,5", "--distribution", "constant:0.5", "--out", tmp_path / "r", "--json")
+    summary = json.loads(done.stdout)
+    assert summary["power"] == pytest.approx(200, rel=1e-6)
+    assert summary["slip_threshold"] <= 0.01 * 0.5
 
 
 def test_nothing_is_overwritten_unless_asked(finished_run, tmp_path):
