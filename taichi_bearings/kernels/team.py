@@ -16,7 +16,7 @@ import taichi as ti
 from taichi_bearings.errors import DeviceError
 
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
-FAIR_SHARE = 0.85  # of the processor time a team could use; with less, others are using the cores
+FAIR_SHARE = 0.7  # of the processor time a team could use; with less, others are using the cores
 SHORT = 0.02  # seconds; launches too short to judge by
 FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds that one worker goes on alone
 PATIENCE = 2**30  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side

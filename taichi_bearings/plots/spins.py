@@ -81,7 +81,7 @@ def _draw_spheres(speed: np.ndarray, state: list[np.ndarray]) -> Figure:
     surface.set_clim(0, 1)
     block.add_collection3d(surface)
     block.set(xlim=(-0.5, nx - 0.5), ylim=(-0.5, ny - 0.5), zlim=(-0.5, nz - 0.5))
-    block.set_box_aspect((nx, ny, nz), zoom=1.15)
+    block.set_box_aspect((nx, ny, nz), zoom=1.0)
     block.set_axis_off()
     block.view_init(elev=22, azim=-55)
     block.set_title("|spin| on three sides", fontsize=9)
