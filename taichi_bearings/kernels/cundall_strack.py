@@ -46,7 +46,7 @@ class CundallStrackSteps(Team):
 
     def compile(self):
         """Compile the kernel that `run` will launch, on no sites at all."""
-        self.run(1, Layout(0, (0, 0), block=1), (0.0,) * 6)
+        self.run(0 if self.workers else 1, Layout(0, (0, 0), block=1), (0.0,) * 6)
 
     @ti.func
     def spring_block(self, first_site, x, y, reach, stiffness, damping, kinetic, static, compliance):

@@ -31,7 +31,13 @@ class Team:
         self.rest_until, self.rest = 0.0, FIRST_REST
 
     def launch(self, alone, by_team, count, *arguments):
-        """Call the kernel `alone` or `by_team` with `count` and `arguments`, whichever suits the machine now."""
+        """Call the kernel `alone` or `by_team` with `count` and `arguments`, whichever suits the machine now.
+
+        A count of 0 compiles the kernel that will be used, and judges nothing.
+        """
+        if count == 0 and self.workers > 1:
+            by_team(count, *arguments)
+            return
         if self.workers == 1 or time.monotonic() < self.rest_until:
             alone(count, *arguments)
             return

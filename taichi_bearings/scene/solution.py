@@ -47,7 +47,6 @@ class Progress:
     unbalanced_torque: np.ndarray
     time: float | None = None
     at_rest: bool = False
-    exhausted: bool = False  # the method can get no closer
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ class Report:
 
 
 Monitor = Callable[[Report], None]
+STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 
 
 def solve(
@@ -62,7 +63,8 @@ def solve(
             gap = relative_gap(scene, best.power, best.bound)
             for monitor in monitors:
                 monitor(Report(progress, best.power, gap, elapsed, stop))
-            status = stop.judge(scene, progress, best.power, best.bound, elapsed)
+            stalled = best.has_stalled(progress.iteration, float(gap.max()))
+            status = stop.judge(scene, progress, best.power, best.bound, elapsed, stalled)
             if status is None and interrupt.heard:
                 status = Status.INTERRUPTED
             if status is not None:
@@ -124,10 +126,18 @@ class _Best:
         self.keeps_best = keeps_best
         self.progress: Progress
         self.bound = np.zeros(0)
+        self._gap, self._improved_at = np.inf, 0
 
     @property
     def power(self) -> np.ndarray:
         return self.progress.power
+
+    def has_stalled(self, iteration: int, gap: float) -> bool:
+        """True if a minimisation has not brought the worst gap down by 1 % in the last four fifths of its iterations:
+        the precision of the fields allows no more. A dynamics may linger as long as it likes."""
+        if gap < 0.99 * self._gap:
+            self._gap, self._improved_at = gap, iteration
+        return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
         if len(self.bound) == 0:

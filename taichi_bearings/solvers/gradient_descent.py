@@ -86,7 +86,6 @@ class GradientDescent:
         self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
         self.step_length = FIRST_STEP * jump
         self.iteration = self.age = 0
-        self.exhausted = False
         self.last_smooth_power = np.full(scene.replicas, np.inf)
         self._begin_epoch(FIRST_EPOCH)
 
@@ -154,7 +153,6 @@ class GradientDescent:
             power=power,
             lower_bound=bound,
             resolution=resolution,
-            exhausted=self.exhausted,
             unbalanced_torque=scene.lattice.radius * np.abs(pull).max(axis=(0, *range(2, pull.ndim))),
         )
 
@@ -185,9 +183,7 @@ class GradientDescent:
             smooth_power, shorten = power, False
         else:
             smooth_power = power - self._regularisation_error(staggered)
-            settled = bool((power - smooth_power >= 0.5 * (power - bound)).all())
-            shorten = settled and self.width > self.least_width
-            self.exhausted = settled and not shorten
+            shorten = self.width > self.least_width and bool((power - smooth_power >= 0.5 * (power - bound)).all())
         if shorten:
             self.width = max(self.width / 2, self.least_width)
             smooth_power = np.full_like(power, np.inf)

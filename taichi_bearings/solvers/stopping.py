@@ -31,7 +31,13 @@ class StopRule:
             raise InputError(f"time_limit is {self.seconds}; it must be a positive number of seconds")
 
     def judge(
-        self, scene: Scene, progress: Progress, power: np.ndarray, bound: np.ndarray, elapsed: float
+        self,
+        scene: Scene,
+        progress: Progress,
+        power: np.ndarray,
+        bound: np.ndarray,
+        elapsed: float,
+        stalled: bool = False,
     ) -> Status | None:
         """The status if the run should end now, else None. power, bound : (R,), the best known so far."""
         if not np.isfinite(progress.power).all():
@@ -40,7 +46,7 @@ class StopRule:
             return Status.CERTIFIED
         if progress.at_rest:
             return Status.STATIONARY
-        if progress.exhausted:
+        if stalled:
             return Status.STALLED
         if progress.iteration >= self.iterations:
             return Status.STEP_LIMIT
