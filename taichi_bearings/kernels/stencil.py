@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import taichi as ti
 
 from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,13 @@ class Stencil:
     def force_slot(self) -> tuple[int, ...]:
         """Where the force of each axis begins among the force components."""
         return tuple(sum(len(slots) for slots in self.kept[:axis]) for axis in range(self.dimension))
+
+    def forces_by_axis(self, stored: np.ndarray, layout: Layout) -> tuple[np.ndarray, ...]:
+        """Force components at the lower spheres (V, R, *N) -> one array (T, R, *contacts) an axis."""
+        return tuple(
+            layout.from_lower_sphere(stored[first : first + len(slots)], axis)
+            for axis, (first, slots) in enumerate(zip(self.force_slot, self.kept, strict=True))
+        )
 
 
 @ti.func

@@ -181,11 +181,7 @@ class CundallStrack:
         )
 
     def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
-        stored = self.fields.read(name)
-        return tuple(
-            self.fields.layout.from_lower_sphere(stored[first : first + len(kept)], axis)
-            for axis, (first, kept) in enumerate(zip(self.stencil.force_slot, self.stencil.kept, strict=True))
-        )
+        return self.stencil.forces_by_axis(self.fields.read(name), self.fields.layout)
 
     def _at_rest(
         self, power: np.ndarray, bound: np.ndarray, force: tuple[np.ndarray, ...], left_over: np.ndarray

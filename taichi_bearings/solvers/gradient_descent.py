@@ -72,10 +72,10 @@ class GradientDescent:
         fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
         for corner, values in enumerate(np.sort(scene.driven_values(self.spin_axes), axis=0)):
             fields.fields["box"][corner] = values.tolist()
-        stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
-        workers = team_size(layout, stencil.components)
+        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
+        workers = team_size(layout, self.stencil.components)
         self.sweeps = {
-            averaging: fields.kernels(DescentSweeps, stencil, workers, scene.law, self.momentum, averaging)
+            averaging: fields.kernels(DescentSweeps, self.stencil, workers, scene.law, self.momentum, averaging)
             for averaging in ((False, True) if self.averages else (False,))
         }
         for sweeps in self.sweeps.values():
@@ -170,12 +170,8 @@ class GradientDescent:
         )
 
     def _averaged_force(self) -> tuple[np.ndarray, ...]:
-        stored = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
-        slots = Stencil(self.spin_axes, self.scene.lattice.dimension, 1)
-        return tuple(
-            self.fields.layout.from_lower_sphere(stored[first : first + len(kept)], axis)
-            for axis, (first, kept) in enumerate(zip(slots.force_slot, slots.kept, strict=True))
-        )
+        mean = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
+        return self.stencil.forces_by_axis(mean, self.fields.layout)
 
     def _steer(self, staggered: np.ndarray, power: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""
