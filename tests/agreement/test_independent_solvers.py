@@ -109,10 +109,11 @@ def test_replicas_together_equal_replicas_alone():
     "driving",
     [{"spin_bottom": 0.7}, {"spin_bottom": -2.0}, {"direction": (1, 0, 0)}, {"direction": (1, -2, 3)}],
 )  # fmt: skip
-def test_other_drivings_are_certified_by_both_methods_alike(driving):
+def test_other_drivings_are_certified_by_both_methods_alike(driving, precision):
     scene = make_scene((5, 4, 6), **driving)
     start = initial_spin(scene, "random")
-    descent = solve(scene, GradientDescent(), start, StopRule(2e-4, 200_000))
+    tolerance = 2e-4 if precision == "f64" else 5e-3  # what the rounding of the spins allows, see docs/methods.md
+    descent = solve(scene, GradientDescent(), start, StopRule(tolerance, 200_000))
     dynamics = solve(scene, CundallStrack(), start, StopRule(2e-3, 200_000))
     assert descent.status is dynamics.status is Status.CERTIFIED
     assert max(descent.lower_bound[0], dynamics.lower_bound[0]) <= min(descent.power[0], dynamics.power[0])
