@@ -50,6 +50,12 @@ def relative_gap(scene: Scene, power: np.ndarray, bound: np.ndarray) -> np.ndarr
     return np.where(matters, (power - bound) / np.where(matters, power, 1.0), 0.0)
 
 
+def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Largest torque that the forces leave on a free sphere, (R,), force * length."""
+    pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
+    return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
+
+
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Dual objective (R,) of admissible forces, torque-balanced or not, minus an allowance for rounding."""
     lattice = scene.lattice
@@ -150,4 +156,13 @@ def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
     return tuple(np.where(c == 0, 0.0, f) for f, c in zip(force, scene.acting_coefficient, strict=True))
 
 
-__all__ = ["balance", "capped", "dual_value", "lower_bound", "relative_gap", "saturation", "scaled"]
+__all__ = [
+    "balance",
+    "capped",
+    "dual_value",
+    "largest_unbalanced_torque",
+    "lower_bound",
+    "relative_gap",
+    "saturation",
+    "scaled",
+]

@@ -91,10 +91,6 @@ def current() -> Runtime:
     return _current if _current is not None else start()
 
 
-def is_started() -> bool:
-    return _current is not None
-
-
 def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bool = False) -> Runtime:
     """Start Taichi once per process.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.certificate import lower_bound, relative_gap
+from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Workspace
 from taichi_bearings.fields.workspace import FieldSpec, team_size
@@ -165,8 +165,7 @@ class CundallStrack:
             springs = tuple(self.options.stiffness * e for e in self._contact_forces("elongation"))
         power = scene.power(staggered, self.spin_axes)
         bound = lower_bound(scene, springs, self.spin_axes)
-        pull = scene.lattice.radius * np.abs(torques(force, scene.lattice, self.spin_axes)[..., 1:-1])
-        left_over = pull.max(axis=(0, *range(2, pull.ndim)))
+        left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,

@@ -4,6 +4,7 @@ Coefficients: Allen and Tildesley, Computer Simulation of Liquids (1987), append
 """
 
 from functools import lru_cache
+from math import comb
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -31,7 +32,7 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
     """
     values = len(corrector)
     decay, oscillation = np.broadcast_arrays(np.asarray(decay, float), np.asarray(oscillation, float))
-    pascal = np.array([[_binomial(n, k) for n in range(values)] for k in range(values)], dtype=float)
+    pascal = np.array([[comb(n, k) for n in range(values)] for k in range(values)], dtype=float)
     size = values + 2
     identity = np.eye(size)
     predicted = pascal @ identity[:values]  # rows: predicted scaled derivatives, as functionals of the state
@@ -44,12 +45,6 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
     matrix[..., values, :] = stretch
     matrix[..., values + 1, :] = error
     return matrix
-
-
-def _binomial(n: int, k: int) -> int:
-    from math import comb
-
-    return comb(n, k)
 
 
 def largest_stable_step(order: int, decay_rate: float, frequency_squared: float) -> float:

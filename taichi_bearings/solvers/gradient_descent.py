@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.certificate import lower_bound
+from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.fields import Workspace
 from taichi_bearings.fields.workspace import FieldSpec, team_size
 from taichi_bearings.kernels.descent import DescentSweeps
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.lattice.grid import contact_differences, torques, weights
+from taichi_bearings.lattice.grid import contact_differences, weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 
@@ -144,7 +144,6 @@ class GradientDescent:
             self._load_spins(staggered)
             self.step_length /= np.sqrt(2)
             self._begin_epoch(2 * self.epoch_length)
-        pull = torques(force, scene.lattice, self.spin_axes)[..., 1:-1]
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -153,7 +152,7 @@ class GradientDescent:
             power=power,
             lower_bound=bound,
             resolution=resolution,
-            unbalanced_torque=scene.lattice.radius * np.abs(pull).max(axis=(0, *range(2, pull.ndim))),
+            unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
         )
 
     def _force_at(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:

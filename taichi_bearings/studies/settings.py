@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.solvers import METHODS
 
-METHOD_NAMES = ("auto", "gradient-descent", "cundall-strack")
+METHOD_NAMES = ("auto", *METHODS)
 
 
 @dataclass(frozen=True)
