@@ -78,6 +78,9 @@ def available_threads() -> int:
     return os.cpu_count() or 1
 
 
+HOST = Runtime("cpu", "f64", available_threads())  # where methods run that need no Taichi
+
+
 def has_cuda() -> bool:
     """True if Taichi finds a usable CUDA device."""
     import taichi as ti

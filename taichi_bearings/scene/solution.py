@@ -35,6 +35,8 @@ class Progress:
     time : simulated time of a dynamics, else None.
     resolution : slip speed below which the method cannot tell slip from rest, length/time.
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
+    at_rest : a dynamics has come to rest.
+    exhausted : a minimisation can get no closer in its precision.
     """
 
     iteration: int
@@ -47,6 +49,7 @@ class Progress:
     unbalanced_torque: np.ndarray
     time: float | None = None
     at_rest: bool = False
+    exhausted: bool = False
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,7 @@ class CundallStrack:
 
     name = "cundall-strack"
     keeps_best = False
+    needs_taichi = True
 
     def __init__(self, options: CundallStrackOptions | None = None) -> None:
         self.options = options or CundallStrackOptions()
@@ -85,7 +86,8 @@ class CundallStrack:
             spec += [("integral", components), ("elongation", forces)]
         return tuple(spec)
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        assert fields is not None
         self.fields, layout, options = fields, fields.layout, self.options
         self.inertia = options.inertia or default_inertia(scene, options.mass)
         self.stability_bound = stability_bound(scene, self.spin_axes, options)

@@ -4,6 +4,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,7 +50,8 @@ def solve(
     stop = stop or StopRule()
     began = time.perf_counter()
     spec = method.plan(scene, spin)
-    with _Interrupt() as interrupt, borrow(make_layout(scene.replicas, scene.lattice.shape), spec) as fields:
+    workspace = borrow(make_layout(scene.replicas, scene.lattice.shape), spec) if method.needs_taichi else nullcontext()
+    with _Interrupt() as interrupt, workspace as fields:
         method.begin(scene, spin, fields)
         compiled = time.perf_counter()
         best = _Best(method.keeps_best)
@@ -63,7 +65,7 @@ def solve(
             gap = relative_gap(scene, best.power, best.bound)
             for monitor in monitors:
                 monitor(Report(progress, best.power, gap, elapsed, stop))
-            stalled = best.has_stalled(progress.iteration, float(gap.max()))
+            stalled = progress.exhausted or best.has_stalled(progress.iteration, float(gap.max()))
             status = stop.judge(scene, progress, best.power, best.bound, elapsed, stalled)
             if status is None and interrupt.heard:
                 status = Status.INTERRUPTED

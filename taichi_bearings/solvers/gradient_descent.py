@@ -46,6 +46,7 @@ class GradientDescent:
 
     name = "gradient-descent"
     keeps_best = True
+    needs_taichi = True
 
     def __init__(self, options: GradientDescentOptions | None = None) -> None:
         self.momentum = (options or GradientDescentOptions()).momentum
@@ -63,7 +64,8 @@ class GradientDescent:
             spec += [("spin_sum", components), ("force_sum", forces)]
         return tuple(spec)
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        assert fields is not None
         self.fields, layout = fields, fields.layout
         self._load_spins(self._clip_to_box(scene.staggered_spin(spin, self.spin_axes)))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))

@@ -4,8 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.scene import Progress, Scene
 
 
@@ -17,12 +16,16 @@ class Method(Protocol):
 
     name: str
     keeps_best: bool  # True for a minimisation, whose best state counts; False for a dynamics, whose last one does
+    needs_taichi: bool  # False for a method that works in NumPy alone: no runtime is started and `fields` is None
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried."""
+        """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried.
+
+        Raises InputError for a scene that the method cannot solve.
+        """
         ...
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
         """Load the fields and compile the kernels."""
         ...
 
@@ -31,7 +34,7 @@ class Method(Protocol):
         ...
 
     def advance(self, steps: int) -> None:
-        """Launch kernels for `steps` iterations; reads nothing back."""
+        """Do `steps` iterations; a method on Taichi fields reads nothing back."""
         ...
 
     def progress(self) -> Progress:

@@ -100,13 +100,14 @@ def prepare(settings: RunSettings) -> Job:
 
 
 def solve_job(job: Job, monitors: Sequence[Any] = ()) -> Solution:
-    """Solve on the device that the settings name; starts Taichi if need be."""
+    """Solve on the device that the settings name; starts Taichi if the method needs it."""
     from taichi_bearings import runtime
     from taichi_bearings.solvers.drive import solve
     from taichi_bearings.solvers.stopping import StopRule
 
     settings = job.settings
-    runtime.start(settings.arch, settings.precision, settings.threads)
+    if job.method.needs_taichi:
+        runtime.start(settings.arch, settings.precision, settings.threads)
     stop = StopRule(settings.tolerance, settings.iterations, settings.time_limit or float("inf"))
     return solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold)
 
@@ -254,7 +255,7 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
 
-    running = runtime.current()
+    running = runtime.current() if job.method.needs_taichi else runtime.HOST
     summary = summarise(solution, job.settings.tolerance) | {
         "arch": running.arch,
         "precision": running.precision,
