@@ -75,9 +75,14 @@ class Scene:
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Components the minimum needs: where top and bottom agree, the staggered spin is constant (PHYSICS 3.3)."""
+        """Components the minimum needs.
+
+        Where top and bottom agree, the staggered spin is constant (PHYSICS 3.3). Nor is the component along the height
+        of a cubic lattice ever needed: contacts along the height do not feel it, so it is constant in each layer.
+        """
         jump = (self.spin_top - self.spin_bottom) * self.axis_vector
-        needed = tuple(k for k in self.lattice.all_spin_axes if jump[k] != 0.0)
+        height = self.lattice.height_axis
+        needed = tuple(k for k in self.lattice.all_spin_axes if jump[k] != 0.0 and k != height)
         return needed or self.lattice.all_spin_axes[:1]  # no frustration: one component, to have something to show
 
     def driven_values(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -122,12 +127,15 @@ class Scene:
         return np.sum([values.reshape(self.replicas, -1).sum(axis=1) for values in per_contact], axis=0)
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time. Components left out are the driven ones."""
+        """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time.
+
+        Components left out go linearly from bottom to top, which is constant where the two agree.
+        """
         if self.lattice.dimension == 2:
             return staggered[0] * self.lattice.parity
         spin = np.empty((self.replicas, *self.lattice.shape, 3))
-        bottom, _ = self.driven_values(self.lattice.all_spin_axes)
-        spin[...] = bottom
+        bottom, top = self.driven_values(self.lattice.all_spin_axes)
+        spin[...] = np.linspace(bottom, top, self.lattice.shape[-1])
         for slot, component in enumerate(spin_axes):
             spin[..., component] = staggered[slot]
         return spin * self.lattice.parity[..., None]

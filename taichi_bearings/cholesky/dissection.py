@@ -1,0 +1,91 @@
+"""Nested dissection of the spins of a lattice, by planes of spheres.
+
+An unknown is a spin component of a free sphere. Contacts along axis a couple all components but the one along a, so the
+unknowns of a plane normal to a, *without component a*, separate what lies below from what lies above; component a of
+that plane may stay with either side. A region is therefore one box for each component.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+Box = tuple[tuple[int, ...], tuple[int, ...]]  # lower corner, upper corner (exclusive)
+Region = dict[int, Box]  # spin component -> box of spheres
+
+
+@dataclass(frozen=True)
+class Part:
+    """One node of the elimination tree: its unknowns go last among those of its subtree. children : places in the list."""
+
+    unknowns: np.ndarray
+    children: tuple[int, ...]
+
+
+def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int) -> list[Part]:
+    """Elimination tree in postorder (children before parents) for a cubic lattice of free spheres.
+
+    shape : free spheres along each axis; unknown number = sphere * components + position in `spin_axes`.
+    leaf : regions of at most so many unknowns are not divided.
+    """
+    sphere = np.arange(int(np.prod(shape))).reshape(shape)
+    parts: list[Part] = []
+
+    def numbers(region: Region) -> np.ndarray:
+        found = [np.zeros(0, dtype=np.int64)]
+        for component, (low, high) in region.items():
+            inside = sphere[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+            found.append(inside.ravel() * len(spin_axes) + spin_axes.index(component))
+        return np.concatenate(found)
+
+    def build(region: Region) -> int | None:
+        if not region:
+            return None
+        division = _best_division(region, len(shape)) if _size(region) > leaf else None
+        if division is None:
+            parts.append(Part(numbers(region), ()))
+        else:
+            below, separator, above = division
+            children = tuple(place for place in (build(below), build(above)) if place is not None)
+            parts.append(Part(numbers(separator), children))
+        return len(parts) - 1
+
+    build({component: ((0,) * len(shape), tuple(shape)) for component in spin_axes})
+    return parts
+
+
+def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
+    """Below, separator and above for the middle plane with the smallest separator; None if no plane divides."""
+    best, least = None, None
+    for axis in range(dimension):
+        coupled = [component for component in region if component != axis]
+        boxes = [region[component] for component in coupled or region]
+        first, last = min(low[axis] for low, _ in boxes), max(high[axis] for _, high in boxes)
+        if last - first < (3 if coupled else 2):
+            continue
+        middle = (first + last) // 2
+        separator = {c: _cut(region[c], axis, middle, middle + 1) for c in coupled}
+        below = {c: _cut(box, axis, box[0][axis], middle + (c == axis)) for c, box in region.items()}
+        above = {c: _cut(box, axis, middle + 1, box[1][axis]) for c, box in region.items()}
+        cost = (_size(separator), first - last)
+        if least is None or cost < least:
+            best, least = tuple(_without_empty(r) for r in (below, separator, above)), cost
+    return best
+
+
+def _cut(box: Box, axis: int, first: int, last: int) -> Box:
+    """The part of a box with first <= coordinate < last along an axis."""
+    low, high = list(box[0]), list(box[1])
+    low[axis], high[axis] = max(low[axis], first), min(high[axis], last)
+    return tuple(low), tuple(high)
+
+
+def _box_size(box: Box) -> int:
+    return int(np.prod([max(b - a, 0) for a, b in zip(*box, strict=True)]))
+
+
+def _size(region: Region) -> int:
+    return sum(_box_size(box) for box in region.values())
+
+
+def _without_empty(region: Region) -> Region:
+    return {component: box for component, box in region.items() if _box_size(box)}

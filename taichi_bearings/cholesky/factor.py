@@ -1,0 +1,148 @@
+"""Numeric factorisation and solves: fronts assembled by Taichi, dense blocks by BLAS and LAPACK."""
+
+import numpy as np
+from scipy.linalg import blas, lapack
+
+from taichi_bearings.cholesky.dissection import Part, dissect
+from taichi_bearings.cholesky.fronts import Pattern, analyse
+from taichi_bearings.kernels.assembly import assemble
+
+LEAF = 150  # unknowns a leaf holds: smaller ones cost more in calls than they save in arithmetic
+SERIAL = 20_000  # entries of a depth below which one worker assembles faster than a team
+
+
+class NotPositiveDefinite(ArithmeticError):
+    """The matrix is not positive definite to working precision."""
+
+
+class LatticeCholesky:
+    """Cholesky factorisation of a symmetric positive definite matrix over the spins of a lattice of free spheres.
+
+    shape : free spheres along each axis; spin_axes : components. first, second : coupled unknowns, pairwise.
+    Values are given for the entries (pattern.row, pattern.column); where they go, `pattern.entry` tells.
+    """
+
+    def __init__(
+        self, shape: tuple[int, ...], spin_axes: tuple[int, ...], first: np.ndarray, second: np.ndarray
+    ) -> None:
+        self._prepare(analyse(dissect(shape, spin_axes, LEAF), first, second))
+
+    @classmethod
+    def of_parts(cls, parts: list[Part], first: np.ndarray, second: np.ndarray) -> "LatticeCholesky":
+        """The same for any elimination tree with at most two children a part."""
+        made = cls.__new__(cls)
+        made._prepare(analyse(parts, first, second))
+        return made
+
+    def _prepare(self, pattern: Pattern) -> None:
+        self.pattern = pattern
+        fronts = pattern.fronts
+        own = np.array([f.own for f in fronts], dtype=np.int64)
+        border = np.array([len(f.border) for f in fronts], dtype=np.int64)
+        depth = np.array([f.depth for f in fronts])
+        first = np.array([f.first for f in fronts], dtype=np.int64)
+        blocks = np.stack([own * own, own * border], axis=1).ravel()
+        block_start = np.concatenate([[0], np.cumsum(blocks)])
+        offset = np.zeros((len(fronts), 3), dtype=np.int64)
+        offset[:, 0], offset[:, 1] = block_start[:-1:2], block_start[1::2]
+        self._factor = np.zeros(block_start[-1])
+        capacity = [1, 1]  # updates of even and of odd depths take turns in two arenas
+        self._depths = [np.flatnonzero(depth == d) for d in range(depth.max() + 1)]
+        for d, members in enumerate(self._depths):
+            sizes = border[members] ** 2
+            offset[members, 2] = np.cumsum(sizes) - sizes
+            capacity[d % 2] = max(capacity[d % 2], int(sizes.sum()))
+        self._updates = [np.zeros(c) for c in capacity]
+        maps = np.concatenate([[0], np.cumsum(border)])
+        table = np.zeros((len(fronts), 6), dtype=np.int32)
+        table[:, 0], table[:, 1], table[:, 2], table[:, 5] = own, border, first, maps[:-1]
+        columns, self._columns_of_depth = [], [0]
+        for members in self._depths:
+            for number in members:
+                front = fronts[number]
+                width = front.own + len(front.border)
+                of_child = np.full((width, 4), -1, dtype=np.int32)
+                of_child[:, 0], of_child[:, 1] = number, np.arange(width)
+                for which, child in enumerate(front.children):
+                    table[number, 3 + which] = child
+                    places = fronts[child].place_in_parent
+                    of_child[places, 2 + which] = np.arange(len(places))
+                columns.append(of_child)
+            self._columns_of_depth.append(self._columns_of_depth[-1] + sum(len(c) for c in columns[-len(members) :]))
+        counts = np.bincount(pattern.column, minlength=pattern.size)
+        # place of each stored entry along the own unknowns and border of its front
+        front_of = np.repeat(np.arange(len(fronts)), own)
+        place = np.empty(len(pattern.row), dtype=np.int32)
+        entry_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        for number, front in enumerate(fronts):
+            inside = slice(entry_start[front.first], entry_start[front.first + front.own])
+            rows = pattern.row[inside]
+            end = front.first + front.own
+            place[inside] = np.where(
+                rows < end, rows - front.first, front.own + np.searchsorted(front.border, rows)
+            )
+        del front_of
+        self._static = (
+            np.concatenate(columns),
+            table,
+            offset,
+            entry_start,
+            place,
+            np.concatenate([f.place_in_parent for f in fronts]).astype(np.int32),
+        )
+        self._blocks = []
+        for number, front in enumerate(fronts):
+            m, b = front.own, len(front.border)
+            d0, b0, u0 = offset[number]
+            self._blocks.append(
+                (
+                    self._factor[d0 : d0 + m * m].reshape(m, m, order="F"),
+                    self._factor[b0 : b0 + m * b].reshape(b, m, order="F"),
+                    self._updates[front.depth % 2][u0 : u0 + b * b].reshape(b, b, order="F"),
+                    slice(front.first, front.first + m),
+                    front.border,
+                )
+            )
+
+    def factorise(self, values: np.ndarray) -> None:
+        """Factorise the matrix with these values at the entries of the pattern.
+
+        Raises NotPositiveDefinite if a pivot is not positive.
+        """
+        for d in reversed(range(len(self._depths))):
+            begin, end = self._columns_of_depth[d : d + 2]
+            serial = self._work_of_depth(d) < SERIAL
+            updates, below = self._updates[d % 2], self._updates[(d + 1) % 2]
+            assemble(serial, begin, end, *self._static, values, self._factor, below, updates)
+            for number in self._depths[d]:
+                diagonal, lower, update, _, border = self._blocks[number]
+                if len(diagonal) == 0:
+                    continue
+                _, fault = lapack.dpotrf(diagonal, lower=1, overwrite_a=1, clean=0)
+                if fault:
+                    raise NotPositiveDefinite
+                if len(border):
+                    blas.dtrsm(1.0, diagonal, lower, side=1, lower=1, trans_a=1, overwrite_b=1)
+                    blas.dsyrk(-1.0, lower, beta=1.0, c=update, lower=1, overwrite_c=1)
+
+    def _work_of_depth(self, d: int) -> int:
+        return self._columns_of_depth[d + 1] - self._columns_of_depth[d]
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution of the factorised system for one right-hand side, (size,)."""
+        x = right[self.pattern.order]
+        for diagonal, lower, _, own, border in self._blocks:
+            if len(diagonal) == 0:
+                continue
+            part = blas.dtrsv(diagonal, x[own], lower=1, overwrite_x=1)
+            x[own] = part
+            if len(border):
+                x[border] -= lower @ part
+        for diagonal, lower, _, own, border in reversed(self._blocks):
+            if len(diagonal) == 0:
+                continue
+            part = x[own] - x[border] @ lower if len(border) else x[own]
+            x[own] = blas.dtrsv(diagonal, part, lower=1, trans=1, overwrite_x=1)
+        solution = np.empty_like(x)
+        solution[self.pattern.order] = x
+        return solution
