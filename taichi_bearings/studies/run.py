@@ -67,6 +67,8 @@ def build_method(settings: RunSettings) -> Any:
         from taichi_bearings.solvers.gradient_descent import GradientDescentOptions
 
         return method_class(name)(GradientDescentOptions(momentum=settings.momentum))
+    if name != "cundall-strack":
+        return method_class(name)()
     from taichi_bearings.solvers.cundall_strack import CundallStrackOptions
 
     return method_class(name)(
