@@ -5,6 +5,7 @@ of spheres separates the lattice with the other components alone: half the size 
 its cost. No general ordering that we measured finds this; dissection.py builds it in.
 """
 
-from taichi_bearings.cholesky.factor import LatticeCholesky
+from taichi_bearings.cholesky.dissection import Part, dissect
+from taichi_bearings.cholesky.factor import Cholesky, NotPositiveDefinite
 
-__all__ = ["LatticeCholesky"]
+__all__ = ["Cholesky", "NotPositiveDefinite", "Part", "dissect"]

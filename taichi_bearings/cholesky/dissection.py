@@ -21,7 +21,10 @@ class Part:
     children: tuple[int, ...]
 
 
-def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int) -> list[Part]:
+LEAF = 150  # unknowns of a region that is not divided: smaller ones cost more in calls than they save in arithmetic
+
+
+def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF) -> list[Part]:
     """Elimination tree in postorder (children before parents) for a cubic lattice of free spheres.
 
     shape : free spheres along each axis; unknown number = sphere * components + position in `spin_axes`.

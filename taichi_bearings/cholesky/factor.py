@@ -3,11 +3,10 @@
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from taichi_bearings.cholesky.dissection import Part, dissect
+from taichi_bearings.cholesky.dissection import Part
 from taichi_bearings.cholesky.fronts import Pattern, analyse
 from taichi_bearings.kernels.assembly import assemble
 
-LEAF = 150  # unknowns a leaf holds: smaller ones cost more in calls than they save in arithmetic
 SERIAL = 20_000  # entries of a depth below which one worker assembles faster than a team
 
 
@@ -15,24 +14,15 @@ class NotPositiveDefinite(ArithmeticError):
     """The matrix is not positive definite to working precision."""
 
 
-class LatticeCholesky:
-    """Cholesky factorisation of a symmetric positive definite matrix over the spins of a lattice of free spheres.
+class Cholesky:
+    """Cholesky factorisation of a symmetric positive definite matrix with a given elimination tree.
 
-    shape : free spheres along each axis; spin_axes : components. first, second : coupled unknowns, pairwise.
+    parts : the tree, at most two children a part. first, second : coupled unknowns, pairwise.
     Values are given for the entries (pattern.row, pattern.column); where they go, `pattern.entry` tells.
     """
 
-    def __init__(
-        self, shape: tuple[int, ...], spin_axes: tuple[int, ...], first: np.ndarray, second: np.ndarray
-    ) -> None:
-        self._prepare(analyse(dissect(shape, spin_axes, LEAF), first, second))
-
-    @classmethod
-    def of_parts(cls, parts: list[Part], first: np.ndarray, second: np.ndarray) -> "LatticeCholesky":
-        """The same for any elimination tree with at most two children a part."""
-        made = cls.__new__(cls)
-        made._prepare(analyse(parts, first, second))
-        return made
+    def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
+        self._prepare(analyse(parts, first, second))
 
     def _prepare(self, pattern: Pattern) -> None:
         self.pattern = pattern

@@ -5,7 +5,9 @@ coefficient times the normal force, so that every number is of order one whateve
 lattice axis form a group: the vectors (d, n) across its n contacts have d components (PHYSICS 3).
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -17,127 +19,128 @@ from taichi_bearings.scene import Scene
 
 @dataclass(frozen=True)
 class ContactGroup:
-    """The contacts along one lattice axis that can slip.
+    """n contacts along one lattice axis, each with d slipping components.
 
-    axis : lattice axis. slots : positions in `spin_axes` of the d components that slip.
-    acting : mask over the contacts of the axis, (*contacts), True for the n contacts listed.
-    below, above : number of the free sphere at either end, (n,); -1 where it is driven.
-    difference : (d*n, unknowns); offset : (d, n), what the driven planes add to the differences.
+    axis : lattice axis. acting : (n,) flat positions among all contacts of the axis.
+    below, above : (d, n), the unknown at either end; -1 where the spin is imposed.
+    offset : (d, n), what the imposed spins add to the difference.
+    unknowns : length of a vector of spins.
     """
 
     axis: int
-    slots: tuple[int, ...]
     acting: np.ndarray
     below: np.ndarray
     above: np.ndarray
-    difference: sparse.csr_matrix
     offset: np.ndarray
-    transposed: sparse.csr_matrix
+    unknowns: int
+
+    @cached_property
+    def operator(self) -> sparse.csr_matrix:
+        """(d*n, unknowns): the part of the differences that is linear in the spins."""
+        row = np.arange(self.below.size)
+        ends = [(self.below.ravel(), -1.0), (self.above.ravel(), 1.0)]
+        rows = np.concatenate([row[end >= 0] for end, _ in ends])
+        columns = np.concatenate([end[end >= 0] for end, _ in ends])
+        signs = np.concatenate([np.full((end >= 0).sum(), sign) for end, sign in ends])
+        return sparse.csr_matrix((signs, (rows, columns)), shape=(self.below.size, self.unknowns))
+
+    @cached_property
+    def transposed(self) -> sparse.csr_matrix:
+        return self.operator.T.tocsr()
+
+    def change(self, step: np.ndarray) -> np.ndarray:
+        """Change of the differences (d, n) that a change of the spins (unknowns,) makes."""
+        return (self.operator @ step).reshape(self.offset.shape)
 
     def differences(self, spins: np.ndarray) -> np.ndarray:
-        """Difference of the spins across each contact, (d, n), from the free spins (unknowns,)."""
-        return (self.difference @ spins).reshape(self.offset.shape) + self.offset
+        """Difference of the spins across each contact, (d, n)."""
+        return self.change(spins) + self.offset
 
 
+@dataclass(frozen=True)
 class ContactSystem:
-    """What all samples on one lattice with one driving share. Unknown number = free sphere * components + slot."""
+    """Groups of contacts over a common vector of unknown spins."""
 
-    def __init__(self, lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> None:
-        """jump : (C,), staggered spin of the top minus that of the bottom, in units of the whole jump."""
-        self.lattice, self.spin_axes = lattice, spin_axes
-        self.free_shape = (*lattice.shape[:-1], lattice.shape[-1] - 2)
-        self.components = len(spin_axes)
-        self.unknowns = int(np.prod(self.free_shape)) * self.components
-        sphere = np.full(lattice.shape, -1)
-        sphere[..., 1:-1] = np.arange(self.unknowns // self.components).reshape(self.free_shape)
-        self.groups = tuple(
-            group for axis in range(lattice.dimension) if (group := self._group(axis, sphere, jump)) is not None
-        )
-
-    def _group(self, axis: int, sphere: np.ndarray, jump: np.ndarray) -> ContactGroup | None:
-        slots = tangential(axis, self.spin_axes)
-        if not slots:
-            return None
-        dimension = self.lattice.dimension
-        acting = ~self.lattice.between_driven(axis)
-        below, above = lower(sphere, axis, dimension)[acting], upper(sphere, axis, dimension)[acting]
-        at_top = upper(np.broadcast_to(np.arange(sphere.shape[-1]), sphere.shape), axis, dimension)[acting]
-        ends_at_top = (above < 0) & (at_top == sphere.shape[-1] - 1)
-        count = len(below)
-        rows, columns, signs = [], [], []
-        for component, slot in enumerate(slots):
-            for ends, sign in ((below, -1.0), (above, 1.0)):
-                free = np.flatnonzero(ends >= 0)
-                rows.append(component * count + free)
-                columns.append(ends[free] * self.components + slot)
-                signs.append(np.full(len(free), sign))
-        difference = sparse.csr_matrix(
-            (np.concatenate(signs), (np.concatenate(rows), np.concatenate(columns))),
-            shape=(len(slots) * count, self.unknowns),
-        )
-        offset = jump[list(slots)][:, None] * ends_at_top
-        return ContactGroup(axis, slots, acting, below, above, difference, offset, difference.T.tocsr())
+    unknowns: int
+    groups: tuple[ContactGroup, ...]
 
     def torques(self, forces: list[np.ndarray]) -> np.ndarray:
         """Transpose of the differences: (unknowns,) from one array (d, n) a group."""
-        return np.sum([g.transposed @ f.ravel() for g, f in zip(self.groups, forces, strict=True)], axis=0)
+        total = np.zeros(self.unknowns)
+        for group, force in zip(self.groups, forces, strict=True):
+            total += group.transposed @ force.ravel()
+        return total
 
-    def couplings(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of unknowns that some contact couples."""
-        first, second = [], []
-        for group, i, j, _ in self._blocks():
-            for a, b in ((group.below, group.below), (group.above, group.above)):
-                if i != j:
-                    first.append(a[a >= 0] * self.components + group.slots[i])
-                    second.append(b[b >= 0] * self.components + group.slots[j])
-            inner = (group.below >= 0) & (group.above >= 0)
-            for p, q in ((i, j), (j, i)):
-                first.append(group.below[inner] * self.components + group.slots[p])
-                second.append(group.above[inner] * self.components + group.slots[q])
-        return np.concatenate(first), np.concatenate(second)
-
-    def _blocks(self):  # type: ignore[no-untyped-def]
+    def _blocks(self) -> Iterator[tuple[ContactGroup, int, int, int]]:
         """(group, i, j, start) for each entry i <= j of the d x d stiffness of a group, stacked in this order."""
         start = 0
         for group in self.groups:
-            for i in range(len(group.slots)):
-                for j in range(i, len(group.slots)):
+            for i in range(len(group.below)):
+                for j in range(i, len(group.below)):
                     yield group, i, j, start
-                    start += len(group.below)
+                    start += group.below.shape[1]
 
-    def laplacian_map(self, entry) -> sparse.csr_matrix:  # type: ignore[no-untyped-def]
+    def _entries(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
+        """(first unknown, second unknown, stacked stiffness, sign) of all terms of the Laplacian, each pair once."""
+        for group, i, j, start in self._blocks():
+            source = start + np.arange(group.below.shape[1])
+            pairs = [(group.below[i], group.below[j], 1.0), (group.above[i], group.above[j], 1.0)]
+            pairs.append((group.below[i], group.above[j], -1.0))
+            if i != j:
+                pairs.append((group.below[j], group.above[i], -1.0))
+            for first, second, sign in pairs:
+                free = (first >= 0) & (second >= 0)
+                yield first[free], second[free], source[free], sign
+
+    def couplings(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of unknowns that some contact couples."""
+        pairs = list(self._entries())
+        return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+
+    def laplacian_map(self, entry: Callable, entries: int) -> sparse.csr_matrix:
         """Matrix from the stacked stiffnesses of all contacts to the stored entries of the weighted Laplacian.
 
-        entry : function (first unknowns, second unknowns) -> places of the stored entries.
+        entry : function (first unknowns, second unknowns) -> places of the stored entries, of which there are `entries`.
         """
-        places, sources, signs = [], [], []
-
-        def add(first: np.ndarray, second: np.ndarray, source: np.ndarray, sign: float) -> None:
-            places.append(entry(first, second))
-            sources.append(source)
-            signs.append(np.full(len(first), sign))
-
-        columns = 0
-        for group, i, j, start in self._blocks():
-            source = start + np.arange(len(group.below))
-            columns = start + len(group.below)
-            p, q = group.slots[i], group.slots[j]
-            for ends in (group.below, group.above):
-                free = ends >= 0
-                add(ends[free] * self.components + p, ends[free] * self.components + q, source[free], 1.0)
-            inner = (group.below >= 0) & (group.above >= 0)
-            low, high = group.below[inner] * self.components, group.above[inner] * self.components
-            add(low + p, high + q, source[inner], -1.0)
-            if i != j:
-                add(low + q, high + p, source[inner], -1.0)
-        where = (np.concatenate(places), np.concatenate(sources))
-        shape = (int(where[0].max()) + 1, columns)
-        return sparse.csr_matrix((np.concatenate(signs), where), shape=shape)
+        terms = [(entry(first, second), source, sign) for first, second, source, sign in self._entries()]
+        places, sources = np.concatenate([t[0] for t in terms]), np.concatenate([t[1] for t in terms])
+        signs = np.concatenate([np.full(len(t[0]), t[2]) for t in terms])
+        columns = sum(len(g.below) * (len(g.below) + 1) // 2 * g.below.shape[1] for g in self.groups)
+        return sparse.csr_matrix((signs, (places, sources)), shape=(entries, columns))
 
 
 def stacked(stiffness: list[np.ndarray]) -> np.ndarray:
     """Upper triangles of the stiffnesses, one array (d, d, n) a group, in the order that `laplacian_map` expects."""
     return np.concatenate([k[i, j] for k in stiffness for i in range(len(k)) for j in range(i, len(k))])
+
+
+def free_shape(lattice: Lattice) -> tuple[int, ...]:
+    """Free spheres along each axis."""
+    return (*lattice.shape[:-1], lattice.shape[-1] - 2)
+
+
+def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
+    """All contacts of a lattice that can slip; unknown = free sphere * components + position in `spin_axes`.
+
+    jump : (C,), staggered spin of the top minus that of the bottom.
+    """
+    sphere = np.full(lattice.shape, -1)
+    free = int(np.prod(free_shape(lattice)))
+    sphere[..., 1:-1] = np.arange(free).reshape(free_shape(lattice))
+    is_top = np.zeros(lattice.shape, dtype=bool)
+    is_top[..., -1] = True
+    groups = []
+    for axis in range(lattice.dimension):
+        slots = np.array(tangential(axis, spin_axes), dtype=int)[:, None]
+        if len(slots) == 0:
+            continue
+        acting = np.flatnonzero(~lattice.between_driven(axis).ravel())
+        below = lower(sphere, axis, lattice.dimension).ravel()[acting]
+        above = upper(sphere, axis, lattice.dimension).ravel()[acting]
+        offset = jump[slots] * upper(is_top, axis, lattice.dimension).ravel()[acting]
+        ends = [np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above)]
+        groups.append(ContactGroup(axis, acting, *ends, offset, free * len(spin_axes)))
+    return ContactSystem(free * len(spin_axes), tuple(groups))
 
 
 def jump_of(scene: Scene) -> np.ndarray:

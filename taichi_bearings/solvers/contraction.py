@@ -1,0 +1,85 @@
+"""Tie together the spins that slipless contacts join, and carry on with what is left.
+
+A slipless contact makes the spin components across it equal. Near the minimum that leaves about one unknown in six at
+32^3, and a contact system in which no stiffness is huge: there the last digits can be had.
+"""
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.cholesky import Part
+from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem
+
+
+class Contraction:
+    """The contacts that are left, over one unknown for each set of tied spins.
+
+    system : contacts that are not tied, over the new unknowns; kept : per group, their positions in the old system.
+    parts : elimination tree over the new unknowns.
+    """
+
+    def __init__(self, whole: ContactSystem, parts: list[Part], tied: list[np.ndarray]) -> None:
+        """whole : contacts before; parts : elimination tree over their unknowns; tied : (n,) mask a group."""
+        self._label(whole, tied)
+        self.kept = [np.flatnonzero(~mask) for mask in tied]
+        groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]
+        self.system = ContactSystem(self.unknowns, tuple(groups))
+        self.parts = self._contracted_parts(parts)
+
+    def _label(self, whole: ContactSystem, tied: list[np.ndarray]) -> None:
+        """Number of the set that each spin belongs to, or its imposed value if the set is tied to a driven plane."""
+        first, second, imposed, value = [], [], [], []
+        for group, mask in zip(whole.groups, tied, strict=True):
+            below, above, offset = group.below[:, mask].ravel(), group.above[:, mask].ravel(), group.offset[:, mask]
+            both = (below >= 0) & (above >= 0)
+            first.append(below[both])
+            second.append(above[both])
+            # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
+            for end, other, sign in ((below, above, 1.0), (above, below, -1.0)):
+                only = (end >= 0) & (other < 0)
+                imposed.append(end[only])
+                value.append(sign * offset.ravel()[only])
+        a, b = np.concatenate(first), np.concatenate(second)
+        graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(whole.unknowns,) * 2)
+        count, label = connected_components(graph, directed=False)
+        self.value = np.full(count, np.nan)
+        self.value[label[np.concatenate(imposed)]] = np.concatenate(value)
+        is_free = np.isnan(self.value)
+        number = np.where(is_free, np.cumsum(is_free) - 1, -1)
+        self.unknowns = int(is_free.sum())
+        self.number, self.imposed = number[label], np.where(is_free, 0.0, self.value)[label]
+
+    def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
+        """The contacts `keep` with the ends renamed; components with both ends in one set never slip."""
+        below, above, offset = group.below[:, keep], group.above[:, keep], group.offset[:, keep].copy()
+        ends = []
+        for end, sign in ((below, -1.0), (above, 1.0)):
+            offset += sign * np.where(end >= 0, self.imposed[end], 0.0)
+            ends.append(np.where(end >= 0, self.number[end], -1))
+        same = ends[0] == ends[1]
+        below, above = (np.where(same, -1, end) for end in ends)
+        return ContactGroup(group.axis, group.acting[keep], below, above, offset, self.unknowns)
+
+    def _contracted_parts(self, parts: list[Part]) -> list[Part]:
+        """A set goes to the part nearest the root that holds one of its spins: it is connected, so there is just one."""
+        home = np.full(self.unknowns, -1)
+        for place, part in enumerate(parts):  # children come first, so the last one to write is nearest the root
+            numbers = self.number[part.unknowns]
+            home[numbers[numbers >= 0]] = place
+        members = np.argsort(home, kind="stable")
+        bounds = np.searchsorted(home[members], np.arange(len(parts) + 1))
+        return [
+            Part(members[begin:end], part.children)
+            for part, begin, end in zip(parts, bounds[:-1], bounds[1:], strict=True)
+        ]
+
+    def contracted(self, spins: np.ndarray) -> np.ndarray:
+        """Mean of the tied spins, (unknowns,)."""
+        free = self.number >= 0
+        total = np.bincount(self.number[free], weights=spins[free], minlength=self.unknowns)
+        return total / np.bincount(self.number[free], minlength=self.unknowns)
+
+    def expanded(self, spins: np.ndarray) -> np.ndarray:
+        """Spins of the whole system: equal within each set."""
+        return np.where(self.number >= 0, spins[self.number], self.imposed)

@@ -1,0 +1,23 @@
+"""The matrix of a Newton step: a Laplacian over the spins with a d x d stiffness at every contact."""
+
+import numpy as np
+
+from taichi_bearings.cholesky import Cholesky, Part
+from taichi_bearings.solvers.contact_system import ContactSystem, stacked
+
+
+class NewtonMatrix:
+    """Factorised weighted Laplacian of a contact system; the pattern is analysed once."""
+
+    def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
+        """parts : elimination tree over the unknowns of `system`."""
+        self._cholesky = Cholesky(parts, *system.couplings())
+        pattern = self._cholesky.pattern
+        self._map = system.laplacian_map(pattern.entry, len(pattern.row))
+
+    def factorise(self, stiffness: list[np.ndarray]) -> None:
+        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group."""
+        self._cholesky.factorise(self._map @ stacked(stiffness))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        return self._cholesky.solve(right)
