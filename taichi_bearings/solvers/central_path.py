@@ -141,7 +141,8 @@ class _Direction:
         self._expand()
         along, dual_along = min(1.0, STEP_SHARE * self.along), min(1.0, STEP_SHARE * self.dual_along)
         iterate.spins = iterate.spins + along * self.spins
-        iterate.difference = [g.differences(iterate.spins) for g in self.groups]
+        # not from the spins anew: their rounding is coarser than the last distances from the cones
+        iterate.difference = [z + along * step[1] for z, step in zip(iterate.difference, self.steps, strict=True)]
         iterate.bound = [b + along * step[0] for b, step in zip(iterate.bound, self.steps, strict=True)]
         iterate.dual = [y + dual_along * step[2] for y, step in zip(iterate.dual, self.steps, strict=True)]
         return min(along, dual_along)

@@ -1,10 +1,14 @@
-"""Tell slipping from slipless contacts when the interior-point method has done all that double precision allows.
+"""The exact minimum, from a point near the end of the central path: which contacts slip, to the last decade of slip.
 
-On the central path slip times friction margin is about the same for all contacts, so a slip of 1e-9 can be seen only if
-margins of 1e-9 can. Here the contacts that surely stick are tied (contraction.py), those that surely slip follow their
-friction law exactly, and only the few in doubt keep their cone, whose complementarity can then be brought down by ten
-further decades. In the end nobody is in doubt: slipless contacts are tied, their slips are exactly zero, and Newton's
-method finds the minimum of what is then a smooth function.
+On the central path slip times friction margin is the same for all contacts, so a slip of 1e-9 can be seen only where
+margins of 1e-9 can, and double precision ends before. Here
+
+1. contacts that surely stick are tied (contraction.py) and the path is followed in the few unknowns that are left;
+2. contacts that surely slip then leave their cones and obey their friction law exactly, so that the products of slip
+   and margin of those in doubt can be brought down by another ten decades, until nobody is in doubt;
+3. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum;
+4. the forces of the tied contacts are balanced anew. If they fit into their friction discs, the contact states are those
+   of a minimum; contacts that cannot hold their force are untied and all is done once more.
 """
 
 from dataclasses import dataclass
@@ -12,199 +16,264 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.cholesky import NotPositiveDefinite, Part
+from taichi_bearings.solvers.central_path import Iterate, newton_step
 from taichi_bearings.solvers.cone import Scaling, determinant, inner, length, longest_step
 from taichi_bearings.solvers.contact_system import ContactSystem
 from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
-SURE = 1e3  # ratio of slip and margin (both relative) from which a contact is not in doubt when the path is left
-DECIDED = 1e4  # and from which it counts as decided in the end
-SMOOTH = 1e3  # slips above SMOOTH * sqrt(complementarity) follow the friction law exactly
-STEPS, LAST_STEPS = 25, 6
+DECIDED = 1e4  # ratio from which a contact counts as decided in the end
+CONES_END = 1e-14  # product of slip and margin at which cones alone lose their precision
+ROUNDS, STEPS, LAST_STEPS, BALANCE_STEPS = 3, 40, 8, 15
+HELD = 1e-13  # stiffness of forces that are held
+WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
+TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,); dual (d, n) and slipping (n,) a group. worst : largest last change of a slip, relative to it."""
+    """spins (unknowns,); dual (d, n), minus the forces, and slipping (n,) a group."""
 
     spins: np.ndarray
     dual: list[np.ndarray]
     slipping: list[np.ndarray]
-    worst: float
 
 
-def resolve(
-    system: ContactSystem,
-    parts: list[Part],
-    friction: list[np.ndarray],
-    spins: np.ndarray,
-    bound: list[np.ndarray],
-    dual: list[np.ndarray],
-    complementarity: float,
-) -> Resolved | None:
-    """Exact contact states from a nearly optimal primal-dual pair; None if some contact stays in doubt.
+def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], matrix: NewtonMatrix) -> Resolved | None:
+    """Spins, forces and contact states at the minimum; None if they cannot be had in double precision.
 
-    friction (n,), dual (d, n) a group: minus the forces. complementarity : mean of |slip| times margin of the pair.
+    iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
+    parts, matrix : of its system.
     """
-    slip = [length(g.differences(spins)) for g in system.groups]
-    margin = [1 - length(y) / mu for y, mu in zip(dual, friction, strict=True)]
-    root = np.sqrt(complementarity)
-    tied = [(m > SURE * s) & (m > SURE * root) for m, s in zip(margin, slip, strict=True)]
-    first = Contraction(system, parts, tied)
     try:
-        path = _Path(first, friction, spins, [b - s for b, s in zip(bound, slip, strict=True)], dual, complementarity)
-        if not path.decide():
-            return None
-        slipping = [np.zeros(len(mu), dtype=bool) for mu in friction]
-        dual = [y.copy() for y in dual]
-        for all_slipping, y, keep, mask, new in zip(
-            slipping, dual, first.kept, path.slipping, path.dual, strict=True
-        ):
-            all_slipping[keep] = mask
-            y[:, keep] = new
-        return _minimum(system, parts, friction, first.expanded(path.spins), dual, slipping)
+        for _ in range(ROUNDS):
+            path = _Path(iterate, Contraction(iterate.system, parts, tied))
+            if not path.decide():
+                return None
+            found = _minimum(iterate, parts, path)
+            if found is None:
+                return None
+            dual, weak = _balanced(iterate, matrix, found)
+            if dual is not None:
+                return Resolved(found.spins, dual, found.slipping)
+            tied = [t & ~w for t, w in zip(tied, weak, strict=True)]
     except NotPositiveDefinite:
-        return None
+        pass
+    return None
 
 
 class _Path:
-    """The central path of the contacts that are not tied, those that surely slip taken out of their cones."""
+    """The central path over the contacts that are not tied."""
 
-    def __init__(
-        self,
-        contraction: Contraction,
-        friction: list[np.ndarray],
-        spins: np.ndarray,
-        slack: list[np.ndarray],
-        dual: list[np.ndarray],
-        complementarity: float,
-    ) -> None:
-        self.groups = contraction.system.groups
-        self.system = contraction.system
-        self.matrix = NewtonMatrix(contraction.system, contraction.parts)
-        self.friction = [mu[keep] for mu, keep in zip(friction, contraction.kept, strict=True)]
-        self.dual = [y[:, keep] for y, keep in zip(dual, contraction.kept, strict=True)]
-        self.spins = contraction.contracted(spins)
-        self.difference = [g.differences(self.spins) for g in self.groups]
-        self.target = complementarity
-        self.bound = [length(z) + b[keep] for z, b, keep in zip(self.difference, slack, contraction.kept, strict=True)]
-        self.smooth = [np.zeros(len(mu), dtype=bool) for mu in self.friction]
-
-    def _central(self, mu: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Bounds (n,) that the central path has for these slips."""
-        return (self.target / mu + np.hypot(self.target / mu, 2 * length(z))) / 2
+    def __init__(self, whole: Iterate, contraction: Contraction) -> None:
+        self.contraction, self.dual = contraction, whole.dual
+        system, kept = contraction.system, contraction.kept
+        self.matrix = NewtonMatrix(system, contraction.parts)
+        spins = contraction.contracted(whole.spins)
+        difference = [g.differences(spins) for g in system.groups]
+        slack = [b[k] - length(z[:, k]) for b, z, k in zip(whole.bound, whole.difference, kept, strict=True)]
+        self.point = Iterate(
+            system,
+            spins,
+            [mu[k] for mu, k in zip(whole.friction, kept, strict=True)],
+            [length(z) + b for z, b in zip(difference, slack, strict=True)],
+            difference,
+            [y[:, k] for y, k in zip(whole.dual, kept, strict=True)],
+        )
+        self.smooth = [np.zeros(len(mu), dtype=bool) for mu in self.point.friction]
+        self.target = self.point.complementarity
 
     def decide(self) -> bool:
         """Follow the path until slip and margin of every contact differ by DECIDED; False if that fails."""
         for _ in range(STEPS):
-            along = self._step()
-            ratio = [self._ratio(*contact) for contact in zip(self.friction, self.difference, self.dual, strict=True)]
-            self.slipping = [r > 1 for r in ratio]
-            if along > 0.5 and all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratio):
+            if self._decided():
                 return True
-            if along > 0.5:
+            if self.target > CONES_END:
+                newton_step(self.point, self.matrix)
+                self.target = self.point.complementarity
+                if self.target <= CONES_END:
+                    self.target *= 0.1
+            elif self._step() > 0.5:
                 self.target *= 0.1
-            elif along < 1e-3:
-                self.target *= 2.0
         return False
 
-    def _ratio(self, mu: np.ndarray, z: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return length(z) / np.maximum(1 - length(y) / mu, np.finfo(float).tiny)
+    def _decided(self) -> bool:
+        ratio = [
+            length(z) / np.maximum(1 - length(y) / mu, TINY)
+            for mu, z, y in zip(self.point.friction, self.point.difference, self.point.dual, strict=True)
+        ]
+        self.slipping = [r > 1 for r in ratio]
+        return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratio)
+
+    def _leave_cones(self) -> None:
+        """Sort contacts into those that obey their friction law exactly and those that keep a cone."""
+        point = self.point
+        # beyond this slip, the distance from the cone is lost in rounding; far above sqrt(target) in any case
+        limit = max(self.target / (200 * np.finfo(float).eps), 100 * np.sqrt(self.target))
+        for mu, z, y, b, smooth in zip(
+            point.friction, point.difference, point.dual, point.bound, self.smooth, strict=True
+        ):
+            back = smooth & (length(z) <= limit)
+            b[back] = ((self.target / mu + np.hypot(self.target / mu, 2 * length(z))) / 2)[back]
+            y[:, back] = -mu[back] * z[:, back] / b[back]
+            smooth[:] = length(z) > limit
+            y[:, smooth] = -mu[smooth] * z[:, smooth] / length(z[:, smooth])
 
     def _step(self) -> float:
-        limit = SMOOTH * np.sqrt(self.target)
-        pulls, expansions, stiffnesses = [], [], []
-        for mu, z, y, b, s in zip(self.friction, self.difference, self.dual, self.bound, self.smooth, strict=True):
-            back = s & (length(z) <= limit)
-            b[back] = self._central(mu, z)[back]
-            y[:, back] = -mu[back] * z[:, back] / b[back]
-            s[:] = length(z) > limit
-            y[:, s] = -mu[s] * z[:, s] / length(z[:, s])
+        """One Newton step towards products of slip and margin equal to the target; returns its length."""
+        self._leave_cones()
+        point, system = self.point, self.point.system
+        pulls, stiffnesses, cones = [], [], []
+        for mu, z, y, b, smooth in zip(
+            point.friction, point.difference, point.dual, point.bound, self.smooth, strict=True
+        ):
+            cone = ~smooth
             stiffness = np.zeros((len(z), *z.shape))
-            stiffness[:, :, s] = friction_stiffness(mu[s], z[:, s], self.target)
-            cone = ~s
+            stiffness[:, :, smooth] = friction_stiffness(mu[smooth], z[:, smooth])
             primal, dual = (b[cone], z[:, cone]), (mu[cone], y[:, cone])
             diagonal, off, stiffness[:, :, cone] = Scaling.of(primal, dual).newton_blocks()
-            det = determinant(primal)
-            head = -dual[0] + self.target * primal[0] / det
-            tail = -dual[1] - self.target * primal[1] / det
+            head = -dual[0] + self.target * primal[0] / determinant(primal)
             pull = y.copy()
-            pull[:, cone] += tail - off * (head / diagonal)
+            pull[:, cone] = -self.target * primal[1] / determinant(primal) - off * (head / diagonal)
             pulls.append(pull)
             stiffnesses.append(stiffness)
-            expansions.append((cone, diagonal, off, head))
+            cones.append((cone, diagonal, off, head))
         self.matrix.factorise(stiffnesses)
-        step, change, new_dual = self._solved(pulls, stiffnesses)
-        along, dual_along = 1.0, 1.0
-        moves = []
-        for mu, z, y, b, dz, yn, (cone, diagonal, off, head) in zip(
-            self.friction, self.difference, self.dual, self.bound, change, new_dual, expansions, strict=True
+        step, change, new_dual = self._solved(system, pulls, stiffnesses)
+        along, dual_along, moves = 1.0, 1.0, []
+        for mu, z, y, b, dz, y_new, (cone, diagonal, off, head) in zip(
+            point.friction, point.difference, point.dual, point.bound, change, new_dual, cones, strict=True
         ):
-            db = (head - inner(off, dz[:, cone])) / diagonal
-            dy = (yn - y)[:, cone]
+            db, dy = (head - inner(off, dz[:, cone])) / diagonal, (y_new - y)[:, cone]
             along = min(along, 0.9 * longest_step((b[cone], z[:, cone]), (db, dz[:, cone])))
-            dual_along = min(dual_along, 0.9 * longest_step((mu[cone], y[:, cone]), (0 * db, dy)))
-            if not cone.all():
-                along = min(along, float((0.5 * length(z) / np.maximum(length(dz), 1e-300))[~cone].min()))
+            dual_along = min(dual_along, 0.9 * longest_step((mu[cone], y[:, cone]), (np.zeros_like(db), dy)))
+            shortest = (length(z) / np.maximum(length(dz), TINY))[~cone].min(initial=np.inf)
+            along = min(along, 0.5 * float(shortest))
             moves.append((cone, db, dy))
-        self.spins = self.spins + along * step
+        point.spins = point.spins + along * step
         for z, dz, y, b, (cone, db, dy) in zip(
-            self.difference, change, self.dual, self.bound, moves, strict=True
+            point.difference, change, point.dual, point.bound, moves, strict=True
         ):
-            z += along * dz  # not from the spins, whose rounding is coarser than the distances from the cones
+            z += along * dz
             b[cone] += along * db
             y[:, cone] += dual_along * dy
         return min(along, dual_along)
 
-    def _solved(self, pulls: list, stiffnesses: list) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+    def _solved(
+        self, system: ContactSystem, pulls: list[np.ndarray], stiffnesses: list[np.ndarray]
+    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         """Step of the spins, changes of the differences, and the dual that balances; refined twice."""
-        step = self.matrix.solve(self.system.torques(pulls))
-        for _ in range(2):
-            new = [p - np.einsum("ijn,jn->in", k, g.change(step)) for p, k, g in zip(pulls, stiffnesses, self.groups, strict=True)]
-            step = step + self.matrix.solve(self.system.torques(new))
-        change = [g.change(step) for g in self.groups]
-        new = [p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)]
-        return step, change, new
+        step = np.zeros(system.unknowns)
+        for _ in range(3):
+            change = [g.change(step) for g in system.groups]
+            dual = [
+                p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)
+            ]
+            step = step + self.matrix.solve(system.torques(dual))
+        change = [g.change(step) for g in system.groups]
+        dual = [p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)]
+        return step, change, dual
 
 
-def friction_stiffness(friction: np.ndarray, difference: np.ndarray, complementarity: float = 0.0) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference|, plus the weak complementarity / slip^2 along the slip."""
+def friction_stiffness(friction: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    """Second derivative (d, d, n) of friction * |difference|, plus the weak WEAK / slip^2 along the slip."""
     size = length(difference)
     along = difference / size
-    stiffness = (complementarity / size**2) * along[:, None] * along[None, :]
+    stiffness = (WEAK / size**2) * along[:, None] * along[None, :]
     if len(along) == 2:
         across = np.stack([-along[1], along[0]])
         stiffness = stiffness + (friction / size) * across[:, None] * across[None, :]
     return stiffness
 
 
-def _minimum(
-    system: ContactSystem,
-    parts: list[Part],
-    friction: list[np.ndarray],
-    spins: np.ndarray,
-    dual: list[np.ndarray],
-    slipping: list[np.ndarray],
-) -> Resolved:
+def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
     """Newton's method on the power of the slipping contacts, all others tied."""
-    last = Contraction(system, parts, [~mask for mask in slipping])
-    reduced = last.contracted(spins)
+    slipping = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
+    dual = [y.copy() for y in path.dual]
+    for s, y, keep, mask, new in zip(slipping, dual, path.contraction.kept, path.slipping, path.point.dual, strict=True):
+        s[keep] = mask
+        y[:, keep] = new
+    last = Contraction(whole.system, parts, [~s for s in slipping])
+    spins = last.contracted(path.contraction.expanded(path.point.spins))
     groups = last.system.groups
-    mu = [f[keep] for f, keep in zip(friction, last.kept, strict=True)]
-    worst = np.inf
-    if last.unknowns:
-        matrix = NewtonMatrix(last.system, last.parts)
-        for _ in range(LAST_STEPS):
-            difference = [g.differences(reduced) for g in groups]
-            matrix.factorise([friction_stiffness(f, z, 1e-22) for f, z in zip(mu, difference, strict=True)])
-            pull = [-f * z / length(z) for f, z in zip(mu, difference, strict=True)]
-            step = matrix.solve(last.system.torques(pull))
-            changes = [length(g.change(step)) / length(z) for g, z in zip(groups, difference, strict=True)]
-            worst = max(float(c.max(initial=0.0)) for c in changes)
-            reduced = reduced + min(1.0, 0.5 / worst) * step
-            if worst < 1e-9:
-                break
-    difference = [g.differences(reduced) for g in groups]
-    for y, f, z, keep in zip(dual, mu, difference, last.kept, strict=True):
-        y[:, keep] = -f * z / length(z)
-    return Resolved(last.expanded(reduced), dual, slipping, worst)
+    friction = [mu[keep] for mu, keep in zip(whole.friction, last.kept, strict=True)]
+    matrix = NewtonMatrix(last.system, last.parts) if last.unknowns else None
+    worst = 0.0
+    for _ in range(LAST_STEPS):
+        difference = [g.differences(spins) for g in groups]
+        if any((length(z) == 0).any() for z in difference):
+            return None
+        if matrix is None:
+            break
+        matrix.factorise([friction_stiffness(mu, z) for mu, z in zip(friction, difference, strict=True)])
+        step = matrix.solve(last.system.torques([-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]))
+        changes = [length(g.change(step)) / length(z) for g, z in zip(groups, difference, strict=True)]
+        worst = max(float(c.max(initial=0.0)) for c in changes)
+        if not np.isfinite(worst):
+            return None
+        spins = spins + min(1.0, 0.5 / max(worst, TINY)) * step
+        if worst < 1e-9:
+            break
+    if worst > 1e-2:
+        return None
+    for y, mu, g, keep in zip(dual, friction, groups, last.kept, strict=True):
+        z = g.differences(spins)
+        y[:, keep] = -mu * z / length(z)
+    return Resolved(last.expanded(spins), dual, slipping)
+
+
+def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> tuple[list[np.ndarray] | None, list[np.ndarray]]:
+    """Forces of the slipless contacts that leave no torque and fit into the friction discs, slipping ones as they are.
+
+    Newton's method for the analytic centre of such forces, from forces inside the discs that leave torques: every step
+    of length a takes away a share a of the torques. returns : the dual, or None with the contacts in the way.
+    """
+    system = whole.system
+    dual = [np.where(s, y, _inside(y, mu)) for y, mu, s in zip(found.dual, whole.friction, found.slipping, strict=True)]
+    for _ in range(BALANCE_STEPS):
+        stiffness, pull = [], []
+        for mu, y, s in zip(whole.friction, dual, found.slipping, strict=True):
+            room = np.where(s, 1.0, mu**2 - inner(y, y))
+            rest = room + 2 * inner(y, y)
+            soft = (room / 2) * (np.eye(len(y))[:, :, None] - (2 / rest) * y[:, None] * y[None, :])
+            stiffness.append(np.where(s, HELD * np.eye(len(y))[:, :, None], soft))
+            pull.append(np.where(s, y, y - y * room / rest))
+        matrix.factorise(stiffness)
+        potential = np.zeros(system.unknowns)
+        for _ in range(3):
+            changed = [
+                p - np.einsum("ijn,jn->in", k, g.change(potential))
+                for p, k, g in zip(pull, stiffness, system.groups, strict=True)
+            ]
+            potential = potential + matrix.solve(system.torques(changed))
+        changed = [
+            p - np.einsum("ijn,jn->in", k, g.change(potential))
+            for p, k, g in zip(pull, stiffness, system.groups, strict=True)
+        ]
+        reach = [
+            _reach(y[:, ~s], (new - y)[:, ~s], mu[~s])
+            for y, new, mu, s in zip(dual, changed, whole.friction, found.slipping, strict=True)
+        ]
+        longest = min(float(a.min(initial=np.inf)) for a in reach)
+        along = 1.0 if longest > 1 else 0.95 * longest
+        if along == 1.0:
+            return changed, []
+        dual = [
+            np.where(s, y, y + along * (new - y))
+            for y, new, s in zip(dual, changed, found.slipping, strict=True)
+        ]
+    weak = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
+    for w, s, a in zip(weak, found.slipping, reach, strict=True):
+        w[np.flatnonzero(~s)[a < 2 * longest]] = True
+    return None, weak
+
+
+def _inside(dual: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    """The dual, no longer than 0.99 of the friction."""
+    return dual * np.minimum(1.0, 0.99 * friction / np.maximum(length(dual), TINY))
+
+
+def _reach(dual: np.ndarray, step: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    """How far each may go along the step within its friction disc, (n,)."""
+    a, b, c = inner(step, step), inner(dual, step), friction**2 - inner(dual, dual)
+    return c / (b + np.sqrt(b * b + a * c) + TINY)
