@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 
 import click
 from taichi_bearings_cli.options import json_option
@@ -9,7 +10,7 @@ from taichi_bearings_cli.options import json_option
 
 @click.group()
 def command() -> None:
-    """Measure speed, as ratios within one run."""
+    """Measure speed and accuracy."""
 
 
 @command.command()
@@ -49,3 +50,71 @@ def throughput(shape: str, threads: str | None, as_json: bool) -> None:
             f"{row.what:22} {row.components:>10} {row.threads:>8} {row.seconds * 1e6:>7.1f} us"
             f" {row.contact_updates / 1e6:>10.0f} M {ratio:>13}"
         )
+
+
+@command.command()
+@click.option(
+    "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Spheres along each axis; repeat for several scenes."
+)
+@click.option("--law", multiple=True, metavar="coulomb|viscous", help="Contact law; repeat for both.")
+@click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the disorder.")
+@click.option("--methods", default=None, metavar="NAME[,NAME...]", help="Methods to compare. [default: all]")
+@click.option("--peers/--no-peers", default=True, show_default=True, help="Clarabel and SCS too, where installed.")
+@click.option("--time-limit", default="20", show_default=True, metavar="SECONDS", help="For each method and scene.")
+@click.option("--threads", default="0", show_default=True, metavar="N", help="CPU threads; 0 for all.")
+@click.option(
+    "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-accuracy-<id>]"
+)
+@click.option("--force", is_flag=True, help="Replace existing files.")
+@json_option
+@click.pass_context
+def accuracy(
+    context: click.Context,
+    shape: tuple[str, ...],
+    law: tuple[str, ...],
+    seed: str,
+    methods: str | None,
+    peers: bool,
+    time_limit: str,
+    threads: str,
+    out: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Run time against error: every method and two general conic solvers on the same scenes, by the same certificate.
+
+    Writes accuracy.csv (one row a checkpoint), accuracy.md (time to reach each proven gap) and accuracy.png. Without
+    --shape: 10x10, 32x32, 10x10x10 and 16x16x16 Coulomb, 32x32 and 10x10x10 viscous. Exit code 1 if two runs contradict
+    each other: one proves more than the other's power.
+
+    \b
+    Examples:
+      bearings benchmark accuracy --time-limit 60 --out outputs/accuracy
+      bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
+    """
+    from taichi_bearings.studies.accuracy import choose_methods, choose_scenes, measure_all
+    from taichi_bearings.studies.accuracy_report import ReportFiles, summarise, table
+    from taichi_bearings.studies.peers import find_peers
+    from taichi_bearings.studies.run import default_run_path
+
+    scenes = choose_scenes(shape, law, seed=seed, threads=threads, time_limit=time_limit)
+    chosen = choose_methods(methods)
+    files = ReportFiles(Path(out) if out else default_run_path("accuracy"), force)
+    here, missing = find_peers() if peers else ([], {})
+    results, interrupted = measure_all(scenes, chosen, here, lambda line: click.echo(line, err=True))
+    if not results:
+        context.exit(130)
+    files.write(results)
+    contradictions = [line for result in results for line in result.contradictions()]
+    for line in contradictions:
+        click.echo(f"bearings: {line}", err=True)
+    written = [str(path) for path in files.paths]
+    if as_json:
+        report = {"scenes": [summarise(result) for result in results], "peers_missing": missing, "files": written}
+        click.echo(json.dumps(report, allow_nan=False))
+    else:
+        click.echo(table(results))
+        for name, reason in missing.items():
+            click.echo(f"Without {name}: {reason}")
+        click.echo("\n".join(written))
+    context.exit(130 if interrupted else 1 if contradictions else 0)

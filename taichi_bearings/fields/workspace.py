@@ -87,7 +87,8 @@ _pool: list[Workspace] = []
 @contextmanager
 def borrow(layout: Layout, spec: FieldSpec) -> Iterator[Workspace]:
     """Fields for `layout`: those of an earlier scene if they fit, else new ones."""
-    workspace = next((w for w in _pool if not w.busy and w.spec == spec and _fits(layout, w.capacity)), None)
+    fitting = [w for w in _pool if not w.busy and w.spec == spec and _fits(layout, w.capacity)]
+    workspace = fitting[-1] if fitting else None  # the most recently used, whose kernels are the likeliest to serve
     if workspace is None:
         workspace = Workspace(spec, layout.length)
         _pool.append(workspace)
