@@ -5,7 +5,7 @@ Both are optional (`pip install taichi-bearings[peers]`). Each is run with every
 * Clarabel: `qdldl` (its own, one thread), `faer` (multi-threaded), and `mkl` or `panua` where it finds such a library
   (MKL: MKL_PARDISO_PATH must name a folder that holds libmkl_rt.so).
 * SCS: `qdldl` (one thread) and `mkl` (bundled on Linux; its threads follow MKL_NUM_THREADS). Its conjugate gradients,
-  which need no factorisation, took 30 times as long at 10x10x10 and are left out.
+  which need no factorisation, took 26 to 55 times as long at 10x10x10 and are left out.
 
 The time is that of setting up and solving; building the matrices is left out. What a peer says about its own accuracy
 is not used: its spins and multipliers go through the certificate.
