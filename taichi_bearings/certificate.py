@@ -9,13 +9,14 @@ where c and w are the middle and the half width of the interval that the two dri
 minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Three candidates
 are made from the given forces and the best bound is kept: the forces as they are (capped), the forces after removing
 the left-over torque by a Poisson solve and scaling everything into the friction discs, and the same but capped contact
-by contact. Rounding is paid for as well.
+by contact. Rounding is paid for as well: torques are summed in twice the precision, so what is paid is proportional to
+the leftover torques and the power, not to the much larger sum of all forces times the imposed jump.
 """
 
 import numpy as np
 from scipy import fft
 
-from taichi_bearings.lattice.grid import contact_differences, torques
+from taichi_bearings.lattice.grid import contact_differences, lower, tangential, torques, upper
 from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = tuple[np.ndarray, ...]
@@ -58,19 +59,18 @@ def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int,
 
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Dual objective (R,) of admissible forces, torque-balanced or not, minus an allowance for rounding."""
-    lattice = scene.lattice
-    pull = torques(force, lattice, spin_axes)
+    pull = precise_torques(scene, force, spin_axes)
     bottom, top = scene.driven_values(spin_axes)
-    work = np.zeros(scene.replicas)
+    work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
     for slot in range(len(spin_axes)):
         half_width = (top[slot] - bottom[slot]) / 2
-        planes = pull[slot][..., -1] - pull[slot][..., 0]
-        work -= half_width * planes.reshape(scene.replicas, -1).sum(axis=1)
-        left_over = np.abs(pull[slot][..., 1:-1])
-        work -= abs(half_width) * left_over.reshape(scene.replicas, -1).sum(axis=1)
-    work *= lattice.radius
+        planes = (pull[slot][..., -1] - pull[slot][..., 0]).reshape(scene.replicas, -1)
+        left_over = np.abs(pull[slot][..., 1:-1]).reshape(scene.replicas, -1).sum(axis=1)
+        work -= half_width * planes.sum(axis=1) + abs(half_width) * left_over
+        allowance += ROUNDING * abs(half_width) * (np.abs(planes).sum(axis=1) + left_over)
     total = np.sum([vector_length(f).reshape(scene.replicas, -1).sum(axis=1) for f in force], axis=0)
-    allowance = ROUNDING * total * lattice.radius * scene.jump
+    allowance += ROUNDING**2 * total * scene.jump
+    work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law == "coulomb":
         return work - allowance
     cost = np.zeros(scene.replicas)
@@ -78,6 +78,26 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
         inverse = _inverse(scene.acting_coefficient[axis])
         cost += (vector_length(values) ** 2 * inverse).reshape(scene.replicas, -1).sum(axis=1)
     return 2 * work - cost - 2 * allowance - ROUNDING * cost
+
+
+def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Sum of the contact forces that pull on each sphere, (C, R, *N), as if summed in twice the precision.
+
+    Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
+    it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
+    """
+    dimension = scene.lattice.dimension
+    total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
+    lost = np.zeros_like(total)
+    for axis, vectors in enumerate(force):
+        for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
+            for end, pull in ((lower, values), (upper, -values)):
+                before = end(total[slot], axis, dimension)
+                after = before + pull
+                added = after - before
+                end(lost[slot], axis, dimension)[...] += (before - (after - added)) + (pull - added)
+                before[...] = after
+    return total + lost
 
 
 def capped(scene: Scene, force: Forces) -> Forces:
@@ -162,6 +182,7 @@ __all__ = [
     "dual_value",
     "largest_unbalanced_torque",
     "lower_bound",
+    "precise_torques",
     "relative_gap",
     "saturation",
     "scaled",

@@ -1,10 +1,13 @@
 """The bounds must be true for any candidate, and sharp for a good one."""
 
+import math
+
 import numpy as np
 import pytest
 
-from taichi_bearings.certificate import balance, lower_bound, relative_gap, torques
-from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.certificate import balance, lower_bound, precise_torques, relative_gap, torques
+from taichi_bearings.lattice.grid import contact_differences, tangential
+from taichi_bearings.scene.initial_spins import initial_spin
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 
@@ -64,3 +67,36 @@ def test_a_wrong_sign_loses_the_certificate():
 def test_without_frustration_the_gap_is_zero():
     scene = make_scene((3, 4, 5), spin_bottom=1.0)
     assert relative_gap(scene, np.array([0.0]), np.array([0.0])) == 0
+
+
+@pytest.mark.parametrize("shape", [(5, 4), (3, 4, 5)])
+def test_torques_in_near_balance_are_summed_without_loss(shape):
+    """Huge forces that cancel leave a small torque, known to one rounding: an exact sum says so."""
+    scene = make_scene(shape, "viscous")
+    axes, lattice = scene.minimum_spin_axes, scene.lattice
+    rng = np.random.default_rng(99)
+    force = [
+        1e9 + rng.standard_normal((len(tangential(a, axes)), 1, *lattice.contact_shape(a))) for a in range(len(shape))
+    ]
+    pull = precise_torques(scene, tuple(force), axes)
+    for slot, component in enumerate(axes):
+        for site in np.ndindex(*shape):
+            terms = []
+            for axis, values in enumerate(force):
+                if axis == component:
+                    continue
+                vector = values[tangential(axis, axes).index(slot), 0]
+                below = tuple(n - (a == axis) for a, n in enumerate(site))
+                terms += [vector[site]] if site[axis] < shape[axis] - 1 else []
+                terms += [-vector[below]] if site[axis] > 0 else []
+            assert pull[slot, 0][site] == pytest.approx(math.fsum(terms), rel=1e-15, abs=1e-20)
+
+
+def test_forces_in_balance_to_round_off_prove_a_gap_of_round_off():
+    """The allowance for rounding follows the power, not all forces times the jump, which here is 400 times as much."""
+    scene = make_scene((3, 400), "viscous", distribution="constant:1.0")
+    staggered = scene.staggered_spin(initial_spin(scene, "linear"), (2,))
+    force = tuple(0.5 * difference for difference in contact_differences(staggered, scene.lattice, (2,)))
+    bound, power = lower_bound(scene, force, (2,)), scene.power(staggered, (2,))
+    assert power[0] == pytest.approx(3 * 0.25 / 399, rel=1e-12)
+    assert 0 <= 1 - bound[0] / power[0] < 2e-13
