@@ -7,6 +7,7 @@ from typing import Any
 METHODS = {
     "interior-point": "taichi_bearings.solvers.interior_point:InteriorPoint",
     "gradient-descent": "taichi_bearings.solvers.gradient_descent:GradientDescent",
+    "linear-solver": "taichi_bearings.solvers.linear_solver:LinearSolver",
     "cundall-strack": "taichi_bearings.solvers.cundall_strack:CundallStrack",
 }
 

@@ -1,0 +1,174 @@
+"""The viscous law solved to round-off: its power is a quadratic form, so the minimum is one linear system.
+
+The system falls apart (PHYSICS 3). Spin components decouple; component k is coupled only by the contacts that are not
+along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas are
+independent anyway. All planes have the same pattern and are factorised together (nested_dissection.py), bundle by
+bundle. A component about the height is coupled only sideways: each free layer is a bearing at any constant value.
+
+With coefficients over many decades the difference of two spins that a stiff contact ties together drowns in the
+rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and
+the leftover torques of that sum are solved for again until they no longer fall (iterative refinement): torques then
+balance to the rounding of the forces, however large the contrast.
+"""
+
+import numpy as np
+
+from taichi_bearings.blas import one_thread
+from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
+from taichi_bearings.errors import InputError
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.nested_dissection import GridFactor
+from taichi_bearings.scene import Progress, Scene
+
+BUNDLE = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
+CHECKS = 4  # looks at the progress in a run of many bundles
+MOST_REFINEMENTS = 50  # two or three do, unless the contrast is near the end of float64
+
+Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
+
+
+class LinearSolver:
+    """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
+
+    name = "linear-solver"
+    keeps_best = True
+    needs_taichi = False
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        if scene.law != "viscous":
+            raise InputError(f"method linear-solver solves the viscous law only; the law is {scene.law!r}")
+        return ()
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        self.bottom, self.top = scene.driven_values(self.spin_axes)
+        self.spin = self._clip_to_box(scene.staggered_spin(spin, self.spin_axes))
+        self.rest = np.zeros_like(self.spin)
+        self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
+        self.iteration = 0
+
+    def _clip_to_box(self, staggered: np.ndarray) -> np.ndarray:
+        """Into the interval of the driven values (PHYSICS 3.4): a minimiser lies there, and the power never rises."""
+        shape = (-1, *(1,) * (staggered.ndim - 1))
+        low, high = np.minimum(self.bottom, self.top), np.maximum(self.bottom, self.top)
+        return np.clip(staggered, low.reshape(shape), high.reshape(shape))
+
+    def _planes(self, slot: int) -> list[Planes]:
+        """The planes of a spin component in bundles."""
+        replicas, layers, *sides = self._by_plane(self.spin[slot], slot).shape
+        replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
+        step = max(1, BUNDLE // int(np.prod(sides)))
+        return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
+
+    def _by_plane(self, values: np.ndarray, slot: int) -> np.ndarray:
+        """View (R, layers, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
+        if self.scene.lattice.dimension == 2:
+            return values[:, None]
+        return np.moveaxis(values, 1 + self.spin_axes[slot], 1)
+
+    def next_check(self, iteration: int) -> int:
+        return iteration + -(-len(self.bundles) // CHECKS)
+
+    def advance(self, steps: int) -> None:
+        height = self.scene.lattice.height_axis
+        with one_thread():
+            for slot, planes in self.bundles[self.iteration : self.iteration + steps]:
+                if self.scene.lattice.dimension == 3 and self.spin_axes[slot] == height:
+                    self._level(slot, planes)
+                else:
+                    self._solve(slot, planes)
+        self.iteration = min(self.iteration + steps, len(self.bundles))
+
+    def _level(self, slot: int, planes: Planes) -> None:
+        """Spins about the height: the middle of the driven values in every free layer."""
+        layers = self._by_plane(self.spin[slot], slot)
+        height = self.scene.lattice.shape[-1]
+        replica, layer = planes
+        free = (layer > 0) & (layer < height - 1)
+        layers[replica[free], layer[free]] = (self.bottom[slot] + self.top[slot]) / 2
+
+    def _solve(self, slot: int, planes: Planes) -> None:
+        """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
+        scene, component = self.scene, self.spin_axes[slot]
+        first, second = (
+            self._by_plane(scene.acting_coefficient[axis], slot)[planes]
+            for axis in range(scene.lattice.dimension)
+            if axis != component
+        )
+        anchor = np.zeros((len(first), second.shape[1], second.shape[2] - 1))
+        anchor[..., 0] += second[..., 0]
+        anchor[..., -1] += second[..., -1]
+        try:
+            factor = GridFactor(first[..., 1:-1], second[..., 1:-1], anchor)
+        except np.linalg.LinAlgError:  # a contrast beyond float64: these spins stay as they are
+            return
+        spins, rests = self._by_plane(self.spin[slot], slot), self._by_plane(self.rest[slot], slot)
+        spin, rest = spins[planes], rests[planes]
+        load = _free_torques(first, second, spin, rest)
+        size = _total(load)
+        for _ in range(MOST_REFINEMENTS):
+            new_spin, new_rest = spin.copy(), rest.copy()
+            new_spin[..., 1:-1], new_rest[..., 1:-1] = _add(spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load))
+            new_load = _free_torques(first, second, new_spin, new_rest)
+            new_size = _total(new_load)
+            better = new_size < size  # False for NaN
+            halved = new_size < 0.5 * size
+            spin[better], rest[better], load[better] = new_spin[better], new_rest[better], new_load[better]
+            size = np.where(better, new_size, size)
+            if not halved.any():
+                break
+        spins[planes], rests[planes] = spin, rest
+
+    def progress(self) -> Progress:
+        scene = self.scene
+        staggered = self._clip_to_box(self.spin)
+        force = tuple(
+            scene.lattice.radius * coefficient * (difference + rest)
+            for coefficient, difference, rest in zip(
+                scene.acting_coefficient,
+                contact_differences(self.spin, scene.lattice, self.spin_axes),
+                contact_differences(self.rest, scene.lattice, self.spin_axes),
+                strict=True,
+            )
+        )
+        fastest = max(abs(scene.spin_top), abs(scene.spin_bottom))
+        return Progress(
+            iteration=self.iteration,
+            staggered=staggered,
+            spin_axes=self.spin_axes,
+            force=force,
+            power=scene.power(staggered, self.spin_axes),
+            lower_bound=lower_bound(scene, force, self.spin_axes),
+            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
+            unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
+            exhausted=self.iteration == len(self.bundles),
+        )
+
+
+def _free_torques(first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Sum of coefficient * difference at each free node (B, m, n - 2) of planes (B, m, n); unit radius."""
+    pull = np.zeros_like(spin)
+    along_first = first * (np.diff(spin, axis=1) + np.diff(rest, axis=1))
+    pull[:, :-1] += along_first
+    pull[:, 1:] -= along_first
+    along_second = second * (np.diff(spin, axis=2) + np.diff(rest, axis=2))
+    pull[..., :-1] += along_second
+    pull[..., 1:] -= along_second
+    return pull[..., 1:-1]
+
+
+def _total(load: np.ndarray) -> np.ndarray:
+    """Sum of the sizes in each plane, (B,): what the certificate pays for leftover torques."""
+    return np.abs(load).sum(axis=(1, 2))
+
+
+def _add(large: np.ndarray, small: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sum rounded to float64 and, exactly, what the rounding left out (Knuth's two-sum)."""
+    total = large + small
+    part = total - large
+    return total, (large - (total - part)) + (small - part)
+
+
+__all__ = ["LinearSolver"]

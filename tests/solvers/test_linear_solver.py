@@ -1,0 +1,195 @@
+"""The linear solver of the viscous law: exact answers, independent solvers, contrasts, batches."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import linear_solver
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.gradient_descent import GradientDescent
+from taichi_bearings.solvers.linear_solver import LinearSolver
+from taichi_bearings.solvers.stopping import StopRule
+from tests.agreement.test_independent_solvers import viscous_minimum
+from tests.kernels.twins import is_driven, neighbours
+from tests.scenes import make_scene
+
+SHAPES = [(2, 3), (2, 40), (9, 7), (13, 31), (2, 2, 3), (5, 9, 14), (9, 2, 5), (10, 10, 10)]
+SIX_DECADES = ["power-law:1e-3,1e3,-1", "bimodal:1e-3,1e3,0.5", "lognormal:1,2.3"]
+
+
+def solved(scene, start="random", tolerance=1e-12):
+    solution = solve(scene, LinearSolver(), initial_spin(scene, start), StopRule(tolerance))
+    assert solution.status is Status.CERTIFIED
+    assert (solution.lower_bound <= solution.power).all()
+    return solution
+
+
+def imbalance(solution):
+    """Largest leftover torque over the typical torque of a contact."""
+    force = np.concatenate([values[values > 0] for values in solution.force])
+    return solution.unbalanced_torque.max() / (solution.scene.lattice.radius * force.mean())
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@pytest.mark.parametrize("bottom", [0.0, -0.7])
+@pytest.mark.parametrize("direction", [(1, 1, 0), (1, -2, 0)])
+def test_power_equals_a_sparse_solve(shape, bottom, direction):
+    """The sparse solver imposes a bottom at rest, so a turning bottom is compared with the same jump from rest."""
+    solution = solved(make_scene(shape, "viscous", spin_bottom=bottom, direction=direction))
+    at_rest = make_scene(shape, "viscous", spin_top=1 - bottom, direction=direction)
+    assert solution.power[0] == pytest.approx(viscous_minimum(at_rest), rel=1e-12)
+    assert solution.gap[0] < 1e-13
+    assert imbalance(solution) < 1e-14
+
+
+def test_a_component_about_the_height_adds_nothing():
+    tilted = solved(make_scene((5, 9, 14), "viscous", direction=(1, 2, 3), spin_bottom=0.4))
+    level = solved(make_scene((5, 9, 14), "viscous", direction=(1, 2, 0), spin_bottom=0.4))
+    assert tilted.power[0] == pytest.approx(level.power[0] * 5 / 14, rel=1e-13)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_without_disorder_spins_are_linear_in_the_height(shape):
+    scene = make_scene(shape, "viscous", distribution="constant:0.3", spin_top=3.0, spin_bottom=-1.0)
+    solution = solved(scene)
+    assert solution.spin == pytest.approx(initial_spin(scene, "linear"), abs=1e-14)
+
+
+def columns(layers, sideways):
+    """Two columns of discs: layers (2, contacts) damping along each, `sideways` between them."""
+    lattice = Lattice((2, layers.shape[1] + 1))
+    across = np.full((1, *lattice.contact_shape(0)), sideways)
+    return Scene(lattice, "viscous", (across, layers[None]))
+
+
+@pytest.mark.parametrize("contacts", [2, 3, 50])
+def test_columns_are_resistors_in_series(contacts):
+    """Nothing flows sideways between equal columns: each one is a chain, 1/eta add up."""
+    eta = np.tile(10.0 ** np.random.default_rng(5).uniform(-3, 3, contacts), (2, 1))
+    solution = solved(columns(eta, 0.8))
+    assert solution.power[0] == pytest.approx(2 * 0.25 / (1 / eta[0]).sum(), rel=1e-13)
+
+
+@pytest.mark.parametrize("contacts", [2, 3, 50])
+def test_layers_are_resistors_in_parallel_or_not_at_all(contacts):
+    """Stiff contacts sideways tie a layer together, so eta add up in it; loose ones leave two chains."""
+    eta = np.random.default_rng(6).uniform(0.1, 1.0, (2, contacts))
+    tied = 0.25 / (1 / eta.sum(axis=0)).sum()
+    apart = (0.25 / (1 / eta).sum(axis=1)).sum()
+    assert solved(columns(eta, 1e12)).power[0] == pytest.approx(tied, rel=1e-10)
+    assert solved(columns(eta, 1e-12)).power[0] == pytest.approx(apart, rel=1e-10)
+
+
+def exact_spins(scene):
+    """Staggered spins of a small 2D scene by Gauss elimination in fractions, no rounding at all."""
+    shape = scene.lattice.shape
+    free = [site for site in np.ndindex(*shape) if not is_driven(site, shape)]
+    index = {site: n for n, site in enumerate(free)}
+    rows = [[Fraction(0)] * (len(free) + 1) for _ in free]
+    for low, high, axis in neighbours(shape):
+        eta = Fraction(float(scene.coefficient[axis][0][low]))
+        for here, there in ((low, high), (high, low)):
+            if here in index:
+                rows[index[here]][index[here]] += eta
+                if there in index:
+                    rows[index[here]][index[there]] -= eta
+                elif there[-1] > 0:
+                    rows[index[here]][-1] += eta * Fraction(scene.spin_top)
+    for n, pivot in enumerate(rows):
+        rows[n] = [value / pivot[n] for value in pivot]
+        for other in range(len(rows)):
+            if other != n and rows[other][n]:
+                factor = rows[other][n]
+                rows[other] = [a - factor * b for a, b in zip(rows[other], rows[n], strict=True)]
+    spin = {site: Fraction(scene.spin_top if site[-1] else 0) for site in np.ndindex(*shape) if site not in index}
+    return spin | {site: rows[n][-1] for site, n in index.items()}
+
+
+@pytest.mark.parametrize("distribution", [*SIX_DECADES, "bimodal:1e-5,1e5,0.6"])
+def test_six_decades_and_more_are_exact_in_every_contact(distribution):
+    """Forces of stiff contacts too, whose spins differ by less than the rounding of the spins themselves."""
+    scene = make_scene((4, 6), "viscous", distribution=distribution)
+    solution, spin = solved(scene), exact_spins(scene)
+    power = Fraction(0)
+    for low, high, axis in neighbours(scene.lattice.shape):
+        eta = Fraction(float(scene.coefficient[axis][0][low]))
+        force = eta * abs(spin[high] - spin[low]) / 2
+        power += eta * (spin[high] - spin[low]) ** 2 / 4
+        largest = max(values.max() for values in solution.force)
+        assert solution.force[axis][0][low] == pytest.approx(float(force), rel=1e-12, abs=1e-14 * largest)
+    assert solution.power[0] == pytest.approx(float(power), rel=1e-14)
+
+
+@pytest.mark.parametrize("distribution", SIX_DECADES)
+@pytest.mark.parametrize("shape", [(60, 50), (11, 12, 13)], ids=str)
+def test_six_decades_balance_to_round_off(shape, distribution):
+    solution = solved(make_scene(shape, "viscous", distribution=distribution, seeds=(1, 2, 3)))
+    assert solution.gap.max() < 1e-13
+    assert imbalance(solution) < 1e-12
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("shape", [(7, 8), (4, 3, 5)], ids=str)
+def test_it_agrees_with_gradient_descent(shape):
+    scene = make_scene(shape, "viscous", spin_bottom=-0.1)
+    descent = solve(scene, GradientDescent(), initial_spin(scene, "zero"), StopRule(1e-11))
+    solution = solved(scene)
+    assert solution.power[0] == pytest.approx(descent.power[0], rel=2e-11)
+    for ours, theirs in zip(solution.slip, descent.slip, strict=True):
+        assert ours == pytest.approx(theirs, abs=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(6, 9), (3, 4, 5)], ids=str)
+def test_replicas_together_equal_replicas_alone(shape):
+    together = solved(make_scene(shape, "viscous", seeds=(5, 6, 7)))
+    for n, seed in enumerate((5, 6, 7)):
+        alone = solved(make_scene(shape, "viscous", seeds=(seed,)))
+        assert together.spin[n] == pytest.approx(alone.spin[0], abs=1e-14)
+
+
+def test_bundles_lower_the_power_one_after_another(monkeypatch):
+    scene = make_scene((6, 5, 7), "viscous", seeds=(8, 9))
+    whole = solved(scene)
+    monkeypatch.setattr(linear_solver, "BUNDLE", 2 * 6 * 7)
+    parts = solved(scene)
+    assert whole.iterations == 2
+    assert parts.iterations == 6 + 5  # 12 planes x = const of 35 spheres, 10 planes y = const of 42: two by one
+    assert (np.diff(parts.history["power"], axis=0) <= 0).all()
+    assert parts.spin == pytest.approx(whole.spin, abs=1e-14)
+
+
+def test_the_start_does_not_matter():
+    scene = make_scene((4, 5, 6), "viscous", distribution="lognormal:1,2.3")
+    spins = [solved(scene, start).spin for start in ("random", "zero", "linear")]
+    assert np.ptp(spins, axis=0).max() < 1e-14
+
+
+def test_spins_about_the_height_cost_nothing():
+    scene = make_scene((4, 3, 5), "viscous", direction=(0, 0, 1), spin_bottom=-0.5)
+    solution = solved(scene)
+    assert solution.power[0] == 0
+    assert (abs(solution.spin[0, :, :, 1:-1, 2]) == 0.25).all()
+
+
+def test_equal_planes_turn_everything_alike():
+    scene = make_scene((5, 6), "viscous", spin_top=0.3, spin_bottom=0.3)
+    assert (solved(scene).spin[0] == 0.3 * scene.lattice.parity).all()
+
+
+def test_coulomb_friction_is_refused():
+    scene = make_scene((4, 5))
+    with pytest.raises(InputError, match="'coulomb'"):
+        solve(scene, LinearSolver(), initial_spin(scene, "zero"))
+
+
+def test_a_contrast_beyond_float64_ends_stalled_and_still_bounded():
+    scene = make_scene((20, 20), "viscous", distribution="bimodal:1e-15,1e15,0.5")
+    solution = solve(scene, LinearSolver(), initial_spin(scene, "linear"), StopRule(1e-9))
+    assert solution.status is Status.STALLED
+    assert np.isfinite(solution.power).all()
+    assert 0 <= solution.lower_bound[0] <= solution.power[0]
