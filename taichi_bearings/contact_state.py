@@ -1,5 +1,6 @@
 """Which contacts slip: judged by slip speed and by friction together."""
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -38,6 +39,32 @@ def classify(
         state = np.where(fast != full, ContactState.UNDECIDED, state)
         states.append(np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, state).astype(np.uint8))
     return tuple(states)
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far apart in slip the two populations of contacts are, one entry (R,) each.
+
+    largest_slipless, smallest_slipping : length/time; NaN where there are none.
+    decades : log10 of their ratio, a slipless slip counting as the rounding of the spins at least.
+    """
+
+    largest_slipless: np.ndarray
+    smallest_slipping: np.ndarray
+    decades: np.ndarray
+
+
+def separate(scene: Scene, slip: tuple[np.ndarray, ...], state: tuple[np.ndarray, ...]) -> Separation:
+    """Observed gap between the slips of slipless and of slipping contacts."""
+    flat_slip = np.concatenate([s.reshape(scene.replicas, -1) for s in slip], axis=1)
+    flat_state = np.concatenate([s.reshape(scene.replicas, -1) for s in state], axis=1)
+    still, moving = flat_state == ContactState.SLIPLESS, flat_state == ContactState.SLIPPING
+    largest = np.where(still.any(axis=1), np.where(still, flat_slip, 0.0).max(axis=1), np.nan)
+    smallest = np.where(moving.any(axis=1), np.where(moving, flat_slip, np.inf).min(axis=1), np.nan)
+    rounding = np.finfo(np.float64).eps * scene.lattice.radius * max(abs(scene.spin_top), abs(scene.spin_bottom))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        decades = np.log10(smallest / np.maximum(largest, rounding))
+    return Separation(largest, smallest, decades)
 
 
 def count(state: tuple[np.ndarray, ...], which: ContactState) -> np.ndarray:

@@ -1,13 +1,31 @@
 """Numeric factorisation and solves: fronts assembled by Taichi, dense blocks by BLAS and LAPACK."""
 
-import numpy as np
-from scipy.linalg import blas, lapack
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
+from scipy.linalg import blas
+
+from taichi_bearings import runtime
+from taichi_bearings.cholesky.dense import DenseFront
 from taichi_bearings.cholesky.dissection import Part
 from taichi_bearings.cholesky.fronts import Pattern, analyse
 from taichi_bearings.kernels.assembly import assemble
 
 SERIAL = 20_000  # entries of a depth below which one worker assembles faster than a team
+
+
+WORTH_A_THREAD = 3e6  # operations of a depth from which several threads share it
+
+
+def _helpers() -> ThreadPoolExecutor:
+    """Threads that help eliminating; started on first use, idle otherwise."""
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(max(1, runtime.available_threads() - 1), thread_name_prefix="cholesky")
+    return _pool
+
+
+_pool: ThreadPoolExecutor | None = None
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -68,9 +86,7 @@ class Cholesky:
             inside = slice(entry_start[front.first], entry_start[front.first + front.own])
             rows = pattern.row[inside]
             end = front.first + front.own
-            place[inside] = np.where(
-                rows < end, rows - front.first, front.own + np.searchsorted(front.border, rows)
-            )
+            place[inside] = np.where(rows < end, rows - front.first, front.own + np.searchsorted(front.border, rows))
         del front_of
         self._static = (
             np.concatenate(columns),
@@ -94,6 +110,12 @@ class Cholesky:
                 )
             )
 
+        self._dense = [
+            sorted((DenseFront(*self._blocks[n][:3]) for n in members), key=lambda f: -f.cost)
+            for members in self._depths
+        ]
+        self._cost = [sum(front.cost for front in fronts) for fronts in self._dense]
+
     def factorise(self, values: np.ndarray) -> None:
         """Factorise the matrix with these values at the entries of the pattern.
 
@@ -104,16 +126,22 @@ class Cholesky:
             serial = self._work_of_depth(d) < SERIAL
             updates, below = self._updates[d % 2], self._updates[(d + 1) % 2]
             assemble(serial, begin, end, *self._static, values, self._factor, below, updates)
-            for number in self._depths[d]:
-                diagonal, lower, update, _, border = self._blocks[number]
-                if len(diagonal) == 0:
-                    continue
-                _, fault = lapack.dpotrf(diagonal, lower=1, overwrite_a=1, clean=0)
-                if fault:
-                    raise NotPositiveDefinite
-                if len(border):
-                    blas.dtrsm(1.0, diagonal, lower, side=1, lower=1, trans_a=1, overwrite_b=1)
-                    blas.dsyrk(-1.0, lower, beta=1.0, c=update, lower=1, overwrite_c=1)
+            if not self._eliminate(d):
+                raise NotPositiveDefinite
+
+    def _eliminate(self, d: int) -> bool:
+        """Eliminate the fronts of one depth, on several threads if there is enough to do."""
+        fronts = self._dense[d]
+        threads = min(runtime.current().threads, len(fronts))
+        if threads == 1 or self._cost[d] < WORTH_A_THREAD:
+            return all([front.eliminate() for front in fronts])
+        queue = iter(fronts)  # heaviest first; taking the next one is atomic
+
+        def work() -> bool:
+            return all([front.eliminate() for front in queue])
+
+        futures = [_helpers().submit(work) for _ in range(threads - 1)]
+        return all([work(), *[future.result() for future in futures]])
 
     def _work_of_depth(self, d: int) -> int:
         return self._columns_of_depth[d + 1] - self._columns_of_depth[d]

@@ -95,9 +95,7 @@ def analyse(parts: list[Part], first: np.ndarray, second: np.ndarray) -> Pattern
             depth[number] = depth[above] + 1
             begin, end = starts[above], starts[above + 1]
             places = np.where(border < end, border - begin, end - begin + np.searchsorted(borders[above], border))
-        fronts.append(
-            Front(int(starts[number]), len(part.unknowns), border, part.children, places, int(depth[number]))
-        )
+        fronts.append(Front(int(starts[number]), len(part.unknowns), border, part.children, places, int(depth[number])))
     column = np.repeat(np.arange(size), np.diff(coupled.indptr))
     stored = coupled.indices >= column
     return Pattern(order, place, tuple(reversed(fronts)), coupled.indices[stored].astype(np.int64), column[stored])

@@ -37,6 +37,9 @@ class Progress:
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
     exhausted : a minimisation can get no closer in its precision.
+    state : contact states (R, *contacts) an axis that the method itself has established, else None.
+    resolved : (R,), True where these are proven to be those of a minimum.
+    unsettled : going on would settle more contact states, whatever the gap.
     """
 
     iteration: int
@@ -50,6 +53,9 @@ class Progress:
     time: float | None = None
     at_rest: bool = False
     exhausted: bool = False
+    state: tuple[np.ndarray, ...] | None = None
+    resolved: np.ndarray | None = None
+    unsettled: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,7 @@ class Solution:
 
     spin : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time.
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
+    resolved : (R,), True where the contact states are proven to be those of a minimum.
     power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
     history : columns of equal length; power and lower_bound are (checks, R).
     """
@@ -71,6 +78,7 @@ class Solution:
     power_per_contact: tuple[np.ndarray, ...]
     force: tuple[np.ndarray, ...]
     state: tuple[np.ndarray, ...]
+    resolved: np.ndarray
     power: np.ndarray
     lower_bound: np.ndarray
     gap: np.ndarray

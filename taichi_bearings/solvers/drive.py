@@ -151,12 +151,21 @@ class _Best:
             return
         old = self.progress
         better = new.power <= old.power  # False for NaN, so a failed step never counts
+        if new.resolved is not None:  # settled contact states are worth more than the last digit of the power
+            better |= new.resolved & (new.power <= old.power * (1 + 1e-11))
         if better.all():
             self.progress = new
             return
         pick = better.reshape(1, -1, *(1,) * (new.staggered.ndim - 2))
+        state = resolved = None
+        if new.state is not None and old.state is not None:
+            state = tuple(np.where(pick[0], a, b) for a, b in zip(new.state, old.state, strict=True))
+        if new.resolved is not None and old.resolved is not None:
+            resolved = np.where(better, new.resolved, old.resolved)
         self.progress = replace(
             new,
+            state=state,
+            resolved=resolved,
             staggered=np.where(pick, new.staggered, old.staggered),
             force=tuple(np.where(pick, a, b) for a, b in zip(new.force, old.force, strict=True)),
             power=np.where(better, new.power, old.power),
@@ -198,6 +207,7 @@ def _collect(
     slip_threshold: float | None,
 ) -> Solution:
     slip = scene.slips(final.staggered, final.spin_axes)
+    own = final.state is not None and slip_threshold is None
     default = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump)
     threshold = default if slip_threshold is None else slip_threshold
     return Solution(
@@ -209,7 +219,8 @@ def _collect(
         slip=slip,
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
-        state=classify(scene, slip, final.force, threshold),
+        state=final.state if own else classify(scene, slip, final.force, threshold),
+        resolved=final.resolved if own and final.resolved is not None else np.zeros(scene.replicas, dtype=bool),
         power=final.power,
         lower_bound=bound,
         gap=relative_gap(scene, final.power, bound),

@@ -5,31 +5,74 @@ the driven planes over balanced contact forces with |f_e| <= mu_e F_n (PHYSICS 4
 path (central_path.py). Bounds above the slips and zero forces are strictly inside, so that from the first step on there
 are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian over the free
 spins, which is factorised once a step (taichi_bearings.cholesky).
+
+Near the end the contact states are settled: exactly, with a proof, where resolution.py can; else by the ratio of slip
+and friction margin, which the central path drives apart.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.cholesky import NotPositiveDefinite, dissect
+from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.central_path import Iterate, newton_step
+from taichi_bearings.solvers.cone import length
 from taichi_bearings.solvers.contact_system import free_shape, jump_of, lattice_system
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
+from taichi_bearings.solvers.resolution import Resolved, resolve
+
+UNDECIDED = ContactState.UNDECIDED
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
+SETTLE = 1e-11  # relative gap from which the contact states are worth settling
+APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
+TREND, LEAST_RATIO = 0.6, 1e2  # a contact sticks if its slip fell by this factor in a step, its margin by less; and if
+# its margin is many times its slip
 
 
 @dataclass
 class _Sample:
-    """One replica: its iterate, and the mean coefficient in which its friction is measured."""
+    """One replica: its iterate, and the mean coefficient in which its friction is measured.
+
+    slip, margin : of the last step and of the one before, (n,) a group, relative to the jump and to the friction.
+    """
 
     iterate: Iterate
     unit: float
     done: bool = False
+    tried: bool = False
+    resolved: Resolved | None = None
+    slip: tuple[list[np.ndarray], ...] = ()
+    margin: tuple[list[np.ndarray], ...] = ()
+
+    def remember(self) -> None:
+        """Note slips and margins of this step."""
+        iterate = self.iterate
+        slip = [length(z) for z in iterate.difference]
+        margin = [1 - length(y) / mu for y, mu in zip(iterate.dual, iterate.friction, strict=True)]
+        self.slip, self.margin = (slip, *self.slip[:1]), (margin, *self.margin[:1])
+
+    def sticking(self) -> list[np.ndarray]:
+        """Masks (n,) a group of the contacts that surely stick: along the path their slips vanish, their margins do not."""
+        return [
+            (m > LEAST_RATIO * s) & (s < TREND * s_before) & (m > TREND * m_before)
+            for s, m, s_before, m_before in zip(self.slip[0], self.margin[0], self.slip[1], self.margin[1], strict=True)
+        ]
+
+    def states(self) -> list[np.ndarray]:
+        """Contact states (n,) a group."""
+        if self.resolved is not None:
+            return [np.where(s, ContactState.SLIPPING, ContactState.SLIPLESS) for s in self.resolved.slipping]
+        return [
+            np.where(s > APART * m, ContactState.SLIPPING, np.where(m > APART * s, ContactState.SLIPLESS, UNDECIDED))
+            for s, m in zip(self.slip[0], self.margin[0], strict=True)
+        ]
 
 
 class InteriorPoint:
@@ -70,21 +113,33 @@ class InteriorPoint:
         friction = [self.scene.coefficient[g.axis][replica].ravel()[g.acting] for g in self.system.groups]
         unit = float(np.mean(np.concatenate(friction)))
         slack = 1.0 / (self.scene.lattice.shape[-1] - 1)
-        return _Sample(Iterate.start(self.system, spins, [mu / unit for mu in friction], slack), unit)
+        sample = _Sample(Iterate.start(self.system, spins, [mu / unit for mu in friction], slack), unit)
+        sample.remember()
+        return sample
 
     def next_check(self, iteration: int) -> int:
         return iteration + 1
 
     def advance(self, steps: int) -> None:
-        for _ in range(steps):
-            for sample in self.samples:
-                if not sample.done:
-                    try:
-                        newton_step(sample.iterate, self.matrix)
-                        sample.done = not sample.iterate.gap > CLOSEST
-                    except NotPositiveDefinite:
-                        sample.done = True
-            self.iteration += 1
+        with one_thread():  # fronts are shared among threads here, not inside the library
+            for _ in range(steps):
+                for sample in self.samples:
+                    if not sample.done:
+                        self._step(sample)
+                self.iteration += 1
+
+    def _step(self, sample: _Sample) -> None:
+        try:
+            newton_step(sample.iterate, self.matrix)
+        except NotPositiveDefinite:
+            sample.done = True
+            return
+        sample.remember()
+        gap = sample.iterate.gap
+        if gap < SETTLE and not sample.tried:
+            sample.tried = True
+            sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix)
+        sample.done = sample.resolved is not None or not gap > CLOSEST
 
     def progress(self) -> Progress:
         scene = self.scene
@@ -94,12 +149,20 @@ class InteriorPoint:
             np.zeros((sum(k != axis for k in self.spin_axes), scene.replicas, *scene.lattice.contact_shape(axis)))
             for axis in range(scene.lattice.dimension)
         )
+        state = tuple(
+            np.full((scene.replicas, *scene.lattice.contact_shape(axis)), ContactState.SLIPLESS, dtype=np.uint8)
+            for axis in range(scene.lattice.dimension)
+        )
+        for axis, values in enumerate(state):
+            values[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
         for replica, sample in enumerate(self.samples):
-            spins = np.moveaxis(sample.iterate.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
+            answer = sample.resolved or sample.iterate
+            spins = np.moveaxis(answer.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
             staggered[:, replica, ..., 1:-1] = bottom.reshape(-1, *(1,) * scene.lattice.dimension) + scene.jump * spins
-            for group, dual in zip(self.system.groups, sample.iterate.dual, strict=True):
+            for group, dual, states in zip(self.system.groups, answer.dual, sample.states(), strict=True):
                 values = force[group.axis][:, replica].reshape(len(dual), -1)
                 values[:, group.acting] = -dual * (sample.unit * scene.normal_force)
+                state[group.axis][replica].reshape(-1)[group.acting] = states
         scene.impose_driving(staggered, self.spin_axes)
         product = max(sample.iterate.complementarity for sample in self.samples) if self.frustrated else 0.0
         return Progress(
@@ -112,4 +175,7 @@ class InteriorPoint:
             resolution=scene.lattice.radius * scene.jump * float(np.sqrt(product)),
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
+            state=state if self.frustrated else None,
+            resolved=np.array([sample.resolved is not None for sample in self.samples]),
+            unsettled=self.frustrated and not all(sample.done for sample in self.samples),
         )

@@ -22,6 +22,7 @@ from taichi_bearings.solvers.contact_system import ContactSystem
 from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
+STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
 CONES_END = 1e-14  # product of slip and margin at which cones alone lose their precision
 ROUNDS, STEPS, LAST_STEPS, BALANCE_STEPS = 3, 40, 8, 15
@@ -47,7 +48,7 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], matrix:
     """
     try:
         for _ in range(ROUNDS):
-            path = _Path(iterate, Contraction(iterate.system, parts, tied))
+            path = _Path(iterate, parts, tied)
             if not path.decide():
                 return None
             found = _minimum(iterate, parts, path)
@@ -63,25 +64,59 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], matrix:
 
 
 class _Path:
-    """The central path over the contacts that are not tied."""
+    """The central path over the contacts that are not tied, of which there are fewer and fewer.
 
-    def __init__(self, whole: Iterate, contraction: Contraction) -> None:
-        self.contraction, self.dual = contraction, whole.dual
-        system, kept = contraction.system, contraction.kept
-        self.matrix = NewtonMatrix(system, contraction.parts)
-        spins = contraction.contracted(whole.spins)
-        difference = [g.differences(spins) for g in system.groups]
-        slack = [b[k] - length(z[:, k]) for b, z, k in zip(whole.bound, whole.difference, kept, strict=True)]
-        self.point = Iterate(
-            system,
-            spins,
-            [mu[k] for mu, k in zip(whole.friction, kept, strict=True)],
-            [length(z) + b for z, b in zip(difference, slack, strict=True)],
-            difference,
-            [y[:, k] for y, k in zip(whole.dual, kept, strict=True)],
-        )
-        self.smooth = [np.zeros(len(mu), dtype=bool) for mu in self.point.friction]
+    kept : per group, the contacts of the whole system that are left. dual : of all contacts; the last one of tied ones.
+    """
+
+    def __init__(self, whole: Iterate, parts: list[Part], tied: list[np.ndarray]) -> None:
+        self.point, self.parts = whole, parts
+        self.kept = [np.arange(len(mu)) for mu in whole.friction]
+        self.dual = [y.copy() for y in whole.dual]
+        self.smooth = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
+        self.chain: list[Contraction] = []
+        self._tie(tied)
         self.target = self.point.complementarity
+
+    def _tie(self, tied: list[np.ndarray]) -> None:
+        """Go on without the contacts `tied`, (n,) masks over those that are left."""
+        point, contraction = self.point, Contraction(self.point.system, self.parts, tied)
+        self.chain.append(contraction)
+        self.store()
+        spins = contraction.contracted(point.spins)
+        difference, bound = [], []
+        for group, z, b, keep in zip(
+            contraction.system.groups, point.difference, point.bound, contraction.kept, strict=True
+        ):
+            new = group.differences(spins)
+            close = np.abs(new - z[:, keep]) < 1e-14  # the old ones are more precise
+            difference.append(np.where(close, z[:, keep], new))
+            bound.append(b[keep] - length(z[:, keep]) + length(difference[-1]))
+        self.point = Iterate(
+            contraction.system,
+            spins,
+            [mu[keep] for mu, keep in zip(point.friction, contraction.kept, strict=True)],
+            bound,
+            difference,
+            [y[:, keep] for y, keep in zip(point.dual, contraction.kept, strict=True)],
+        )
+        self.smooth = [smooth[keep] for smooth, keep in zip(self.smooth, contraction.kept, strict=True)]
+        self.kept = [kept[keep] for kept, keep in zip(self.kept, contraction.kept, strict=True)]
+        self.parts = contraction.parts
+        self.matrix = NewtonMatrix(contraction.system, contraction.parts)
+
+    def store(self) -> None:
+        """Bring `dual` up to date."""
+        for all_dual, y, kept in zip(self.dual, self.point.dual, self.kept, strict=True):
+            all_dual[:, kept] = y
+
+    @property
+    def spins(self) -> np.ndarray:
+        """Spins of the whole system."""
+        spins = self.point.spins
+        for contraction in reversed(self.chain):
+            spins = contraction.expanded(spins)
+        return spins
 
     def decide(self) -> bool:
         """Follow the path until slip and margin of every contact differ by DECIDED; False if that fails."""
@@ -93,17 +128,25 @@ class _Path:
                 self.target = self.point.complementarity
                 if self.target <= CONES_END:
                     self.target *= 0.1
-            elif self._step() > 0.5:
+                continue
+            ratios = self._ratios()
+            if min(float(r.min(initial=1.0)) for r in ratios) < STIFF**2:
+                self._tie([r < STIFF for r in ratios])
+            if self._step() > 0.5:
                 self.target *= 0.1
         return False
 
-    def _decided(self) -> bool:
-        ratio = [
+    def _ratios(self) -> list[np.ndarray]:
+        """Slip over margin (relative to the friction) of the contacts that are left."""
+        return [
             length(z) / np.maximum(1 - length(y) / mu, TINY)
             for mu, z, y in zip(self.point.friction, self.point.difference, self.point.dual, strict=True)
         ]
-        self.slipping = [r > 1 for r in ratio]
-        return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratio)
+
+    def _decided(self) -> bool:
+        ratios = self._ratios()
+        self.slipping = [r > 1 for r in ratios]
+        return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
 
     def _leave_cones(self) -> None:
         """Sort contacts into those that obey their friction law exactly and those that keep a cone."""
@@ -151,9 +194,7 @@ class _Path:
             along = min(along, 0.5 * float(shortest))
             moves.append((cone, db, dy))
         point.spins = point.spins + along * step
-        for z, dz, y, b, (cone, db, dy) in zip(
-            point.difference, change, point.dual, point.bound, moves, strict=True
-        ):
+        for z, dz, y, b, (cone, db, dy) in zip(point.difference, change, point.dual, point.bound, moves, strict=True):
             z += along * dz
             b[cone] += along * db
             y[:, cone] += dual_along * dy
@@ -166,9 +207,7 @@ class _Path:
         step = np.zeros(system.unknowns)
         for _ in range(3):
             change = [g.change(step) for g in system.groups]
-            dual = [
-                p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)
-            ]
+            dual = [p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)]
             step = step + self.matrix.solve(system.torques(dual))
         change = [g.change(step) for g in system.groups]
         dual = [p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)]
@@ -189,12 +228,12 @@ def friction_stiffness(friction: np.ndarray, difference: np.ndarray) -> np.ndarr
 def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
     """Newton's method on the power of the slipping contacts, all others tied."""
     slipping = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
+    path.store()
     dual = [y.copy() for y in path.dual]
-    for s, y, keep, mask, new in zip(slipping, dual, path.contraction.kept, path.slipping, path.point.dual, strict=True):
+    for s, keep, mask in zip(slipping, path.kept, path.slipping, strict=True):
         s[keep] = mask
-        y[:, keep] = new
     last = Contraction(whole.system, parts, [~s for s in slipping])
-    spins = last.contracted(path.contraction.expanded(path.point.spins))
+    spins = last.contracted(path.spins)
     groups = last.system.groups
     friction = [mu[keep] for mu, keep in zip(whole.friction, last.kept, strict=True)]
     matrix = NewtonMatrix(last.system, last.parts) if last.unknowns else None
@@ -206,7 +245,9 @@ def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
         if matrix is None:
             break
         matrix.factorise([friction_stiffness(mu, z) for mu, z in zip(friction, difference, strict=True)])
-        step = matrix.solve(last.system.torques([-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]))
+        step = matrix.solve(
+            last.system.torques([-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)])
+        )
         changes = [length(g.change(step)) / length(z) for g, z in zip(groups, difference, strict=True)]
         worst = max(float(c.max(initial=0.0)) for c in changes)
         if not np.isfinite(worst):
@@ -222,7 +263,9 @@ def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
     return Resolved(last.expanded(spins), dual, slipping)
 
 
-def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> tuple[list[np.ndarray] | None, list[np.ndarray]]:
+def _balanced(
+    whole: Iterate, matrix: NewtonMatrix, found: Resolved
+) -> tuple[list[np.ndarray] | None, list[np.ndarray]]:
     """Forces of the slipless contacts that leave no torque and fit into the friction discs, slipping ones as they are.
 
     Newton's method for the analytic centre of such forces, from forces inside the discs that leave torques: every step
@@ -235,8 +278,9 @@ def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> tuple[li
         for mu, y, s in zip(whole.friction, dual, found.slipping, strict=True):
             room = np.where(s, 1.0, mu**2 - inner(y, y))
             rest = room + 2 * inner(y, y)
-            soft = (room / 2) * (np.eye(len(y))[:, :, None] - (2 / rest) * y[:, None] * y[None, :])
-            stiffness.append(np.where(s, HELD * np.eye(len(y))[:, :, None], soft))
+            unit = np.eye(len(y))[:, :, None]
+            soft = (room / 2) * (unit - (2 / rest) * y[:, None] * y[None, :])
+            stiffness.append(np.where(s, HELD * unit, soft))
             pull.append(np.where(s, y, y - y * room / rest))
         matrix.factorise(stiffness)
         potential = np.zeros(system.unknowns)
@@ -258,10 +302,7 @@ def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> tuple[li
         along = 1.0 if longest > 1 else 0.95 * longest
         if along == 1.0:
             return changed, []
-        dual = [
-            np.where(s, y, y + along * (new - y))
-            for y, new, s in zip(dual, changed, found.slipping, strict=True)
-        ]
+        dual = [np.where(s, y, y + along * (new - y)) for y, new, s in zip(dual, changed, found.slipping, strict=True)]
     weak = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
     for w, s, a in zip(weak, found.slipping, reach, strict=True):
         w[np.flatnonzero(~s)[a < 2 * longest]] = True

@@ -16,11 +16,13 @@ class StopRule:
     tolerance : (power - lower bound) / power at which every replica counts as done, in (0, 1).
     iterations : limit on iterations of the method.
     seconds : limit on wall time, compilation apart; infinity for none.
+    settle : once certified, go on as long as the method can still tell more slipping from slipless contacts.
     """
 
     tolerance: float = 1e-8
     iterations: int = 1_000_000
     seconds: float = float("inf")
+    settle: bool = True
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
@@ -42,7 +44,9 @@ class StopRule:
         """The status if the run should end now, else None. power, bound : (R,), the best known so far."""
         if not np.isfinite(progress.power).all():
             return Status.NOT_FINITE
-        if (relative_gap(scene, power, bound) <= self.tolerance).all():
+        certified = bool((relative_gap(scene, power, bound) <= self.tolerance).all())
+        ended = progress.iteration >= self.iterations or elapsed >= self.seconds
+        if certified and (ended or not (self.settle and progress.unsettled)):
             return Status.CERTIFIED
         if progress.at_rest:
             return Status.STATIONARY

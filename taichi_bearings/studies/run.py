@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.contact_state import ContactState, count
+from taichi_bearings.contact_state import ContactState, count, separate
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
@@ -58,11 +58,22 @@ def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndar
     return values[None] if values.ndim == dimension else values
 
 
-def build_method(settings: RunSettings) -> Any:
-    """The method that the settings name; auto takes the fastest one that certifies."""
+def automatic_method(scene: Scene, settings: RunSettings) -> str:
+    """Name of the fastest method that certifies this scene."""
+    if scene.law == "viscous":
+        return "linear-solver"
+    if len(scene.minimum_spin_axes) == 1:
+        return "planar-cut"
+    if settings.arch == "cpu" and scene.lattice.sites <= MOST_FACTORISED:
+        return "interior-point"
+    return "operator-splitting"
+
+
+def build_method(settings: RunSettings, scene: Scene) -> Any:
+    """The method that the settings name; auto takes the fastest one that certifies (docs/methods.md)."""
     from taichi_bearings.solvers import method_class
 
-    name = "gradient-descent" if settings.method == "auto" else settings.method
+    name = automatic_method(scene, settings) if settings.method == "auto" else settings.method
     if name == "gradient-descent":
         from taichi_bearings.solvers.gradient_descent import GradientDescentOptions
 
@@ -85,6 +96,9 @@ def build_method(settings: RunSettings) -> Any:
     )
 
 
+MOST_FACTORISED = 120_000  # spheres of a 3D lattice up to which a factorisation pays and fits (about 48^3)
+
+
 @dataclass(frozen=True)
 class Job:
     """A checked run that is ready to be solved."""
@@ -98,7 +112,7 @@ class Job:
 def prepare(settings: RunSettings) -> Job:
     """Build everything the settings describe; every input error is raised here, before anything is computed."""
     scene = build_scene(settings)
-    return Job(settings, scene, initial_spin(scene, settings.initial), build_method(settings))
+    return Job(settings, scene, initial_spin(scene, settings.initial), build_method(settings, scene))
 
 
 def solve_job(job: Job, monitors: Sequence[Any] = ()) -> Solution:
@@ -110,7 +124,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = ()) -> Solution:
     settings = job.settings
     if job.method.needs_taichi:
         runtime.start(settings.arch, settings.precision, settings.threads)
-    stop = StopRule(settings.tolerance, settings.iterations, settings.time_limit or float("inf"))
+    stop = StopRule(settings.tolerance, settings.iterations, settings.time_limit or float("inf"), settings.settle)
     return solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold)
 
 
@@ -129,6 +143,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
         return listed if scene.replicas > 1 else listed[0]
 
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
+    separation = separate(scene, solution.slip, solution.state)
     summary = {
         "power": per_seed(solution.power),
         "lower_bound": per_seed(solution.lower_bound),
@@ -147,6 +162,10 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
         "slipping": per_seed(count(solution.state, ContactState.SLIPPING)),
         "slipless": per_seed(count(solution.state, ContactState.SLIPLESS)),
         "undecided": per_seed(count(solution.state, ContactState.UNDECIDED)),
+        "states_proven": per_seed(solution.resolved),
+        "largest_slipless_slip": per_seed(separation.largest_slipless),
+        "smallest_slipping_slip": per_seed(separation.smallest_slipping),
+        "separation_decades": per_seed(separation.decades),
         "slip_threshold": solution.slip_threshold,
         "largest_balance_residual": per_seed(solution.unbalanced_torque),
         "spin_top": scene.spin_top,

@@ -137,6 +137,9 @@ class RunSettings:
     slip_threshold: float | None = setting(
         None, POSITIVE, "Slip speed up to which a contact counts as slipless. Default: what the method can resolve."
     )
+    settle: bool = setting(
+        True, TRUTH, "interior-point: once certified, go on until every contact is known to slip or not."
+    )
     momentum: bool = setting(True, TRUTH, "gradient-descent: accelerate; --no-momentum is the paper's plain method.")
     stiffness: float = setting(1e5, POSITIVE, "cundall-strack: tangential stiffness K_t.")
     damping: float = setting(1e3, NOT_NEGATIVE, "cundall-strack: tangential damping A_t.")
