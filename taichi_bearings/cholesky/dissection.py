@@ -15,13 +15,13 @@ Region = dict[int, Box]  # spin component -> box of spheres
 
 @dataclass(frozen=True)
 class Part:
-    """One node of the elimination tree: its unknowns go last among those of its subtree. children : places in the list."""
+    """One node of the elimination tree: its unknowns go last in its subtree. children : their places in the list."""
 
     unknowns: np.ndarray
     children: tuple[int, ...]
 
 
-LEAF = 150  # unknowns of a region that is not divided: smaller ones cost more in calls than they save in arithmetic
+LEAF = 150  # unknowns of a region that is not divided: smaller ones cost more calls than they save arithmetic
 
 
 def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF) -> list[Part]:
@@ -58,7 +58,8 @@ def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF
 
 def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
     """Below, separator and above for the middle plane with the smallest separator; None if no plane divides."""
-    best, least = None, None
+    best: tuple[Region, Region, Region] | None = None
+    least = None
     for axis in range(dimension):
         coupled = [component for component in region if component != axis]
         boxes = [region[component] for component in coupled or region]
@@ -71,7 +72,7 @@ def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Regi
         above = {c: _cut(box, axis, middle + 1, box[1][axis]) for c, box in region.items()}
         cost = (_size(separator), first - last)
         if least is None or cost < least:
-            best, least = tuple(_without_empty(r) for r in (below, separator, above)), cost
+            best, least = (_without_empty(below), _without_empty(separator), _without_empty(above)), cost
     return best
 
 

@@ -65,7 +65,7 @@ class Pattern:
 
 
 def analyse(parts: list[Part], first: np.ndarray, second: np.ndarray) -> Pattern:
-    """Symbolic factorisation of the symmetric matrix in which the unknowns `first` and `second` are coupled pairwise."""
+    """Symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second` pairwise."""
     order = np.concatenate([part.unknowns for part in parts])
     size = len(order)
     place = np.empty(size, dtype=np.int64)

@@ -96,6 +96,10 @@ class _Direction:
         matrix.factorise([stiffness for _, _, stiffness in self.blocks])
         self.mean = iterate.complementarity
         self.target = 0.0
+        self.right: list[Point] = []
+        self.spins = np.zeros(iterate.system.unknowns)
+        self.steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.along = self.dual_along = 0.0
 
     def predict(self) -> None:
         """Straight at the solution: all products zero."""
@@ -134,7 +138,7 @@ class _Direction:
         return True
 
     def take(self) -> float:
-        """Refine the last solve once, which balances the forces to round-off, and go most of the way to the boundary."""
+        """Refine the last solve, which balances the forces to round-off, and go most of the way to the boundary."""
         iterate = self.iterate
         imbalance = iterate.system.torques([y + step[2] for y, step in zip(iterate.dual, self.steps, strict=True)])
         self.spins = self.spins + self.matrix.solve(imbalance)

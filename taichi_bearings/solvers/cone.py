@@ -2,7 +2,8 @@
 
 A point is a head (n,) and a tail (d, n) with head > |tail|, one for each of n contacts. Primal points (bound, slip
 difference) and dual points (friction, minus force) meet on the central path where their Jordan product is a multiple of
-(1, 0); the scaling W of Nesterov & Todd (1997) maps both to the same point, W^-1 primal = W dual (Vandenberghe 2010, 4).
+(1, 0); the scaling W of Nesterov & Todd (1997) maps both to the same point, W^-1 primal = W dual
+(Vandenberghe, The CVXOPT linear and quadratic cone program solvers, 2010).
 """
 
 from dataclasses import dataclass
@@ -78,13 +79,13 @@ class Scaling:
         return head / self.weight, tail / self.weight
 
     def divide(self, product: Point) -> Point:
-        """The x with (scaled point) o x = product, o the Jordan product (h, t) o (h', t') = (h h' + t.t', h t' + h' t)."""
+        """The x with (scaled point) o x = product, where o is the Jordan product."""
         head, tail = self.point
         first = (head * product[0] - inner(tail, product[1])) / determinant(self.point)
         return first, (product[1] - tail * first) / head
 
     def newton_blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Parts of W^-2: head-head (n,), head-tail (d, n), and the stiffness (d, d, n) left once the head is eliminated."""
+        """Parts of W^-2: head-head (n,), head-tail (d, n), and the stiffness (d, d, n) once the head is eliminated."""
         strength = 1 / self.weight**2
         core = 2 * self.head**2 - 1
         size = length(self.tail)
@@ -97,6 +98,7 @@ class Scaling:
 
 
 def jordan_product(first: Point, second: Point) -> Point:
+    """(h, t) o (h', t') = (h h' + t.t', h t' + h' t)."""
     (a, b), (c, d) = first, second
     return a * c + inner(b, d), a * d + c * b
 

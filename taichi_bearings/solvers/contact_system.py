@@ -100,7 +100,7 @@ class ContactSystem:
     def laplacian_map(self, entry: Callable, entries: int) -> sparse.csr_matrix:
         """Matrix from the stacked stiffnesses of all contacts to the stored entries of the weighted Laplacian.
 
-        entry : function (first unknowns, second unknowns) -> places of the stored entries, of which there are `entries`.
+        entry : function (first unknowns, second unknowns) -> places among the `entries` stored ones.
         """
         terms = [(entry(first, second), source, sign) for first, second, source, sign in self._entries()]
         places, sources = np.concatenate([t[0] for t in terms]), np.concatenate([t[1] for t in terms])
@@ -138,8 +138,8 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
         below = lower(sphere, axis, lattice.dimension).ravel()[acting]
         above = upper(sphere, axis, lattice.dimension).ravel()[acting]
         offset = jump[slots] * upper(is_top, axis, lattice.dimension).ravel()[acting]
-        ends = [np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above)]
-        groups.append(ContactGroup(axis, acting, *ends, offset, free * len(spin_axes)))
+        first, second = (np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above))
+        groups.append(ContactGroup(axis, acting, first, second, offset, free * len(spin_axes)))
     return ContactSystem(free * len(spin_axes), tuple(groups))
 
 

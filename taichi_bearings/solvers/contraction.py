@@ -62,7 +62,7 @@ class Contraction:
         return ContactGroup(group.axis, group.acting[keep], below, above, offset, self.unknowns)
 
     def _contracted_parts(self, parts: list[Part]) -> list[Part]:
-        """A set goes to the part nearest the root that holds one of its spins: it is connected, so there is just one."""
+        """A set goes to the part nearest the root that holds one of its spins; being connected, it has just one."""
         home = np.full(self.unknowns, -1)
         for place, part in enumerate(parts):  # children come first, so the last one to write is nearest the root
             numbers = self.number[part.unknowns]

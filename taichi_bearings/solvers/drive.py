@@ -207,7 +207,7 @@ def _collect(
     slip_threshold: float | None,
 ) -> Solution:
     slip = scene.slips(final.staggered, final.spin_axes)
-    own = final.state is not None and slip_threshold is None
+    own = final.state if slip_threshold is None else None
     default = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump)
     threshold = default if slip_threshold is None else slip_threshold
     return Solution(
@@ -219,8 +219,8 @@ def _collect(
         slip=slip,
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
-        state=final.state if own else classify(scene, slip, final.force, threshold),
-        resolved=final.resolved if own and final.resolved is not None else np.zeros(scene.replicas, dtype=bool),
+        state=classify(scene, slip, final.force, threshold) if own is None else own,
+        resolved=np.zeros(scene.replicas, dtype=bool) if own is None or final.resolved is None else final.resolved,
         power=final.power,
         lower_bound=bound,
         gap=relative_gap(scene, final.power, bound),

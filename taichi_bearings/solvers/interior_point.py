@@ -59,7 +59,7 @@ class _Sample:
         self.slip, self.margin = (slip, *self.slip[:1]), (margin, *self.margin[:1])
 
     def sticking(self) -> list[np.ndarray]:
-        """Masks (n,) a group of the contacts that surely stick: along the path their slips vanish, their margins do not."""
+        """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
         return [
             (m > LEAST_RATIO * s) & (s < TREND * s_before) & (m > TREND * m_before)
             for s, m, s_before, m_before in zip(self.slip[0], self.margin[0], self.slip[1], self.margin[1], strict=True)
@@ -153,8 +153,8 @@ class InteriorPoint:
             np.full((scene.replicas, *scene.lattice.contact_shape(axis)), ContactState.SLIPLESS, dtype=np.uint8)
             for axis in range(scene.lattice.dimension)
         )
-        for axis, values in enumerate(state):
-            values[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
+        for axis, of_axis in enumerate(state):
+            of_axis[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
             spins = np.moveaxis(answer.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)

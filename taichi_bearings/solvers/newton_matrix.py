@@ -11,13 +11,17 @@ class NewtonMatrix:
 
     def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
         """parts : elimination tree over the unknowns of `system`."""
+        self._empty = system.unknowns == 0  # everything is tied to the driven planes
+        if self._empty:
+            return
         self._cholesky = Cholesky(parts, *system.couplings())
         pattern = self._cholesky.pattern
         self._map = system.laplacian_map(pattern.entry, len(pattern.row))
 
     def factorise(self, stiffness: list[np.ndarray]) -> None:
         """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group."""
-        self._cholesky.factorise(self._map @ stacked(stiffness))
+        if not self._empty:
+            self._cholesky.factorise(self._map @ stacked(stiffness))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self._cholesky.solve(right)
+        return right if self._empty else self._cholesky.solve(right)

@@ -7,8 +7,8 @@ margins of 1e-9 can, and double precision ends before. Here
 2. contacts that surely slip then leave their cones and obey their friction law exactly, so that the products of slip
    and margin of those in doubt can be brought down by another ten decades, until nobody is in doubt;
 3. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum;
-4. the forces of the tied contacts are balanced anew. If they fit into their friction discs, the contact states are those
-   of a minimum; contacts that cannot hold their force are untied and all is done once more.
+4. the forces of the tied contacts are balanced anew. If they fit into their friction discs, the contact states are
+   those of a minimum; contacts that cannot hold their force are untied and all is done once more.
 """
 
 from dataclasses import dataclass
