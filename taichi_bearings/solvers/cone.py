@@ -90,9 +90,10 @@ class Scaling:
         core = 2 * self.head**2 - 1
         size = length(self.tail)
         along = self.tail / np.where(size > 0, size, 1.0)
+        along[0, size == 0] = 1.0  # any direction will do
         stiffness = (strength / core) * along[:, None] * along[None, :]
         if len(along) == 2:  # the part across the slip; written out, so that nothing cancels
-            across = np.where(size > 0, np.stack([-along[1], along[0]]), 1.0)
+            across = np.stack([-along[1], along[0]])
             stiffness += strength * across[:, None] * across[None, :]
         return strength * core, -2 * strength * self.head * self.tail, stiffness
 

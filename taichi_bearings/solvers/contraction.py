@@ -82,4 +82,4 @@ class Contraction:
 
     def expanded(self, spins: np.ndarray) -> np.ndarray:
         """Spins of the whole system: equal within each set."""
-        return np.where(self.number >= 0, spins[self.number], self.imposed)
+        return np.append(spins, 0.0)[self.number] + self.imposed  # number is -1 where a spin is imposed

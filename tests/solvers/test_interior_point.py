@@ -1,0 +1,127 @@
+"""The interior-point method against exact minima, an independent conic formulation, and its own claims."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.certificate import lower_bound, relative_gap
+from taichi_bearings.contact_state import ContactState, separate
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene import Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.gradient_descent import GradientDescent
+from taichi_bearings.solvers.interior_point import InteriorPoint
+from taichi_bearings.solvers.stopping import StopRule
+from tests.scenes import make_scene, minima, name_of, scene_of
+
+pytestmark = pytest.mark.usefixtures("needs_f64")
+
+
+def minimum_of(scene, tolerance=1e-9, start="linear", **stop):
+    return solve(scene, InteriorPoint(), initial_spin(scene, start), StopRule(tolerance, **stop))
+
+
+@pytest.mark.parametrize("entry", minima((3, 3, 3), (5, 5, 5), (10, 10, 10)), ids=name_of)
+def test_stored_minima_to_all_their_digits(entry):
+    solution = minimum_of(scene_of(entry))
+    assert solution.status is Status.CERTIFIED
+    assert solution.gap[0] < 1e-10
+    assert solution.power[0] == pytest.approx(entry["power_minimum"], rel=1e-12)
+    assert solution.resolved[0]
+    slipping = [(s == ContactState.SLIPPING) for s in solution.state]
+    assert sum(s.sum() for s in slipping) == entry["slipping"]
+    smallest = min(float(v[s].min(initial=np.inf)) for v, s in zip(solution.slip, slipping, strict=True))
+    assert smallest / 0.5 == pytest.approx(entry["smallest_slip_over_spin_top"], rel=1e-5)
+    assert all((v[s == ContactState.SLIPLESS] == 0).all() for v, s in zip(solution.slip, solution.state, strict=True))
+
+
+ODD = {
+    "unequal sides": dict(shape=(5, 9, 14)),
+    "rotating bottom": dict(shape=(6, 4, 7), spin_bottom=-0.4),
+    "general axis": dict(shape=(6, 5, 6), direction=(1, 2, 3)),
+    "component along the height": dict(shape=(4, 5, 6), direction=(1, 0, 1)),
+    "height of three": dict(shape=(7, 6, 3)),
+    "two wide": dict(shape=(2, 2, 9)),
+    "two wide one way": dict(shape=(2, 8, 6)),
+    "lognormal over six decades": dict(shape=(6, 6, 6), distribution="lognormal:1,2.3"),
+    "bimodal over six decades": dict(shape=(6, 6, 6), distribution="bimodal:1e-3,1e3,0.5"),
+    "all equal": dict(shape=(6, 6, 6), distribution="constant:0.5"),
+    "two dimensions": dict(shape=(9, 12)),
+    "one component": dict(shape=(4, 6, 5), direction=(1, 0, 0)),
+    "tiny units": dict(shape=(5, 5, 5), spin_top=1e-9, normal_force=1e8),
+}
+
+
+@pytest.mark.parametrize("odd", ODD.values(), ids=ODD)
+def test_odd_scenes_are_certified(odd):
+    scene = make_scene(**odd)
+    solution = minimum_of(scene, 1e-8)
+    assert solution.status is Status.CERTIFIED, solution.gap
+    assert (solution.lower_bound <= solution.power * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("start", ["random", "zero"])
+def test_every_start_leads_to_the_same_minimum(start):
+    scene = make_scene((5, 6, 7))
+    one, other = minimum_of(scene), minimum_of(scene, start=start)
+    assert other.power == pytest.approx(one.power, rel=1e-12)
+    assert all((a == b).all() for a, b in zip(one.state, other.state, strict=True))
+
+
+def test_replicas_give_what_they_give_alone():
+    together = minimum_of(make_scene((4, 5, 6), seeds=(3, 4, 5)))
+    for number, seed in enumerate((3, 4, 5)):
+        alone = minimum_of(make_scene((4, 5, 6), seeds=(seed,)))
+        assert alone.power[0] == together.power[number]
+        assert (alone.spin[0] == together.spin[number]).all()
+
+
+def test_it_agrees_with_gradient_descent():
+    scene = make_scene((6, 5, 7), spin_bottom=0.2)
+    descent = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-6))
+    solution = minimum_of(scene)
+    assert solution.lower_bound[0] <= descent.power[0]
+    assert descent.lower_bound[0] <= solution.power[0]
+    assert descent.power[0] == pytest.approx(solution.power[0], rel=1e-6)
+
+
+def test_reported_forces_hold_the_spheres_and_prove_the_bound():
+    scene = make_scene((6, 6, 6))
+    method = InteriorPoint()
+    solution = solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10))
+    progress = method.progress()
+    bound = lower_bound(scene, progress.force, progress.spin_axes)
+    assert relative_gap(scene, solution.power, bound)[0] < 1e-9
+    assert solution.unbalanced_torque[0] < 1e-9 * scene.normal_force
+    for axis, (force, state) in enumerate(zip(solution.force, solution.state, strict=True)):
+        friction = scene.normal_force * scene.coefficient[axis]
+        assert (force <= friction * (1 + 1e-8)).all()
+        slipping = state == ContactState.SLIPPING
+        assert force[slipping] == pytest.approx(friction[slipping], rel=1e-6)
+
+
+def test_slips_of_the_two_populations_are_decades_apart():
+    scene = make_scene((8, 8, 8), seeds=(1, 2))
+    solution = minimum_of(scene)
+    assert (separate(scene, solution.slip, solution.state).decades > 1).all()
+
+
+def test_without_settling_it_stops_at_the_tolerance():
+    scene = make_scene((6, 6, 6))
+    quick = minimum_of(scene, 1e-4, settle=False)
+    assert quick.status is Status.CERTIFIED
+    assert 1e-8 < quick.gap[0] < 1e-4
+    assert quick.iterations < minimum_of(scene, 1e-4).iterations
+
+
+def test_nothing_to_do_without_frustration():
+    scene = make_scene((4, 4, 5), spin_bottom=1.0)
+    solution = minimum_of(scene, start="random")
+    assert solution.status is Status.CERTIFIED
+    assert solution.power[0] < 1e-25
+
+
+def test_the_viscous_law_is_refused():
+    scene = make_scene((4, 4, 5), law="viscous")
+    with pytest.raises(InputError, match="law is 'viscous'"):
+        minimum_of(scene)
