@@ -47,12 +47,11 @@ class Cholesky:
 
         Raises NotPositiveDefinite if a pivot is not positive.
         """
-        storage, begin = self._storage, 0
-        ends = storage.columns_end
+        storage = self._storage
+        storage.values[:] = values
+        ends = [0, *storage.columns_end]
         for d in reversed(range(len(self._fronts))):
-            begin, end = int(ends[d - 1]) if d else 0, int(ends[d])
-            updates, below = storage.updates[d % 2], storage.updates[(d + 1) % 2]
-            assemble(end - begin < SERIAL, begin, end, *storage.tables, values, storage.factor, below, updates)
+            assemble(ends[d + 1] - ends[d] < SERIAL, ends[d], ends[d + 1], storage.tables, storage.reals)
             if not _eliminate(self._fronts[d]):
                 raise NotPositiveDefinite
 

@@ -2,15 +2,13 @@
 
 import taichi as ti
 
-ints = ti.types.ndarray(dtype=ti.i32, ndim=1)
-table = ti.types.ndarray(dtype=ti.i32, ndim=2)
-offsets = ti.types.ndarray(dtype=ti.i64, ndim=2)
-reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
-
-# columns of `front_table`
-OWN, BORDER, ENTRIES, CHILD_A, CHILD_B, MAP = 0, 1, 2, 3, 4, 5
-# columns of `front_offset`
-DIAGONAL, BELOW, UPDATE = 0, 1, 2
+# Passing an array to a kernel costs as much as assembling a thousand entries, so there is one of each kind. Where the
+# tables begin in the array of integers is written at its start:
+COLUMNS, FRONTS, ENTRY_START, ENTRY_PLACE, PLACES, HEADER = 0, 1, 2, 3, 4, 5
+# a row of the table of columns: front, column of the front, matching columns of its two children or -1
+COLUMN_WIDTH = 4
+# a row of the table of fronts; the last three are places in the array of reals
+OWN, BORDER, FIRST, CHILD_A, CHILD_B, MAP, DIAGONAL, BELOW, UPDATE, FRONT_WIDTH = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 
 
 @ti.kernel
@@ -18,60 +16,51 @@ def assemble(
     serial: ti.template(),
     begin: ti.i32,
     end: ti.i32,
-    columns: table,
-    front_table: table,
-    front_offset: offsets,
-    entry_start: ints,
-    entry_place: ints,
-    place_in_parent: ints,
-    values: reals,
-    factor: reals,
-    updates_below: reals,
-    updates: reals,
+    tables: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    reals: ti.types.ndarray(dtype=ti.f64, ndim=1),
 ):
-    """Columns begin ... end-1 of the list `columns` (front, column of the front, column of child a and b, -1 for none).
+    """Columns begin ... end-1 of the table of columns.
 
-    A front is stored in column order as its diagonal block and the block below it (both in `factor`) and, for the
-    border, the update block (in `updates`); only lower triangles count.
+    A front is stored in column order as its diagonal block, the block below it and, for the border, the update block;
+    only lower triangles count. The values of the original entries come first in `reals`.
     """
     if ti.static(serial):
         ti.loop_config(serialize=True)
     for item in range(begin, end):
-        front, column = columns[item, 0], columns[item, 1]
-        own, border = front_table[front, OWN], front_table[front, BORDER]
-        # where row `own` and row 0 of this column are stored
-        below = ti.i64(0)
-        diagonal = ti.i64(0)
+        at = tables[COLUMNS] + item * COLUMN_WIDTH
+        column = tables[at + 1]
+        front = tables[FRONTS] + tables[at] * FRONT_WIDTH
+        own, border = tables[front + OWN], tables[front + BORDER]
+        # rows 0 ... own-1 of this column are stored from `diagonal`, rows own ... own+border-1 from `below`
+        diagonal, below = 0, 0
         if column < own:
-            diagonal = front_offset[front, DIAGONAL] + ti.i64(column) * own
-            below = front_offset[front, BELOW] + ti.i64(column) * border
+            diagonal = tables[front + DIAGONAL] + column * own
+            below = tables[front + BELOW] + column * border
             for row in range(own):
-                factor[diagonal + row] = 0.0
+                reals[diagonal + row] = 0.0
             for row in range(border):
-                factor[below + row] = 0.0
-            entry = front_table[front, ENTRIES] + column
-            for e in range(entry_start[entry], entry_start[entry + 1]):
-                row = entry_place[e]
+                reals[below + row] = 0.0
+            entry = tables[ENTRY_START] + tables[front + FIRST] + column
+            for e in range(tables[entry], tables[entry + 1]):
+                row = tables[tables[ENTRY_PLACE] + e]
                 if row < own:
-                    factor[diagonal + row] = values[e]
+                    reals[diagonal + row] = reals[e]
                 else:
-                    factor[below + row - own] = values[e]
+                    reals[below + row - own] = reals[e]
         else:
-            below = front_offset[front, UPDATE] + ti.i64(column - own) * border
+            below = tables[front + UPDATE] + (column - own) * border
             for row in range(column - own, border):
-                updates[below + row] = 0.0
+                reals[below + row] = 0.0
         for which in ti.static(range(2)):
-            child_column = columns[item, 2 + which]
+            child_column = tables[at + 2 + which]
             if child_column >= 0:
-                child = front_table[front, CHILD_A + which]
-                length = front_table[child, BORDER]
-                source = front_offset[child, UPDATE] + ti.i64(child_column) * length
-                places = front_table[child, MAP]
+                child = tables[FRONTS] + tables[front + CHILD_A + which] * FRONT_WIDTH
+                length = tables[child + BORDER]
+                source = tables[child + UPDATE] + child_column * length
+                places = tables[PLACES] + tables[child + MAP]
                 for i in range(child_column, length):
-                    row = place_in_parent[places + i]
+                    row = tables[places + i]
+                    target = below + row - own
                     if row < own:
-                        factor[diagonal + row] = factor[diagonal + row] + updates_below[source + i]
-                    elif column < own:
-                        factor[below + row - own] = factor[below + row - own] + updates_below[source + i]
-                    else:
-                        updates[below + row - own] = updates[below + row - own] + updates_below[source + i]
+                        target = diagonal + row
+                    reals[target] = reals[target] + reals[source + i]

@@ -97,9 +97,10 @@ class InteriorPoint:
         if self.frustrated:
             self.parts = dissect(free_shape(scene.lattice), self.spin_axes)
             self.matrix = NewtonMatrix(self.system, self.parts)
-            self.matrix.factorise(
-                [np.eye(len(g.below))[:, :, None] * np.ones(g.below.shape[1]) for g in self.system.groups]
-            )
+            with one_thread():  # once for all, so that the kernels are compiled before the clock starts
+                self.matrix.factorise(
+                    [np.eye(len(z))[:, :, None] * np.ones_like(z[0]) for z in self.samples[0].iterate.difference]
+                )
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
         """Free spins (R, unknowns) from the bottom in units of the jump, inside the interval of the driven ones."""
