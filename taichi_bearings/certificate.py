@@ -23,21 +23,22 @@ Forces = tuple[np.ndarray, ...]
 ROUNDING = 32 * np.finfo(np.float64).eps
 
 
-def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...], balanced: bool = False) -> np.ndarray:
     """Proven lower bound (R,) on the least power of each replica, energy/time; never below 0.
 
     force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
+    balanced : the forces leave practically no torque, so the Poisson solve would change nothing and is left out.
     """
     force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
     finite = np.all([np.isfinite(f).all(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
     if not finite.all():
         keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
         force = tuple(np.where(keep, f, 0.0) for f in force)
-    balanced = balance(scene, force, spin_axes)
+    sources = [force] if balanced else [force, balance(scene, force, spin_axes)]
     if scene.law == "viscous":
-        candidates = [force, balanced]
+        candidates = sources
     else:
-        candidates = [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
+        candidates = [capped(scene, source) for source in sources] + [scaled(scene, sources[-1])]
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
     return np.maximum(best, 0.0)
 

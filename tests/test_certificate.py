@@ -45,6 +45,19 @@ def test_balanced_forces_leave_no_torque_on_any_free_sphere(shape, driving):
     assert np.abs(torques(force, scene.lattice, axes)[..., 1:-1]).max() < 1e-12
 
 
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_leaving_out_the_poisson_solve_is_safe_and_loses_nothing_on_balanced_forces(law):
+    scene, rng = make_scene((3, 4, 6), law, seeds=(1, 2)), np.random.default_rng(13)
+    axes = scene.minimum_spin_axes
+    wild = random_force(scene, axes, rng, 5.0)
+    assert (lower_bound(scene, wild, axes, balanced=True) <= lower_bound(scene, wild, axes)).all()
+    spin = scene.impose_driving(np.broadcast_to(np.linspace(0, 1, 6), (2, 2, 3, 4, 6)).copy(), axes)
+    even = balance(scene, tuple(0.1 * d for d in contact_differences(spin, scene.lattice, axes)), axes)
+    quick, full = lower_bound(scene, even, axes, balanced=True), lower_bound(scene, even, axes)
+    assert (quick > 0).all()
+    assert quick == pytest.approx(full, rel=1e-12)
+
+
 @pytest.mark.parametrize("broken", [np.nan, np.inf])
 def test_forces_that_are_not_finite_prove_nothing(broken):
     scene = make_scene((3, 4, 5), seeds=(1, 2))

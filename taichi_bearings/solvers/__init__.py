@@ -6,8 +6,9 @@ from typing import Any
 # name -> "module:class", imported on use so that listing the names does not load Taichi
 METHODS = {
     "interior-point": "taichi_bearings.solvers.interior_point:InteriorPoint",
-    "gradient-descent": "taichi_bearings.solvers.gradient_descent:GradientDescent",
+    "operator-splitting": "taichi_bearings.solvers.operator_splitting:OperatorSplitting",
     "linear-solver": "taichi_bearings.solvers.linear_solver:LinearSolver",
+    "gradient-descent": "taichi_bearings.solvers.gradient_descent:GradientDescent",
     "cundall-strack": "taichi_bearings.solvers.cundall_strack:CundallStrack",
 }
 

@@ -1,0 +1,218 @@
+"""Operator splitting for Coulomb friction: balance all torques as if by equal springs, let friction limit each force.
+
+Write P(Omega) = R sum over contacts of mu F_n |D Omega| and give each contact a slip z of its own. The alternating
+direction method of multipliers, which is Douglas-Rachford splitting, ties z to D Omega by springs of stiffness rho:
+
+    f, z    per contact: the trial force v = f + rho z is split into f, v limited to the friction disc, and the rest
+    Omega   minimises sum over contacts of |v - 2 f - rho D Omega|^2, a Poisson problem with constant coefficients
+    v       <- f + (1 - alpha) rho z + alpha rho D Omega, with alpha = 1.9 (over-relaxation)
+
+Both halves are exact, so v converges from any start for any rho > 0 and 0 < alpha < 2 (Eckstein and Bertsekas 1992).
+The spring force rho D Omega - (v - 2 f) right after the Poisson step leaves no torque on any free sphere: capped or
+scaled into the friction discs it proves the lower bound. docs/methods.md has the rules and the measured rates.
+
+Contacts along the height carry the drive and slip most, so their springs are four times softer. The stiffness is
+steered by the proven gap, which splits into (P - W) + (W - bound) with W the work that the driven planes would do
+against the balanced forces. The first part is large when the springs are too soft (the spins are late), the second when
+they are too hard (the forces are late). At each check rho is changed, replica by replica, towards a second part that is
+five times the first.
+"""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.certificate import dual_value, largest_unbalanced_torque, lower_bound
+from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import CPU_BLOCK, FieldSpec
+from taichi_bearings.kernels.splitting import ContactStep
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.poisson import PlanePoisson
+
+RELAXATION = 1.9  # alpha
+HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
+FIRST_STIFFNESS = 15.0  # of mean friction force / imposed jump
+FORCES_LATE = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
+LARGEST_CHANGE, LEAST_CHANGE = 1.5, 1.2  # factor on the stiffness at one check; smaller changes are not made
+SETTLED = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
+FIRST_CHECK, CHECKS = 25, 8  # checks after 25 iterations, then each 1/8 of the run apart
+COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
+WORTH_A_THREAD = 20_000  # spheres from which spin components are worth a thread each
+
+
+@lru_cache
+def contact_step(stencil: Stencil) -> ContactStep:
+    """One for each stencil, so that the next scene finds its kernels compiled."""
+    return ContactStep(stencil)
+
+
+class OperatorSplitting:
+    """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
+
+    The arrays are NumPy's, (numbers a site, length) in the flat layout, and shared by kernels and matrix products:
+    `friction` mu F_n, `trial` v, `push` v - 2 f = rho z - f, `potential` rho Omega, `pull` the pushes on each sphere.
+    """
+
+    name = "operator-splitting"
+    keeps_best = True
+    needs_taichi = True
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        if scene.law != "coulomb":
+            raise InputError(f"law is {scene.law!r}; operator-splitting minimises the power of 'coulomb' friction only")
+        if runtime.current().is_gpu:
+            raise DeviceError("operator-splitting works in the memory of the CPU; use --arch cpu")
+        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        return ()
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        running, lattice = runtime.current(), scene.lattice
+        dtype = np.float64 if running.precision == "f64" else np.float32
+        self.stencil = Stencil(self.spin_axes, lattice.dimension, CPU_BLOCK)
+        self.layout = Layout(scene.replicas, lattice.shape, CPU_BLOCK)
+        self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
+        self.poisson = [
+            PlanePoisson(lattice, component, self.weights, scene.replicas, dtype) for component in self.spin_axes
+        ]
+        threads = min(running.threads, len(self.poisson)) if self.layout.sites >= WORTH_A_THREAD else 1
+        self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(threads).map if threads > 1 else map
+        sizes = {
+            "friction": lattice.dimension,
+            "trial": self.stencil.force_components,
+            "push": self.stencil.force_components,
+            "potential": self.stencil.components,
+            "pull": self.stencil.components,
+        }
+        self.arrays = {name: np.zeros((numbers, self.layout.length), dtype) for name, numbers in sizes.items()}
+        self.kernel = contact_step(self.stencil).step
+        self._step_contacts(0.0, blocks=0)  # compiles
+        self._load(scene.staggered_spin(spin, self.spin_axes))
+
+    def _load(self, staggered: np.ndarray) -> None:
+        """Start from these spins, with the forces that springs of the first stiffness would bear."""
+        scene = self.scene
+        friction = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
+        self._sites("friction")[...] = friction
+        existing = (friction > 0).sum(axis=0).reshape(scene.replicas, -1).sum(axis=1)
+        mean_friction = friction.sum(axis=0).reshape(scene.replicas, -1).sum(axis=1) / existing
+        self.stiffness = FIRST_STIFFNESS * mean_friction / (scene.jump or 1.0)
+        self.change: np.ndarray | None = None
+        self.iteration = 0
+        height = np.linspace(0.0, 1.0, scene.lattice.shape[-1])
+        bottom, top = scene.driven_values(self.spin_axes)
+        profile = bottom[:, None] + (top - bottom)[:, None] * height
+        self.linear = profile.reshape(len(profile), *(1,) * scene.lattice.dimension, -1)
+        stiffness = self._by_replica(self.stiffness)
+        self._sites("potential")[...] = stiffness * staggered
+        trial = self._sites("trial")
+        for axis, difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
+            slot = self.stencil.force_slot[axis]
+            at_contacts = self.layout.from_lower_sphere(trial[slot : slot + len(difference)], axis)
+            at_contacts[...] = self.weights[axis] * stiffness * difference
+        self._step_contacts(0.0, self.layout.blocks)  # changes no trial force, limits them
+
+    def _sites(self, name: str) -> np.ndarray:
+        """An array as (numbers a site, R, *N), not copied."""
+        layout, array = self.layout, self.arrays[name]
+        inside = array[:, layout.margin : layout.margin + layout.sites]
+        return inside.reshape(len(array), layout.replicas, *layout.shape)
+
+    def _by_replica(self, values: np.ndarray) -> np.ndarray:
+        return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
+
+    def next_check(self, iteration: int) -> int:
+        return iteration + max(FIRST_CHECK, iteration // CHECKS)
+
+    def advance(self, steps: int) -> None:
+        self._change_stiffness()
+        free = (..., slice(1, -1))
+        source, potential = self._sites("pull")[free], self._sites("potential")[free]
+        driven_part = (self._by_replica(self.stiffness) * self.linear)[free]
+
+        def balance_torques(slot: int) -> None:
+            self.poisson[slot].solve(source[slot], potential[slot])
+            potential[slot] += driven_part[slot]
+
+        for _ in range(steps):
+            self._step_contacts(RELAXATION, self.layout.blocks)
+            list(self.each(balance_torques, range(len(self.poisson))))
+        self.iteration += steps
+
+    def _step_contacts(self, relaxation: float, blocks: int) -> None:
+        sideways, *_, height = self.weights
+        stride_x, stride_y = (*self.layout.strides, 1)[:2]
+        numbers = (stride_x, stride_y, sideways, height, relaxation, self.layout.margin, blocks)
+        self.kernel(*self.arrays.values(), *numbers)
+
+    def _change_stiffness(self) -> None:
+        """Scale rho z and rho Omega as the last check asked for; the spins and the friction f stay."""
+        if self.change is None:
+            return
+        self.stiffness = self.stiffness * self.change
+        factor, self.change = self._by_replica(self.change), None
+        trial, push, potential = (self._sites(name) for name in ("trial", "push", "potential"))
+        trial += (factor - 1) / 2 * (trial + push)
+        potential *= factor
+
+    def progress(self) -> Progress:
+        """`force` is the limited friction f; what it leaves unbalanced is reported and vanishes with the gap."""
+        scene, axes = self.scene, self.spin_axes
+        staggered = self._staggered()
+        balanced, friction = self.balanced_force(), self._by_axis(self._sites("trial") - self._sites("push"), 0.5)
+        power, bound = scene.power(staggered, axes), lower_bound(scene, balanced, axes, balanced=True)
+        self._steer(power, dual_value(scene, balanced, axes), bound)
+        return Progress(
+            iteration=self.iteration,
+            staggered=staggered,
+            spin_axes=axes,
+            force=friction,
+            power=power,
+            lower_bound=bound,
+            resolution=self._resolution(staggered),
+            unbalanced_torque=largest_unbalanced_torque(scene, friction, axes),
+        )
+
+    def balanced_force(self) -> tuple[np.ndarray, ...]:
+        """Forces of the springs, rho D Omega - (v - 2 f): one array (T, R, *contacts) an axis.
+
+        After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
+        """
+        differences = contact_differences(
+            self._sites("potential").astype(np.float64), self.scene.lattice, self.spin_axes
+        )
+        pushes = self._by_axis(self._sites("push"))
+        return tuple(w * d - g for w, d, g in zip(self.weights, differences, pushes, strict=True))
+
+    def _staggered(self) -> np.ndarray:
+        return self.scene.impose_driving(self._sites("potential") / self._by_replica(self.stiffness), self.spin_axes)
+
+    def _by_axis(self, stored: np.ndarray, factor: float = 1.0) -> tuple[np.ndarray, ...]:
+        return self.stencil.forces_by_axis(factor * stored.astype(np.float64), self.layout)
+
+    def _steer(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> None:
+        """Choose the next stiffness from the two parts of the gap."""
+        if not 0 < self.iteration < SETTLED:
+            return
+        least = np.maximum(1e-3 * (power - bound), np.finfo(np.float64).tiny)
+        spins_late = np.maximum(power - balanced_power, least)
+        forces_late = np.maximum(balanced_power - bound, least)
+        wanted = np.sqrt(FORCES_LATE * spins_late / forces_late).clip(1 / LARGEST_CHANGE, LARGEST_CHANGE)
+        self.change = np.where(np.abs(np.log(wanted)) > np.log(LEAST_CHANGE), wanted, 1.0)
+
+    def _resolution(self, staggered: np.ndarray) -> float:
+        """The fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree."""
+        scene, creep = self.scene, 0.0
+        slips = scene.slips(staggered, self.spin_axes)
+        loads = self._by_axis(self._sites("trial") + self._sites("push"))  # 2 rho z
+        for slip, load, coefficient in zip(slips, loads, scene.acting_coefficient, strict=True):
+            resting = (coefficient > 0) & (vector_length(load) == 0)
+            creep = max(creep, float(np.max(slip, where=resting, initial=0.0)))
+        return min(creep, COARSEST * scene.lattice.radius * scene.jump)
