@@ -23,24 +23,37 @@ Forces = tuple[np.ndarray, ...]
 ROUNDING = 32 * np.finfo(np.float64).eps
 
 
-def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...], balanced: bool = False) -> np.ndarray:
+def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Proven lower bound (R,) on the least power of each replica, energy/time; never below 0.
 
     force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
-    balanced : the forces leave practically no torque, so the Poisson solve would change nothing and is left out.
     """
     force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
     finite = np.all([np.isfinite(f).all(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
     if not finite.all():
         keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
         force = tuple(np.where(keep, f, 0.0) for f in force)
-    sources = [force] if balanced else [force, balance(scene, force, spin_axes)]
+    balanced = balance(scene, force, spin_axes)
     if scene.law == "viscous":
-        candidates = sources
+        candidates = [force, balanced]
     else:
-        candidates = [capped(scene, source) for source in sources] + [scaled(scene, sources[-1])]
+        candidates = [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
     return np.maximum(best, 0.0)
+
+
+def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Dual objective of Coulomb forces as they are, and the lower bound that they prove capped or scaled; (R,) each.
+
+    For forces that leave practically no torque: the Poisson solve of :func:`lower_bound` is left out. The bound holds
+    for any finite forces, and both come from two passes over the contacts, for methods that check often.
+    """
+    ratio = saturation(scene, balanced)
+    worst = np.max([values.reshape(scene.replicas, -1).max(axis=1) for values in ratio], axis=0)
+    work = dual_value(scene, balanced, spin_axes)
+    cap = tuple(f * np.minimum(1.0, _inverse(values)) for f, values in zip(balanced, ratio, strict=True))
+    bound = np.maximum(work / np.maximum(worst, 1.0), dual_value(scene, cap, spin_axes))
+    return work, np.maximum(bound, 0.0)
 
 
 def relative_gap(scene: Scene, power: np.ndarray, bound: np.ndarray) -> np.ndarray:
@@ -187,4 +200,5 @@ __all__ = [
     "relative_gap",
     "saturation",
     "scaled",
+    "work_and_bound",
 ]
