@@ -34,11 +34,12 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences
 from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.poisson import PlanePoisson
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
-FIRST_STIFFNESS = 15.0  # of mean friction force / imposed jump
+USUAL_STIFFNESS = 15.0  # of the force that a column of spheres transmits / imposed jump
 FORCES_LATE = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
 LARGEST_CHANGE, LEAST_CHANGE = 2.0, 1.2  # factor on the stiffness at one check; smaller changes are not made
 SETTLED = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
@@ -98,17 +99,11 @@ class OperatorSplitting:
     def _load(self, staggered: np.ndarray) -> None:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
-        friction = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
-        self._sites("friction")[...] = friction
-        existing = (friction > 0).sum(axis=0).reshape(scene.replicas, -1).sum(axis=1)
-        mean_friction = friction.sum(axis=0).reshape(scene.replicas, -1).sum(axis=1) / existing
-        self.stiffness = FIRST_STIFFNESS * mean_friction / (scene.jump or 1.0)
+        self._sites("friction")[...] = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
+        self.linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
+        self.stiffness = self._usual_stiffness(scene.power(self.linear, self.spin_axes))
         self.change: np.ndarray | None = None
         self.iteration = 0
-        height = np.linspace(0.0, 1.0, scene.lattice.shape[-1])
-        bottom, top = scene.driven_values(self.spin_axes)
-        profile = bottom[:, None] + (top - bottom)[:, None] * height
-        self.linear = profile.reshape(len(profile), *(1,) * scene.lattice.dimension, -1)
         stiffness = self._by_replica(self.stiffness)
         self._sites("potential")[...] = stiffness * staggered
         trial = self._sites("trial")
@@ -134,7 +129,7 @@ class OperatorSplitting:
         self._change_stiffness()
         free = (..., slice(1, -1))
         source, potential = self._sites("pull")[free], self._sites("potential")[free]
-        driven_part = (self._by_replica(self.stiffness) * self.linear)[free]
+        driven_part = (self._by_replica(self.stiffness) * self.linear).astype(potential.dtype)[free]
 
         def balance_torques(slot: int) -> None:
             self.poisson[slot].solve(source[slot], potential[slot])
@@ -196,15 +191,30 @@ class OperatorSplitting:
     def _by_axis(self, name: str) -> tuple[np.ndarray, ...]:
         return self.stencil.forces_by_axis(self._sites(name).astype(np.float64, copy=False), self.layout)
 
+    def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
+        """USUAL_STIFFNESS in its units, (R,): a column transmits the force power / (R * jump * columns)."""
+        scene = self.scene
+        jump, columns = scene.jump or 1.0, scene.lattice.sites // scene.lattice.shape[-1]
+        return (
+            USUAL_STIFFNESS * np.maximum(power, np.finfo(np.float32).tiny) / (scene.lattice.radius * columns * jump**2)
+        )
+
     def _steer(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> None:
-        """Choose the next stiffness from the two parts of the gap."""
+        """Choose the next stiffness from the two parts of the gap, within a reach that only grows with the iterations.
+
+        Without that limit a scene whose parts shrink in proportion would drive the stiffness away without end.
+        """
         if not 0 < self.iteration < SETTLED:
             return
         least = np.maximum(1e-3 * (power - bound), np.finfo(np.float64).tiny)
         spins_late = np.maximum(power - balanced_power, least)
         forces_late = np.maximum(balanced_power - bound, least)
-        wanted = np.sqrt(FORCES_LATE * spins_late / forces_late).clip(1 / LARGEST_CHANGE, LARGEST_CHANGE)
-        self.change = np.where(np.abs(np.log(wanted)) > np.log(LEAST_CHANGE), wanted, 1.0)
+        factor = np.sqrt(FORCES_LATE * spins_late / forces_late).clip(1 / LARGEST_CHANGE, LARGEST_CHANGE)
+        reach = np.sqrt(max(self.iteration / FIRST_CHECK, 1.0))
+        usual = self._usual_stiffness(power)
+        wanted = (self.stiffness * factor).clip(usual / reach, usual * reach)
+        factor = wanted / self.stiffness
+        self.change = np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
 
     def _resolution(
         self, slips: tuple[np.ndarray, ...], trial: tuple[np.ndarray, ...], push: tuple[np.ndarray, ...]
