@@ -128,8 +128,9 @@ class OperatorSplitting:
     def advance(self, steps: int) -> None:
         self._change_stiffness()
         free = (..., slice(1, -1))
+        one_column = (..., *(slice(1),) * self.scene.lattice.height_axis, slice(1, -1))
         source, potential = self._sites("pull")[free], self._sites("potential")[free]
-        driven_part = (self._by_replica(self.stiffness) * self.linear).astype(potential.dtype)[free]
+        driven_part = (self._by_replica(self.stiffness) * self.linear[one_column]).astype(potential.dtype)
 
         def balance_torques(slot: int) -> None:
             self.poisson[slot].solve(source[slot], potential[slot])
