@@ -100,8 +100,11 @@ class OperatorSplitting:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
         self._sites("friction")[...] = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
-        self.linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
-        self.stiffness = self._usual_stiffness(scene.power(self.linear, self.spin_axes))
+        linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
+        self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
+        components, replicas, *sides, height = linear.shape
+        one_column = linear.reshape(components, replicas, -1, height)[:, :, 0]
+        self.linear = one_column.reshape(components, replicas, *(1 for _ in sides), height)
         self.change: np.ndarray | None = None
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
@@ -128,9 +131,8 @@ class OperatorSplitting:
     def advance(self, steps: int) -> None:
         self._change_stiffness()
         free = (..., slice(1, -1))
-        one_column = (..., *(slice(1),) * self.scene.lattice.height_axis, slice(1, -1))
         source, potential = self._sites("pull")[free], self._sites("potential")[free]
-        driven_part = (self._by_replica(self.stiffness) * self.linear[one_column]).astype(potential.dtype)
+        driven_part = (self._by_replica(self.stiffness) * self.linear).astype(potential.dtype)[free]
 
         def balance_torques(slot: int) -> None:
             self.poisson[slot].solve(source[slot], potential[slot])
