@@ -5,11 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from taichi_bearings.certificate import balance, lower_bound, precise_torques, relative_gap, torques
+from taichi_bearings.certificate import (
+    balance,
+    lower_bound,
+    precise_torques,
+    relative_gap,
+    torques,
+    work_and_bound,
+)
 from taichi_bearings.lattice.grid import contact_differences, tangential
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.certificate import balance, lower_bound, relative_gap, torques, work_and_bound
-from taichi_bearings.lattice.grid import contact_differences
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 

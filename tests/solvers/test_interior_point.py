@@ -36,19 +36,19 @@ def test_stored_minima_to_all_their_digits(entry):
 
 
 ODD = {
-    "unequal sides": dict(shape=(5, 9, 14)),
-    "rotating bottom": dict(shape=(6, 4, 7), spin_bottom=-0.4),
-    "general axis": dict(shape=(6, 5, 6), direction=(1, 2, 3)),
-    "component along the height": dict(shape=(4, 5, 6), direction=(1, 0, 1)),
-    "height of three": dict(shape=(7, 6, 3)),
-    "two wide": dict(shape=(2, 2, 9)),
-    "two wide one way": dict(shape=(2, 8, 6)),
-    "lognormal over six decades": dict(shape=(6, 6, 6), distribution="lognormal:1,2.3"),
-    "bimodal over six decades": dict(shape=(6, 6, 6), distribution="bimodal:1e-3,1e3,0.5"),
-    "all equal": dict(shape=(6, 6, 6), distribution="constant:0.5"),
-    "two dimensions": dict(shape=(9, 12)),
-    "one component": dict(shape=(4, 6, 5), direction=(1, 0, 0)),
-    "tiny units": dict(shape=(5, 5, 5), spin_top=1e-9, normal_force=1e8),
+    "unequal sides": {"shape": (5, 9, 14)},
+    "rotating bottom": {"shape": (6, 4, 7), "spin_bottom": -0.4},
+    "general axis": {"shape": (6, 5, 6), "direction": (1, 2, 3)},
+    "component along the height": {"shape": (4, 5, 6), "direction": (1, 0, 1)},
+    "height of three": {"shape": (7, 6, 3)},
+    "two wide": {"shape": (2, 2, 9)},
+    "two wide one way": {"shape": (2, 8, 6)},
+    "lognormal over six decades": {"shape": (6, 6, 6), "distribution": "lognormal:1,2.3"},
+    "bimodal over six decades": {"shape": (6, 6, 6), "distribution": "bimodal:1e-3,1e3,0.5"},
+    "all equal": {"shape": (6, 6, 6), "distribution": "constant:0.5"},
+    "two dimensions": {"shape": (9, 12)},
+    "one component": {"shape": (4, 6, 5), "direction": (1, 0, 0)},
+    "tiny units": {"shape": (5, 5, 5), "spin_top": 1e-9, "normal_force": 1e8},
 }
 
 
