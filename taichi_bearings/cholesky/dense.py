@@ -1,7 +1,7 @@
-"""Eliminate the own unknowns of one front with LAPACK and BLAS, letting other threads run meanwhile.
+"""Eliminate and solve for the own unknowns of one front with LAPACK and BLAS, letting other threads run meanwhile.
 
 SciPy exports the routines for use from compiled code (scipy.linalg.cython_blas); called through ctypes they release the
-interpreter lock, so that fronts of one depth can be eliminated side by side. The library's own threads are of no use
+interpreter lock, so that independent fronts can be worked on side by side. The library's own threads are of no use
 here: most fronts are small, and a thread that waits for a busy processor holds up every call.
 """
 
@@ -23,9 +23,12 @@ def _routine(module: object, name: str) -> Callable:
 _dpotrf = _routine(cython_lapack, "dpotrf")
 _dtrsm = _routine(cython_blas, "dtrsm")
 _dsyrk = _routine(cython_blas, "dsyrk")
+_dtrsv = _routine(cython_blas, "dtrsv")
+_dgemv = _routine(cython_blas, "dgemv")
 _LEFT_OUT = ctypes.c_char(b"N")
 _LOWER, _RIGHT, _TRANSPOSED = ctypes.c_char(b"L"), ctypes.c_char(b"R"), ctypes.c_char(b"T")
-_ONE, _MINUS_ONE = ctypes.c_double(1.0), ctypes.c_double(-1.0)
+_ZERO, _ONE, _MINUS_ONE = ctypes.c_double(0.0), ctypes.c_double(1.0), ctypes.c_double(-1.0)
+_STEP = ctypes.c_int(1)
 
 
 class DenseFront:
@@ -62,3 +65,51 @@ class DenseFront:
             _dtrsm(*self._divide)
             _dsyrk(*self._subtract)
         return True
+
+
+class DenseSolve:
+    """Forward and backward substitution of one eliminated front in a vector that stays where it is in memory.
+
+    diagonal (m, m), below (b, m) : as eliminated. vector : all unknowns, first : the front's first one, border : (b,).
+    work : at least b numbers that no other thread uses.
+    """
+
+    def __init__(
+        self,
+        diagonal: np.ndarray,
+        below: np.ndarray,
+        vector: np.ndarray,
+        first: int,
+        border: np.ndarray,
+        work: np.ndarray,
+    ) -> None:
+        m, b = len(diagonal), len(below)
+        self._vector, self._border, self._work = vector, border, work[:b]
+        self._keep = (diagonal, below)
+        ref = ctypes.byref
+        m_, b_, own = ctypes.c_int(m), ctypes.c_int(b), vector.ctypes.data + first * vector.itemsize
+        to = [ctypes.c_void_p(address) for address in (diagonal.ctypes.data, below.ctypes.data, own, work.ctypes.data)]
+        end = (ref(m_), to[0], ref(m_), to[2], ref(_STEP))
+        self._divide = (ref(_LOWER), ref(_LEFT_OUT), ref(_LEFT_OUT), *end)
+        self._divide_transposed = (ref(_LOWER), ref(_TRANSPOSED), ref(_LEFT_OUT), *end)
+        start = (ref(b_), ref(m_))
+        self._spread = (
+            ref(_LEFT_OUT), *start, ref(_ONE), to[1], ref(b_), to[2], ref(_STEP), ref(_ZERO), to[3], ref(_STEP)
+        )  # fmt: skip
+        self._gather = (
+            ref(_TRANSPOSED), *start, ref(_MINUS_ONE), to[1], ref(b_), to[3], ref(_STEP), ref(_ONE), to[2], ref(_STEP)
+        )  # fmt: skip
+
+    def forward(self) -> None:
+        """own = L^-1 own, border -= below own."""
+        _dtrsv(*self._divide)
+        if len(self._border):
+            _dgemv(*self._spread)
+            self._vector[self._border] -= self._work
+
+    def backward(self) -> None:
+        """own = L^-T (own - below^T border)."""
+        if len(self._border):
+            self._work[:] = self._vector[self._border]
+            _dgemv(*self._gather)
+        _dtrsv(*self._divide_transposed)

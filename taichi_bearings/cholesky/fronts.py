@@ -6,6 +6,7 @@ added into the front of the parent. Fronts of one depth do not depend on each ot
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -48,7 +49,7 @@ class Pattern:
     def size(self) -> int:
         return len(self.order)
 
-    @property
+    @cached_property
     def factor_entries(self) -> int:
         return sum(f.own * (f.own + len(f.border)) for f in self.fronts)
 

@@ -16,7 +16,7 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
 LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
 WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
-STEP_SHARE = 0.9  # of the way to the boundary of the cones
+STEP_SHARE = 0.95  # of the way to the boundary of the cones
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
 
 
@@ -109,7 +109,7 @@ class _Direction:
         """Mehrotra: aim at a product that the predictor makes credible, and mend its second-order error."""
         primal, dual = self._after(min(1.0, self.along), min(1.0, self.dual_along))
         remaining = max(mean_product(primal, dual), 0.0) / self.mean
-        self.target = min(1.0, remaining**2) * self.mean / 2
+        self.target = min(1.0, remaining**2) * self.mean / 4
         right = []
         for s, (dbound, ddifference, ddual), (mu, y) in zip(
             self.scalings, self.steps, self.iterate.opposite, strict=True
