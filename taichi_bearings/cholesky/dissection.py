@@ -66,7 +66,7 @@ def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Regi
         first, last = min(low[axis] for low, _ in boxes), max(high[axis] for _, high in boxes)
         if last - first < (3 if coupled else 2):
             continue
-        middle = (first + last) // 2
+        middle = (first + last) // 2 - (not coupled)  # uncoupled planes fall apart without a separator
         separator = {c: _cut(region[c], axis, middle, middle + 1) for c in coupled}
         below = {c: _cut(box, axis, box[0][axis], middle + (c == axis)) for c, box in region.items()}
         above = {c: _cut(box, axis, middle + 1, box[1][axis]) for c, box in region.items()}
