@@ -38,7 +38,7 @@ class Progress:
     at_rest : a dynamics has come to rest.
     exhausted : a minimisation can get no closer in its precision.
     state : contact states (R, *contacts) an axis that the method itself has established, else None.
-    resolved : (R,), True where these are proven to be those of a minimum.
+    settled : (R,), True where these are final. resolved : (R,), True where they are proven to be those of a minimum.
     unsettled : going on would settle more contact states, whatever the gap.
     """
 
@@ -54,6 +54,7 @@ class Progress:
     at_rest: bool = False
     exhausted: bool = False
     state: tuple[np.ndarray, ...] | None = None
+    settled: np.ndarray | None = None
     resolved: np.ndarray | None = None
     unsettled: bool = False
 

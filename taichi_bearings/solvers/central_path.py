@@ -5,7 +5,7 @@ corrector (1992) and Gondzio's further correctors (1996), in the Nesterov-Todd s
 factor of about five a step, with one factorisation and a few solves.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,6 +17,8 @@ CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a 
 LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
 WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
 STEP_SHARE = 0.95  # of the way to the boundary of the cones
+TINY = np.finfo(np.float64).tiny
+WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
 
 
@@ -24,7 +26,8 @@ SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREA
 class Iterate:
     """A point inside all cones: spins (unknowns,); a group each: friction and bound (n,), difference and dual (d, n).
 
-    The dual is minus the contact force.
+    The dual is minus the contact force. smooth : (n,) masks, contacts that are in no cone but obey the law of friction
+    exactly: dual = - friction * direction of slip.
     """
 
     system: ContactSystem
@@ -33,6 +36,10 @@ class Iterate:
     bound: list[np.ndarray]
     difference: list[np.ndarray]
     dual: list[np.ndarray]
+    smooth: list[np.ndarray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.smooth = self.smooth or [np.zeros(len(mu), dtype=bool) for mu in self.friction]
 
     @classmethod
     def start(cls, system: ContactSystem, spins: np.ndarray, friction: list[np.ndarray], slack: float) -> "Iterate":
@@ -42,17 +49,34 @@ class Iterate:
         return cls(system, spins, friction, bound, difference, [np.zeros_like(z) for z in difference])
 
     @property
+    def cones(self) -> list[slice | np.ndarray]:
+        """Selection of the contacts in cones, one a group."""
+        return [np.flatnonzero(~s) if s.any() else slice(None) for s in self.smooth]
+
+    def let_slip(self, limit: float) -> None:
+        """Contacts that slip more than `limit` leave their cones, others come back into them."""
+        mean = self.complementarity
+        for mu, z, y, b, smooth in zip(self.friction, self.difference, self.dual, self.bound, self.smooth, strict=True):
+            size = length(z)
+            back = smooth & (size <= limit)
+            b[back] = ((mean / mu + np.hypot(mean / mu, 2 * size)) / 2)[back]
+            y[:, back] = -mu[back] * z[:, back] / b[back]
+            smooth[:] = size > limit
+            y[:, smooth] = -mu[smooth] * z[:, smooth] / size[smooth]
+
+    @property
     def primal(self) -> list[Point]:
-        return list(zip(self.bound, self.difference, strict=True))
+        """The points (bound, difference) of the contacts in cones."""
+        return [(b[c], z[:, c]) for b, z, c in zip(self.bound, self.difference, self.cones, strict=True)]
 
     @property
     def opposite(self) -> list[Point]:
-        """The dual points (friction, minus force)."""
-        return list(zip(self.friction, self.dual, strict=True))
+        """The dual points (friction, minus force) of the contacts in cones."""
+        return [(mu[c], y[:, c]) for mu, y, c in zip(self.friction, self.dual, self.cones, strict=True)]
 
     @property
     def complementarity(self) -> float:
-        """Mean over the contacts of friction * bound - difference . force."""
+        """Mean over the contacts in cones of friction * bound - difference . force."""
         return mean_product(self.primal, self.opposite)
 
     @property
@@ -68,7 +92,18 @@ class Iterate:
 
 def mean_product(primal: list[Point], dual: list[Point]) -> float:
     total = sum(float((p[0] * d[0] + inner(p[1], d[1])).sum()) for p, d in zip(primal, dual, strict=True))
-    return total / sum(len(p[0]) for p in primal)
+    return total / max(1, sum(len(p[0]) for p in primal))
+
+
+def friction_stiffness(friction: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    """Second derivative (d, d, n) of friction * |difference|, plus the weak WEAK / slip^2 along the slip."""
+    size = length(difference)
+    along = difference / size
+    stiffness = (WEAK / size**2) * along[:, None] * along[None, :]
+    if len(along) == 2:
+        across = np.stack([-along[1], along[0]])
+        stiffness = stiffness + (friction / size) * across[:, None] * across[None, :]
+    return stiffness
 
 
 def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> float:
@@ -90,31 +125,44 @@ class _Direction:
 
     def __init__(self, iterate: Iterate, matrix: NewtonMatrix) -> None:
         self.iterate, self.matrix = iterate, matrix
-        self.groups = iterate.system.groups
-        self.scalings = [Scaling.of(p, d) for p, d in zip(iterate.primal, iterate.opposite, strict=True)]
+        self.groups, self.cones = iterate.system.groups, iterate.cones
+        self.primal, self.opposite = iterate.primal, iterate.opposite
+        self.scalings = [Scaling.of(p, d) for p, d in zip(self.primal, self.opposite, strict=True)]
         self.blocks = [s.newton_blocks() for s in self.scalings]
-        matrix.factorise([stiffness for _, _, stiffness in self.blocks])
+        self.stiffness = []
+        for mu, z, smooth, cone, (_, _, in_cone) in zip(
+            iterate.friction, iterate.difference, iterate.smooth, self.cones, self.blocks, strict=True
+        ):
+            stiffness = in_cone
+            if smooth.any():
+                stiffness = np.empty((len(z), *z.shape))
+                stiffness[:, :, cone] = in_cone
+                stiffness[:, :, smooth] = friction_stiffness(mu[smooth], z[:, smooth])
+            self.stiffness.append(stiffness)
+        matrix.factorise(self.stiffness)
         self.mean = iterate.complementarity
         self.target = 0.0
         self.right: list[Point] = []
         self.spins = np.zeros(iterate.system.unknowns)
         self.steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.pull: list[np.ndarray] = []
         self.along = self.dual_along = 0.0
 
     def predict(self) -> None:
         """Straight at the solution: all products zero."""
-        self._solve([(-mu, -y) for mu, y in self.iterate.opposite])
+        self._solve([(-mu, -y) for mu, y in self.opposite])
 
     def correct(self) -> None:
         """Mehrotra: aim at a product that the predictor makes credible, and mend its second-order error."""
         primal, dual = self._after(min(1.0, self.along), min(1.0, self.dual_along))
-        remaining = max(mean_product(primal, dual), 0.0) / self.mean
+        remaining = max(mean_product(primal, dual), 0.0) / max(self.mean, TINY)
         self.target = min(1.0, remaining**2) * self.mean / 4
         right = []
-        for s, (dbound, ddifference, ddual), (mu, y) in zip(
-            self.scalings, self.steps, self.iterate.opposite, strict=True
+        for s, (dbound, ddifference, ddual), (mu, y), c in zip(
+            self.scalings, self.steps, self.opposite, self.cones, strict=True
         ):
-            second = jordan_product(s.apply((np.zeros_like(mu), ddual)), s.apply_inverse((dbound, ddifference)))
+            scaled_dual = s.apply((np.zeros_like(mu), ddual[:, c]))
+            second = jordan_product(scaled_dual, s.apply_inverse((dbound, ddifference[:, c])))
             head, tail = s.apply_inverse(s.divide((second[0] - self.target, second[1])))
             right.append((-mu - head, -y - tail))
         self._solve(right)
@@ -123,7 +171,7 @@ class _Direction:
         """Gondzio: bring outlying products of a longer step closer to the target. True if that pays."""
         if min(self.along, self.dual_along) > LONG_ENOUGH:
             return False
-        before = self.along, self.dual_along, self.steps, self.spins, self.right
+        before = self.along, self.dual_along, self.steps, self.spins, self.right, self.pull
         primal, dual = self._after(min(1.0, 1.5 * self.along + 0.1), min(1.0, 1.5 * self.dual_along + 0.1))
         right = []
         for s, p, d, (head, tail) in zip(self.scalings, primal, dual, self.right, strict=True):
@@ -133,7 +181,7 @@ class _Direction:
             right.append((head + more[0], tail + more[1]))
         self._solve(right)
         if min(1.0, self.along) + min(1.0, self.dual_along) < min(1.0, before[0]) + min(1.0, before[1]) + WORTHWHILE:
-            self.along, self.dual_along, self.steps, self.spins, self.right = before
+            self.along, self.dual_along, self.steps, self.spins, self.right, self.pull = before
             return False
         return True
 
@@ -147,37 +195,59 @@ class _Direction:
         iterate.spins = iterate.spins + along * self.spins
         # not from the spins anew: their rounding is coarser than the last distances from the cones
         iterate.difference = [z + along * step[1] for z, step in zip(iterate.difference, self.steps, strict=True)]
-        iterate.bound = [b + along * step[0] for b, step in zip(iterate.bound, self.steps, strict=True)]
-        iterate.dual = [y + dual_along * step[2] for y, step in zip(iterate.dual, self.steps, strict=True)]
+        for mu, z, y, b, smooth, c, (dbound, _, ddual) in zip(
+            iterate.friction,
+            iterate.difference,
+            iterate.dual,
+            iterate.bound,
+            iterate.smooth,
+            self.cones,
+            self.steps,
+            strict=True,
+        ):
+            b[c] += along * dbound
+            y[:, c] += dual_along * ddual[:, c]
+            b[smooth] = length(z[:, smooth])
+            y[:, smooth] = -mu[smooth] * z[:, smooth] / b[smooth]
         return min(along, dual_along)
 
     def _solve(self, right: list[Point]) -> None:
         """Steps for W^-2 d(primal) + d(dual) = right that leave the forces balanced; `right` (n,), (d, n) a group."""
         self.right = right
-        pull = [
-            y + tail - off * (head / diagonal)
-            for (head, tail), y, (diagonal, off, _) in zip(right, self.iterate.dual, self.blocks, strict=True)
-        ]
-        self.spins = self.matrix.solve(self.iterate.system.torques(pull))
+        self.pull = [y.copy() for y in self.iterate.dual]
+        for pull, (head, tail), (diagonal, off, _), c in zip(self.pull, right, self.blocks, self.cones, strict=True):
+            pull[:, c] += tail - off * (head / diagonal)
+        self.spins = self.matrix.solve(self.iterate.system.torques(self.pull))
         self._expand()
 
     def _expand(self) -> None:
         """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
-        self.steps = []
-        for group, (head, tail), (diagonal, off, stiffness) in zip(self.groups, self.right, self.blocks, strict=True):
+        iterate = self.iterate
+        self.steps, self.along, self.dual_along = [], np.inf, np.inf
+        for number, (group, (head, _), (diagonal, off, _), c) in enumerate(
+            zip(self.groups, self.right, self.blocks, self.cones, strict=True)
+        ):
             difference = group.change(self.spins)
-            bound = (head - inner(off, difference)) / diagonal
-            dual = tail - off * (head / diagonal) - np.einsum("ijn,jn->in", stiffness, difference)
+            bound = (head - inner(off, difference[:, c])) / diagonal
+            new = self.pull[number] - np.einsum("ijn,jn->in", self.stiffness[number], difference)
+            dual = new - iterate.dual[number]
             self.steps.append((bound, difference, dual))
-        self.along = min(longest_step(p, s[:2]) for p, s in zip(self.iterate.primal, self.steps, strict=True))
-        self.dual_along = min(
-            longest_step(d, (np.zeros_like(d[0]), s[2])) for d, s in zip(self.iterate.opposite, self.steps, strict=True)
-        )
+            self.along = min(self.along, longest_step(self.primal[number], (bound, difference[:, c])))
+            mu = self.opposite[number][0]
+            self.dual_along = min(self.dual_along, longest_step(self.opposite[number], (np.zeros_like(mu), dual[:, c])))
+            smooth = iterate.smooth[number]
+            if smooth.any():  # the law of friction is far from linear once a slip changes by as much as itself
+                share = length(iterate.difference[number][:, smooth]) / np.maximum(length(difference[:, smooth]), TINY)
+                self.along = min(self.along, 0.5 * float(share.min()))
 
     def _after(self, along: float, dual_along: float) -> tuple[list[Point], list[Point]]:
         """Primal and dual points after steps of these lengths."""
         primal = [
-            (b + along * s[0], z + along * s[1]) for (b, z), s in zip(self.iterate.primal, self.steps, strict=True)
+            (b + along * dbound, z + along * ddifference[:, c])
+            for (b, z), (dbound, ddifference, _), c in zip(self.primal, self.steps, self.cones, strict=True)
         ]
-        dual = [(mu, y + dual_along * s[2]) for (mu, y), s in zip(self.iterate.opposite, self.steps, strict=True)]
+        dual = [
+            (mu, y + dual_along * ddual[:, c])
+            for (mu, y), (_, _, ddual), c in zip(self.opposite, self.steps, self.cones, strict=True)
+        ]
         return primal, dual

@@ -151,8 +151,8 @@ class _Best:
             return
         old = self.progress
         better = new.power <= old.power  # False for NaN, so a failed step never counts
-        if new.resolved is not None:  # settled contact states are worth more than the last digit of the power
-            better |= new.resolved & (new.power <= old.power * (1 + 1e-11))
+        if new.settled is not None:  # settled contact states are worth more than the last digit of the power
+            better |= new.settled & (new.power <= old.power * (1 + 1e-11))
         if better.all():
             self.progress = new
             return

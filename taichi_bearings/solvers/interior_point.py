@@ -177,6 +177,7 @@ class InteriorPoint:
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
             state=state if self.frustrated else None,
-            resolved=np.array([sample.resolved is not None for sample in self.samples]),
+            settled=np.array([sample.resolved is not None for sample in self.samples]),
+            resolved=np.array([sample.resolved is not None and sample.resolved.proven for sample in self.samples]),
             unsettled=self.frustrated and not all(sample.done for sample in self.samples),
         )

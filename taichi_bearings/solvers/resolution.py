@@ -8,36 +8,38 @@ margins of 1e-9 can, and double precision ends before. Here
    and margin of those in doubt can be brought down by another ten decades, until nobody is in doubt;
 3. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum;
 4. the forces of the tied contacts are balanced anew. If they fit into their friction discs, the contact states are
-   those of a minimum; contacts that cannot hold their force are untied and all is done once more.
+   proven to be those of a minimum; if not, contacts in the way are untied and all is done once more.
+
+Without that proof the spins are still a minimiser as far as the lower bound of the path can tell.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taichi_bearings.cholesky import NotPositiveDefinite, Part
-from taichi_bearings.solvers.central_path import Iterate, newton_step
-from taichi_bearings.solvers.cone import Scaling, determinant, inner, length, longest_step
-from taichi_bearings.solvers.contact_system import ContactSystem
+from taichi_bearings.solvers.central_path import Iterate, friction_stiffness, newton_step
+from taichi_bearings.solvers.cone import inner, length
 from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
+SAME = 1e-11  # relative excess of power over the path's from which a result is discarded
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
-CONES_END = 1e-14  # product of slip and margin at which cones alone lose their precision
-ROUNDS, STEPS, LAST_STEPS, BALANCE_STEPS = 3, 40, 8, 15
+ROUNDS, STEPS, LAST_STEPS, BALANCE_STEPS = 2, 40, 8, 15
+WEAKEST = 1e-2  # margin below which a contact counts as in the way
 HELD = 1e-13  # stiffness of forces that are held
-WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
-TINY = np.finfo(np.float64).tiny
+EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,); dual (d, n), minus the forces, and slipping (n,) a group."""
+    """spins (unknowns,); dual (d, n), minus the forces, and slipping (n,) a group; proven : forces confirm the states."""
 
     spins: np.ndarray
     dual: list[np.ndarray]
     slipping: list[np.ndarray]
+    proven: bool = False
 
 
 def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], matrix: NewtonMatrix) -> Resolved | None:
@@ -46,21 +48,27 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], matrix:
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
     parts, matrix : of its system.
     """
-    try:
+    best = None
+    with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         for _ in range(ROUNDS):
-            path = _Path(iterate, parts, tied)
-            if not path.decide():
-                return None
-            found = _minimum(iterate, parts, path)
-            if found is None:
-                return None
-            dual, weak = _balanced(iterate, matrix, found)
+            try:
+                path = _Path(iterate, parts, tied)
+                found = _minimum(iterate, parts, path) if path.decide() else None
+                if found is None or not _power(iterate, found.spins) <= (1 + SAME) * _power(iterate, iterate.spins):
+                    break
+                best = replace(found, dual=iterate.dual)
+                dual, weak = _balanced(iterate, matrix, found)
+            except NotPositiveDefinite:
+                break
             if dual is not None:
-                return Resolved(found.spins, dual, found.slipping)
+                return replace(found, dual=dual, proven=True)
             tied = [t & ~w for t, w in zip(tied, weak, strict=True)]
-    except NotPositiveDefinite:
-        pass
-    return None
+    return best
+
+
+def _power(iterate: Iterate, spins: np.ndarray) -> float:
+    groups = iterate.system.groups
+    return sum(float(mu @ length(g.differences(spins))) for mu, g in zip(iterate.friction, groups, strict=True))
 
 
 class _Path:
@@ -73,10 +81,8 @@ class _Path:
         self.point, self.parts = whole, parts
         self.kept = [np.arange(len(mu)) for mu in whole.friction]
         self.dual = [y.copy() for y in whole.dual]
-        self.smooth = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
         self.chain: list[Contraction] = []
         self._tie(tied)
-        self.target = self.point.complementarity
 
     def _tie(self, tied: list[np.ndarray]) -> None:
         """Go on without the contacts `tied`, (n,) masks over those that are left."""
@@ -99,8 +105,8 @@ class _Path:
             bound,
             difference,
             [y[:, keep] for y, keep in zip(point.dual, contraction.kept, strict=True)],
+            [smooth[keep] for smooth, keep in zip(point.smooth, contraction.kept, strict=True)],
         )
-        self.smooth = [smooth[keep] for smooth, keep in zip(self.smooth, contraction.kept, strict=True)]
         self.kept = [kept[keep] for kept, keep in zip(self.kept, contraction.kept, strict=True)]
         self.parts = contraction.parts
         self.matrix = NewtonMatrix(contraction.system, contraction.parts)
@@ -120,20 +126,18 @@ class _Path:
 
     def decide(self) -> bool:
         """Follow the path until slip and margin of every contact differ by DECIDED; False if that fails."""
+        point = self.point
         for _ in range(STEPS):
             if self._decided():
                 return True
-            if self.target > CONES_END:
-                newton_step(self.point, self.matrix)
-                self.target = self.point.complementarity
-                if self.target <= CONES_END:
-                    self.target *= 0.1
-                continue
             ratios = self._ratios()
             if min(float(r.min(initial=1.0)) for r in ratios) < STIFF**2:
                 self._tie([r < STIFF for r in ratios])
-            if self._step() > 0.5:
-                self.target *= 0.1
+                point = self.point
+            # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
+            product = point.complementarity
+            point.let_slip(max(product / (1000 * EPS), 100 * np.sqrt(product)))
+            newton_step(point, self.matrix)
         return False
 
     def _ratios(self) -> list[np.ndarray]:
@@ -147,82 +151,6 @@ class _Path:
         ratios = self._ratios()
         self.slipping = [r > 1 for r in ratios]
         return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
-
-    def _leave_cones(self) -> None:
-        """Sort contacts into those that obey their friction law exactly and those that keep a cone."""
-        point = self.point
-        # beyond this slip, the distance from the cone is lost in rounding; far above sqrt(target) in any case
-        limit = max(self.target / (200 * np.finfo(float).eps), 100 * np.sqrt(self.target))
-        for mu, z, y, b, smooth in zip(
-            point.friction, point.difference, point.dual, point.bound, self.smooth, strict=True
-        ):
-            back = smooth & (length(z) <= limit)
-            b[back] = ((self.target / mu + np.hypot(self.target / mu, 2 * length(z))) / 2)[back]
-            y[:, back] = -mu[back] * z[:, back] / b[back]
-            smooth[:] = length(z) > limit
-            y[:, smooth] = -mu[smooth] * z[:, smooth] / length(z[:, smooth])
-
-    def _step(self) -> float:
-        """One Newton step towards products of slip and margin equal to the target; returns its length."""
-        self._leave_cones()
-        point, system = self.point, self.point.system
-        pulls, stiffnesses, cones = [], [], []
-        for mu, z, y, b, smooth in zip(
-            point.friction, point.difference, point.dual, point.bound, self.smooth, strict=True
-        ):
-            cone = ~smooth
-            stiffness = np.zeros((len(z), *z.shape))
-            stiffness[:, :, smooth] = friction_stiffness(mu[smooth], z[:, smooth])
-            primal, dual = (b[cone], z[:, cone]), (mu[cone], y[:, cone])
-            diagonal, off, stiffness[:, :, cone] = Scaling.of(primal, dual).newton_blocks()
-            head = -dual[0] + self.target * primal[0] / determinant(primal)
-            pull = y.copy()
-            pull[:, cone] = -self.target * primal[1] / determinant(primal) - off * (head / diagonal)
-            pulls.append(pull)
-            stiffnesses.append(stiffness)
-            cones.append((cone, diagonal, off, head))
-        self.matrix.factorise(stiffnesses)
-        step, change, new_dual = self._solved(system, pulls, stiffnesses)
-        along, dual_along, moves = 1.0, 1.0, []
-        for mu, z, y, b, dz, y_new, (cone, diagonal, off, head) in zip(
-            point.friction, point.difference, point.dual, point.bound, change, new_dual, cones, strict=True
-        ):
-            db, dy = (head - inner(off, dz[:, cone])) / diagonal, (y_new - y)[:, cone]
-            along = min(along, 0.9 * longest_step((b[cone], z[:, cone]), (db, dz[:, cone])))
-            dual_along = min(dual_along, 0.9 * longest_step((mu[cone], y[:, cone]), (np.zeros_like(db), dy)))
-            shortest = (length(z) / np.maximum(length(dz), TINY))[~cone].min(initial=np.inf)
-            along = min(along, 0.5 * float(shortest))
-            moves.append((cone, db, dy))
-        point.spins = point.spins + along * step
-        for z, dz, y, b, (cone, db, dy) in zip(point.difference, change, point.dual, point.bound, moves, strict=True):
-            z += along * dz
-            b[cone] += along * db
-            y[:, cone] += dual_along * dy
-        return min(along, dual_along)
-
-    def _solved(
-        self, system: ContactSystem, pulls: list[np.ndarray], stiffnesses: list[np.ndarray]
-    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-        """Step of the spins, changes of the differences, and the dual that balances; refined twice."""
-        step = np.zeros(system.unknowns)
-        for _ in range(3):
-            change = [g.change(step) for g in system.groups]
-            dual = [p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)]
-            step = step + self.matrix.solve(system.torques(dual))
-        change = [g.change(step) for g in system.groups]
-        dual = [p - np.einsum("ijn,jn->in", k, dz) for p, k, dz in zip(pulls, stiffnesses, change, strict=True)]
-        return step, change, dual
-
-
-def friction_stiffness(friction: np.ndarray, difference: np.ndarray) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference|, plus the weak WEAK / slip^2 along the slip."""
-    size = length(difference)
-    along = difference / size
-    stiffness = (WEAK / size**2) * along[:, None] * along[None, :]
-    if len(along) == 2:
-        across = np.stack([-along[1], along[0]])
-        stiffness = stiffness + (friction / size) * across[:, None] * across[None, :]
-    return stiffness
 
 
 def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
@@ -303,10 +231,9 @@ def _balanced(
         if along == 1.0:
             return changed, []
         dual = [np.where(s, y, y + along * (new - y)) for y, new, s in zip(dual, changed, found.slipping, strict=True)]
-    weak = [np.zeros(len(mu), dtype=bool) for mu in whole.friction]
-    for w, s, a in zip(weak, found.slipping, reach, strict=True):
-        w[np.flatnonzero(~s)[a < 2 * longest]] = True
-    return None, weak
+    return None, [
+        ~s & (1 - length(y) / mu < WEAKEST) for y, mu, s in zip(dual, whole.friction, found.slipping, strict=True)
+    ]
 
 
 def _inside(dual: np.ndarray, friction: np.ndarray) -> np.ndarray:
@@ -316,5 +243,5 @@ def _inside(dual: np.ndarray, friction: np.ndarray) -> np.ndarray:
 
 def _reach(dual: np.ndarray, step: np.ndarray, friction: np.ndarray) -> np.ndarray:
     """How far each may go along the step within its friction disc, (n,)."""
-    a, b, c = inner(step, step), inner(dual, step), friction**2 - inner(dual, dual)
+    a, b, c = inner(step, step), inner(dual, step), np.maximum(friction**2 - inner(dual, dual), 0.0)
     return c / (b + np.sqrt(b * b + a * c) + TINY)
