@@ -1,5 +1,6 @@
 """What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -40,6 +41,7 @@ class Progress:
     state : contact states (R, *contacts) an axis that the method itself has established, else None.
     settled : (R,), True where these are final. resolved : (R,), True where they are proven to be those of a minimum.
     unsettled : going on would settle more contact states, whatever the gap.
+    findings : what else the method has found, by name, (R,) each.
     """
 
     iteration: int
@@ -57,6 +59,7 @@ class Progress:
     settled: np.ndarray | None = None
     resolved: np.ndarray | None = None
     unsettled: bool = False
+    findings: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ class Solution:
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
     resolved : (R,), True where the contact states are proven to be those of a minimum.
     power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
+    findings : what else the method has found, by name, (R,) each.
     history : columns of equal length; power and lower_bound are (checks, R).
     """
 
@@ -88,3 +92,4 @@ class Solution:
     seconds: float
     seconds_compile: float
     history: dict[str, np.ndarray] = field(default_factory=dict)
+    findings: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -5,6 +5,7 @@ from typing import Any
 
 # name -> "module:class", imported on use so that listing the names does not load Taichi
 METHODS = {
+    "planar-cut": "taichi_bearings.solvers.planar_cut:PlanarCut",
     "interior-point": "taichi_bearings.solvers.interior_point:InteriorPoint",
     "operator-splitting": "taichi_bearings.solvers.operator_splitting:OperatorSplitting",
     "linear-solver": "taichi_bearings.solvers.linear_solver:LinearSolver",

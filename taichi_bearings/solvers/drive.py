@@ -229,4 +229,5 @@ def _collect(
         seconds=seconds,
         seconds_compile=seconds_compile,
         history=history.arrays(),
+        findings=final.findings,
     )

@@ -176,6 +176,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
     }
     if scene.law == "coulomb" and unit > 0:
         summary["power_normalised"] = per_seed(solution.power / unit)
+    summary |= {name: per_seed(values) for name, values in solution.findings.items()}
     if "time" in solution.history:
         summary["time"] = float(solution.history["time"][-1])
     return summary

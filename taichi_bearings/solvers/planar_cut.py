@@ -1,0 +1,127 @@
+"""The Coulomb law with a single spin component, solved exactly: its least power is a minimum cut of planar grids.
+
+A component k is coupled only by the contacts that are not along k, so that a square lattice, or each plane k = constant
+of a cubic one, is a grid of its own. With one component the power is a sum of weighted |differences|, and some
+minimiser takes no other values than the two driven ones (PHYSICS 4): all slip happens at the interface between the
+spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
+proves it and is the friction (planar.py).
+"""
+
+import numpy as np
+
+from taichi_bearings.certificate import largest_unbalanced_torque, work_and_bound
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.errors import InputError
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.scene import Progress, Scene
+
+
+class PlanarCut:
+    """See the module docstring. The only iteration cuts all grids."""
+
+    name = "planar-cut"
+    keeps_best = True
+    needs_taichi = False
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        if scene.law != "coulomb":
+            raise InputError(f"method planar-cut solves the coulomb law only; the law is {scene.law!r}")
+        if len(scene.minimum_spin_axes) > 1:
+            raise InputError(
+                "method planar-cut needs imposed spins about x or about y alone on a cubic lattice; "
+                f"direction is {list(scene.direction)}"
+            )
+        return ()
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        (self.component,) = self.spin_axes
+        self.bottom, self.top = (float(value[0]) for value in scene.driven_values(self.spin_axes))
+        self.staggered = scene.staggered_spin(spin, self.spin_axes)
+        self.force = tuple(
+            np.zeros((int(axis != self.component), scene.replicas, *scene.lattice.contact_shape(axis)))
+            for axis in range(scene.lattice.dimension)
+        )
+        self.state = tuple(
+            np.broadcast_to(
+                np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, ContactState.SLIPLESS),
+                (scene.replicas, *scene.lattice.contact_shape(axis)),
+            ).astype(np.uint8)
+            for axis in range(scene.lattice.dimension)
+        )
+        planes = 1 if scene.lattice.dimension == 2 else scene.lattice.shape[self.component]
+        self.unique = np.ones((scene.replicas, planes), dtype=bool)
+        self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
+        self.iteration = 0
+
+    def next_check(self, iteration: int) -> int:
+        return iteration + 1
+
+    def advance(self, steps: int) -> None:
+        """Cut every grid, or turn everything alike where top and bottom agree."""
+        self.iteration += 1
+        if self.top == self.bottom:
+            self.staggered[...] = self.bottom
+            return
+        height = self.scene.lattice.height_axis
+        (sideways,) = (axis for axis in range(height) if axis != self.component)
+        replicas, planes, *_ = self._by_plane(self.scene.coefficient[height]).shape
+        replica, plane = (index.ravel() for index in np.indices((replicas, planes)))
+        weights = [
+            values.reshape(-1, *values.shape[2:])
+            for values in (self._by_plane(self.scene.acting_coefficient[axis]) for axis in (sideways, height))
+        ]
+        for part, cuts in minimum_cuts(*weights):
+            where = replica[part], plane[part]
+            self._by_plane(self.staggered[0])[where] = np.where(cuts.above, self.top, self.bottom)
+            self._store(
+                sideways, where, cuts.above[:, 1:] != cuts.above[:, :-1], cuts.sideways_flow, cuts.sideways_shared
+            )
+            self._store(
+                height, where, cuts.above[..., 1:] != cuts.above[..., :-1], cuts.upward_flow, cuts.upward_shared
+            )
+            self._note(where, cuts)
+
+    def _store(
+        self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, shared: np.ndarray
+    ) -> None:
+        """Friction and states of the contacts along `axis`; the choice between cuts of equal weight is undecided."""
+        friction = flow * (np.sign(self.top - self.bottom) * self.scene.normal_force)
+        self._by_plane(self.force[axis][0])[where] = friction
+        states = self._by_plane(self.state[axis])
+        states[where] = np.where(cut, ContactState.SLIPPING, np.where(shared, ContactState.UNDECIDED, states[where]))
+
+    def _note(self, where: tuple[np.ndarray, np.ndarray], cuts: MinimumCuts) -> None:
+        self.unique[where] = cuts.unique
+        self.next_over_minimum[where] = cuts.next_weight / cuts.weight
+
+    def _by_plane(self, values: np.ndarray) -> np.ndarray:
+        """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
+        if self.scene.lattice.dimension == 2:
+            return values[:, None]
+        return np.moveaxis(values, 1 + self.component, 1)
+
+    def progress(self) -> Progress:
+        scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
+        unique = np.asarray(self.unique.all(axis=1))
+        findings = {"cut_is_unique": unique, "next_cut_over_minimum": self.next_over_minimum.min(axis=1)}
+        fastest = max(abs(scene.spin_top), abs(scene.spin_bottom))
+        return Progress(
+            iteration=self.iteration,
+            staggered=self.staggered.copy(),
+            spin_axes=axes,
+            force=self.force,
+            power=scene.power(self.staggered, axes),
+            lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
+            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
+            unbalanced_torque=largest_unbalanced_torque(scene, self.force, axes),
+            exhausted=cut,
+            state=self.state if cut else None,
+            resolved=unique if cut else None,
+            findings=findings if cut and self.top != self.bottom else {},
+        )
+
+
+__all__ = ["PlanarCut"]
