@@ -6,8 +6,8 @@ outside crosses separate bottom from top, so the lightest cut is the shortest pa
 Flows, 1969; Reif, SIAM J. Comput. 12, 1983). The distances from the left, cut off at the least weight, are the
 potential of a largest flow: across each contact they differ by no more than its weight.
 
-Weights are rounded down to multiples of a unit, 2^-52 to 2^-53 of the least weight, so that every distance that counts
-is an integer below 2^53. Flows then balance without any rounding and are admissible, however many decades the weights
+Weights are rounded down to multiples of a unit, 2^-50 to 2^-52 of the least weight, so that every distance that counts
+is an integer below 2^52. Flows then balance without any rounding and are admissible, however many decades the weights
 span, and the least weight is wrong by at most a unit a contact of the cut.
 """
 
@@ -29,7 +29,7 @@ class MinimumCuts:
     above : (B, w, h), True on the top side of the cut; the contacts whose ends differ are the cut.
     sideways_flow, upward_flow : shaped as the weights, towards the higher index; balanced but in the end rows.
     sideways_shared, upward_shared : True for the contacts of any cut as light as this one.
-    weight, next_weight : (B,), of this cut and of the lightest other one.
+    weight, next_weight : (B,), of this cut and of the lightest other one that leaves either side in one piece.
     """
 
     above: np.ndarray
@@ -49,8 +49,8 @@ class MinimumCuts:
 def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
     """Cuts of least weight between the bottom row and the top row of each grid, bundle by bundle.
 
-    sideways, upward : weights (B, w - 1, h) and (B, w, h - 1) of the contacts along the rows and along the columns, not
-        negative; w >= 2, h >= 3. Those within the bottom and the top row take no part.
+    sideways : weights (B, w - 1, h) along the rows, none negative; those of the bottom and the top row take no part.
+    upward : weights (B, w, h - 1) along the columns, all positive; w >= 2, h >= 3.
     yields : the grids of a bundle and their cuts.
     """
     batch, columns, rows = upward.shape
@@ -64,11 +64,13 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
     """The cuts of one bundle; inner : sideways weights without those of the end rows, (B, w - 1, h - 2)."""
     at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
     while True:
-        unit = np.ldexp(1.0, np.frexp(at_most)[1] - 53)
+        unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
         path = _shortest_paths(np.floor(inner / _grids(unit)), np.floor(upward / _grids(unit)))
-        if (path.length >= 2.0**51).all():
+        coarse = path.length < 2.0**50
+        if not coarse.any():
             break
-        at_most = np.sum(inner, axis=(1, 2), where=path.inner) + np.sum(upward, axis=(1, 2), where=path.upward)
+        found = np.sum(inner, axis=(1, 2), where=path.inner) + np.sum(upward, axis=(1, 2), where=path.upward)
+        at_most = np.where(coarse, found, at_most)
     batch, columns, gaps = upward.shape
     potential = np.empty((batch, columns + 1, gaps))
     potential[:, 0], potential[:, -1] = 0.0, path.length[:, None]

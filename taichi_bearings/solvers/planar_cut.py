@@ -2,7 +2,7 @@
 
 A component k is coupled only by the contacts that are not along k, so that a square lattice, or each plane k = constant
 of a cubic one, is a grid of its own. With one component the power is a sum of weighted |differences|, and some
-minimiser takes no other values than the two driven ones (PHYSICS 4): all slip happens at the interface between the
+minimiser takes no other values than the two driven ones (PHYSICS 3.5): all slip happens at the interface between the
 spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
 proves it and is the friction (planar.py).
 """
@@ -112,13 +112,13 @@ class PlanarCut:
             iteration=self.iteration,
             staggered=self.staggered.copy(),
             spin_axes=axes,
-            force=self.force,
+            force=tuple(values.copy() for values in self.force),
             power=scene.power(self.staggered, axes),
             lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
             unbalanced_torque=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
-            state=self.state if cut else None,
+            state=tuple(values.copy() for values in self.state) if cut else None,
             resolved=unique if cut else None,
             findings=findings if cut and self.top != self.bottom else {},
         )

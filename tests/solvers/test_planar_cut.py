@@ -1,0 +1,158 @@
+"""The planar cut: stored minima, linear programmes, states, contrasts, drivings, batches."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.sparse import coo_array, hstack, identity, vstack
+
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene import Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.planar_cut import PlanarCut
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.studies.run import summarise
+from tests.kernels.twins import is_driven, neighbours
+from tests.scenes import make_scene, minima, name_of, scene_of
+
+SIX_DECADES = ["lognormal:1,2.3", "bimodal:1e-3,1e3,0.5", "power-law:1e-3,1e3,-1"]
+
+
+def solved(scene, start="random", tolerance=1e-12):
+    solution = solve(scene, PlanarCut(), initial_spin(scene, start), StopRule(tolerance))
+    assert solution.status is Status.CERTIFIED
+    assert solution.iterations == 1
+    assert (solution.lower_bound <= solution.power).all()
+    return solution
+
+
+@pytest.mark.parametrize("entry", minima((10, 10), (32, 32)), ids=name_of)
+def test_reference_minima(entry):
+    assert solved(scene_of(entry)).power[0] == pytest.approx(entry["power_minimum"], rel=1e-12)
+
+
+def linear_programme(scene, component):
+    """Least power of the spins about `component` alone, as a linear programme over spins and slips."""
+    shape = scene.lattice.shape
+    contacts = [
+        (low, high, scene.coefficient[axis][0][low])
+        for low, high, axis in neighbours(shape)
+        if axis != component and not (is_driven(low, shape) and is_driven(high, shape))
+    ]
+    rows, spheres = np.arange(len(contacts)), np.prod(shape)
+    ends = [np.ravel_multi_index(list(zip(*(c[end] for c in contacts), strict=True)), shape) for end in (0, 1)]
+    sign = np.repeat([-1.0, 1.0], len(rows))
+    difference = coo_array((sign, (np.tile(rows, 2), np.concatenate(ends))), shape=(len(rows), spheres))
+    above = vstack([hstack([s * difference, -identity(len(rows))]) for s in (1, -1)])
+    unit = scene.axis_vector[component]
+    limits = []
+    for site in np.ndindex(*shape):
+        value = {0: scene.spin_bottom * unit, shape[-1] - 1: scene.spin_top * unit}.get(site[-1])
+        limits.append((value, value))
+    cost = np.concatenate([np.zeros(spheres), [c[2] for c in contacts]])
+    found = linprog(cost, A_ub=above.tocsr(), b_ub=np.zeros(above.shape[0]), bounds=limits + [(0, None)] * len(rows))
+    assert found.success
+    return scene.normal_force * scene.lattice.radius * found.fun
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, -2, 0), (1, 0, 1)], ids=str)
+@pytest.mark.parametrize("driving", [(1.0, 0.0), (-0.3, 0.8)])
+def test_layers_of_a_cubic_lattice_equal_a_linear_programme(direction, driving):
+    top, bottom = driving
+    scene = make_scene((4, 5, 6), direction=direction, spin_top=top, spin_bottom=bottom)
+    (component,) = scene.minimum_spin_axes
+    assert solved(scene).power[0] == pytest.approx(linear_programme(scene, component), rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (2, 9), (9, 3), (6, 5)], ids=str)
+@pytest.mark.parametrize("driving", [(1.0, 0.0), (0.4, 1.3), (-1.0, -3.0)])
+def test_discs_equal_a_linear_programme_for_any_driving(shape, driving):
+    top, bottom = driving
+    scene = make_scene(shape, distribution="lognormal:1,1", spin_top=top, spin_bottom=bottom, normal_force=7.0)
+    solution = solved(scene)
+    assert solution.power[0] == pytest.approx(linear_programme(scene, 2), rel=1e-9)
+    assert set(np.unique(solution.spin[0] * scene.lattice.parity)) == {top, bottom}
+
+
+@pytest.mark.parametrize("distribution", SIX_DECADES)
+@pytest.mark.parametrize("shape", [(60, 50), (2, 100), (11, 12, 13), (2, 2, 3)], ids=str)
+def test_six_decades_leave_a_gap_of_round_off(shape, distribution):
+    solution = solved(make_scene(shape, distribution=distribution, seeds=(1, 2, 3), direction=(0, 1, 0)))
+    assert solution.gap.max() < 1e-12
+
+
+def test_exactly_the_interface_slips():
+    solution = solved(make_scene((9, 8), seeds=(1, 2, 3)))
+    assert solution.resolved.all()
+    for axis, (state, slip, force) in enumerate(zip(solution.state, solution.slip, solution.force, strict=True)):
+        slipping = state == ContactState.SLIPPING
+        assert (slipping == (slip > 0)).all()
+        assert force[slipping] == pytest.approx(50.0 * solution.scene.coefficient[axis][slipping], rel=1e-12)
+        assert ((state == ContactState.DRIVEN) == solution.scene.lattice.between_driven(axis)).all()
+        assert not (state == ContactState.UNDECIDED).any()
+
+
+def test_contacts_along_the_spin_neither_slip_nor_push():
+    solution = solved(make_scene((4, 5, 6), direction=(0, 1, 0)))
+    assert (solution.slip[1] == 0).all()
+    assert (solution.force[1] == 0).all()
+    assert set(np.unique(solution.state[1])) == {ContactState.SLIPLESS, ContactState.DRIVEN}
+    assert (solution.spin[..., [0, 2]] == 0).all()
+
+
+def test_without_disorder_other_cuts_are_undecided():
+    solution = solved(make_scene((5, 7), distribution="constant:0.3"))
+    assert not solution.resolved[0]
+    assert not solution.findings["cut_is_unique"][0]
+    assert solution.findings["next_cut_over_minimum"][0] == 1
+    assert np.sum(solution.state[1] == ContactState.SLIPPING) == 5
+    assert np.sum(solution.state[1] == ContactState.UNDECIDED) == 5 * 5
+    assert not np.isin(solution.state[0], [ContactState.SLIPPING, ContactState.UNDECIDED]).any()
+
+
+def test_replicas_together_equal_replicas_alone_bit_by_bit():
+    seeds = (5, 6, 7)
+    for shape in [(9, 8), (4, 5, 6)]:
+        together = solved(make_scene(shape, seeds=seeds, direction=(1, 0, 0)))
+        for n, seed in enumerate(seeds):
+            alone = solved(make_scene(shape, seeds=(seed,), direction=(1, 0, 0)))
+            assert together.power[n] == alone.power[0]
+            assert (together.spin[n] == alone.spin[0]).all()
+            for name, values in alone.findings.items():
+                assert together.findings[name][n] == values[0]
+            for ours, theirs in zip(together.force + together.state, alone.force + alone.state, strict=True):
+                assert (ours[n] == theirs[0]).all()
+
+
+def test_a_cubic_lattice_is_as_unique_as_its_least_unique_plane():
+    scene = make_scene((3, 6, 7), direction=(1, 0, 0))
+    planes = [solved(_plane(scene, x)).findings["next_cut_over_minimum"][0] for x in range(3)]
+    assert solved(scene).findings["next_cut_over_minimum"][0] == min(planes)
+
+
+def _plane(scene, x):
+    """The layer x = const of a cubic lattice as a square one."""
+    flat = make_scene(scene.lattice.shape[1:])
+    return type(scene)(flat.lattice, "coulomb", (scene.coefficient[1][:, x], scene.coefficient[2][:, x]))
+
+
+def test_findings_are_in_the_summary():
+    summary = summarise(solved(make_scene((5, 6), seeds=(1, 2))), 1e-9)
+    assert summary["cut_is_unique"] == [True, True]
+    assert min(summary["next_cut_over_minimum"]) > 1
+
+
+@pytest.mark.parametrize("driving", [{"spin_bottom": 1.0}, {"direction": (0, 0, 1)}])
+def test_nothing_to_cut(driving):
+    solution = solved(make_scene((3, 4, 5), **driving))
+    assert solution.power[0] == 0
+    assert solution.resolved[0]
+    assert not solution.findings
+    assert not any((state == ContactState.SLIPPING).any() for state in solution.state)
+
+
+def test_refused_scenes():
+    for scene, reason in [(make_scene((4, 5), "viscous"), "'viscous'"), (make_scene((3, 3, 4)), "direction")]:
+        with pytest.raises(InputError, match=reason):
+            solve(scene, PlanarCut(), initial_spin(scene, "zero"))
