@@ -34,7 +34,7 @@ EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,); dual (d, n), minus the forces, and slipping (n,) a group; proven : forces confirm the states."""
+    """spins (unknowns,); a group each: dual (d, n), minus the forces, and slipping (n,). proven : by those forces."""
 
     spins: np.ndarray
     dual: list[np.ndarray]
