@@ -3,7 +3,7 @@
 The system falls apart (PHYSICS 3). Spin components decouple; component k is coupled only by the contacts that are not
 along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas are
 independent anyway. All planes have the same pattern and are factorised together (nested_dissection.py), bundle by
-bundle. A component about the height is coupled only sideways: each free layer is a bearing at any constant value.
+bundle.
 
 With coefficients over many decades the difference of two spins that a stiff contact ties together drowns in the
 rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and
@@ -72,22 +72,10 @@ class LinearSolver:
         return iteration + -(-len(self.bundles) // CHECKS)
 
     def advance(self, steps: int) -> None:
-        height = self.scene.lattice.height_axis
         with one_thread():
             for slot, planes in self.bundles[self.iteration : self.iteration + steps]:
-                if self.scene.lattice.dimension == 3 and self.spin_axes[slot] == height:
-                    self._level(slot, planes)
-                else:
-                    self._solve(slot, planes)
+                self._solve(slot, planes)
         self.iteration = min(self.iteration + steps, len(self.bundles))
-
-    def _level(self, slot: int, planes: Planes) -> None:
-        """Spins about the height: the middle of the driven values in every free layer."""
-        layers = self._by_plane(self.spin[slot], slot)
-        height = self.scene.lattice.shape[-1]
-        replica, layer = planes
-        free = (layer > 0) & (layer < height - 1)
-        layers[replica[free], layer[free]] = (self.bottom[slot] + self.top[slot]) / 2
 
     def _solve(self, slot: int, planes: Planes) -> None:
         """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
