@@ -30,7 +30,7 @@ from taichi_bearings.solvers.resolution import Resolved, resolve
 UNDECIDED = ContactState.UNDECIDED
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE = 1e-11  # relative gap from which the contact states are worth settling
+SETTLE, AGAIN = 1e-11, 5  # relative gap from which settling is tried, and factor between one trial and the next
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND, LEAST_RATIO = 0.6, 1e2  # a contact sticks if its slip fell by this factor in a step, its margin by less; and if
 # its margin is many times its slip
@@ -46,7 +46,7 @@ class _Sample:
     iterate: Iterate
     unit: float
     done: bool = False
-    tried: bool = False
+    tried: float = SETTLE * AGAIN  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
     slip: tuple[list[np.ndarray], ...] = ()
     margin: tuple[list[np.ndarray], ...] = ()
@@ -137,8 +137,8 @@ class InteriorPoint:
             return
         sample.remember()
         gap = sample.iterate.gap
-        if gap < SETTLE and not sample.tried:
-            sample.tried = True
+        if gap < sample.tried / AGAIN:
+            sample.tried = gap
             sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix)
         sample.done = sample.resolved is not None or not gap > CLOSEST
 

@@ -8,9 +8,7 @@ margins of 1e-9 can, and double precision ends before. Here
    and margin of those in doubt can be brought down by another ten decades, until nobody is in doubt;
 3. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum;
 4. the forces of the tied contacts are balanced anew. If they fit into their friction discs, the contact states are
-   proven to be those of a minimum; if not, contacts in the way are untied and all is done once more.
-
-Without that proof the spins are still a minimiser as far as the lower bound of the path can tell.
+   proven to be those of a minimum. Otherwise the spins are still a minimiser as far as the path's bound can tell.
 """
 
 from dataclasses import dataclass, replace
@@ -26,8 +24,7 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
 SAME = 1e-11  # relative excess of power over the path's from which a result is discarded
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
-ROUNDS, STEPS, LAST_STEPS, BALANCE_STEPS = 2, 40, 8, 15
-WEAKEST = 1e-2  # margin below which a contact counts as in the way
+STEPS, LAST_STEPS, BALANCE_STEPS = 40, 8, 6
 HELD = 1e-13  # stiffness of forces that are held
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
@@ -48,22 +45,16 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], matrix:
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
     parts, matrix : of its system.
     """
-    best = None
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        for _ in range(ROUNDS):
-            try:
-                path = _Path(iterate, parts, tied)
-                found = _minimum(iterate, parts, path) if path.decide() else None
-                if found is None or not _power(iterate, found.spins) <= (1 + SAME) * _power(iterate, iterate.spins):
-                    break
-                best = replace(found, dual=iterate.dual)
-                dual, weak = _balanced(iterate, matrix, found)
-            except NotPositiveDefinite:
-                break
-            if dual is not None:
-                return replace(found, dual=dual, proven=True)
-            tied = [t & ~w for t, w in zip(tied, weak, strict=True)]
-    return best
+        try:
+            path = _Path(iterate, parts, tied)
+            found = _minimum(iterate, parts, path) if path.decide() else None
+            if found is None or not _power(iterate, found.spins) <= (1 + SAME) * _power(iterate, iterate.spins):
+                return None
+            dual = _balanced(iterate, matrix, found)
+        except NotPositiveDefinite:
+            return None
+    return replace(found, dual=iterate.dual if dual is None else dual, proven=dual is not None)
 
 
 def _power(iterate: Iterate, spins: np.ndarray) -> float:
@@ -191,13 +182,11 @@ def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
     return Resolved(last.expanded(spins), dual, slipping)
 
 
-def _balanced(
-    whole: Iterate, matrix: NewtonMatrix, found: Resolved
-) -> tuple[list[np.ndarray] | None, list[np.ndarray]]:
+def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> list[np.ndarray] | None:
     """Forces of the slipless contacts that leave no torque and fit into the friction discs, slipping ones as they are.
 
     Newton's method for the analytic centre of such forces, from forces inside the discs that leave torques: every step
-    of length a takes away a share a of the torques. returns : the dual, or None with the contacts in the way.
+    of length a takes away a share a of the torques. None if that does not end.
     """
     system = whole.system
     dual = [np.where(s, y, _inside(y, mu)) for y, mu, s in zip(found.dual, whole.friction, found.slipping, strict=True)]
@@ -229,11 +218,9 @@ def _balanced(
         longest = min(float(a.min(initial=np.inf)) for a in reach)
         along = 1.0 if longest > 1 else 0.95 * longest
         if along == 1.0:
-            return changed, []
+            return changed
         dual = [np.where(s, y, y + along * (new - y)) for y, new, s in zip(dual, changed, found.slipping, strict=True)]
-    return None, [
-        ~s & (1 - length(y) / mu < WEAKEST) for y, mu, s in zip(dual, whole.friction, found.slipping, strict=True)
-    ]
+    return None
 
 
 def _inside(dual: np.ndarray, friction: np.ndarray) -> np.ndarray:
