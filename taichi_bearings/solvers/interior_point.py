@@ -30,7 +30,8 @@ from taichi_bearings.solvers.resolution import Resolved, resolve
 UNDECIDED = ContactState.UNDECIDED
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-11, 5  # relative gap from which settling is tried, and factor between one trial and the next
+SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
+LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND, LEAST_RATIO = 0.6, 1e2  # a contact sticks if its slip fell by this factor in a step, its margin by less; and if
 # its margin is many times its slip
@@ -46,7 +47,7 @@ class _Sample:
     iterate: Iterate
     unit: float
     done: bool = False
-    tried: float = SETTLE * AGAIN  # relative gap at the last trial to settle the states
+    tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
     slip: tuple[list[np.ndarray], ...] = ()
     margin: tuple[list[np.ndarray], ...] = ()
@@ -132,15 +133,15 @@ class InteriorPoint:
     def _step(self, sample: _Sample) -> None:
         try:
             newton_step(sample.iterate, self.matrix)
+            sample.remember()
         except NotPositiveDefinite:
             sample.done = True
-            return
-        sample.remember()
         gap = sample.iterate.gap
-        if gap < sample.tried / AGAIN:
+        sample.done |= not gap > CLOSEST
+        if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix)
-        sample.done = sample.resolved is not None or not gap > CLOSEST
+            sample.done |= sample.resolved is not None
 
     def progress(self) -> Progress:
         scene = self.scene

@@ -22,8 +22,12 @@ from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
-SAME = 1e-11  # relative excess of power over the path's from which a result is discarded
+SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
+FARTHEST, DECIDED_AT_LAST = (
+    1e-22,
+    10,
+)  # product of slip and margin from which there is no going further: then this will do
 STEPS, LAST_STEPS, BALANCE_STEPS = 40, 8, 6
 HELD = 1e-13  # stiffness of forces that are held
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
@@ -141,7 +145,8 @@ class _Path:
     def _decided(self) -> bool:
         ratios = self._ratios()
         self.slipping = [r > 1 for r in ratios]
-        return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
+        apart = DECIDED if self.point.complementarity > FARTHEST else DECIDED_AT_LAST
+        return all(((r > apart) | (r < 1 / apart)).all() for r in ratios)
 
 
 def _minimum(whole: Iterate, parts: list[Part], path: _Path) -> Resolved | None:
