@@ -10,7 +10,7 @@ endif
 .PHONY: run test lint check format clean
 
 run: $(VENV)/installed
-	$(BIN)/bearings run --shape 32,32,32 --tolerance 1e-3
+	$(BIN)/bearings run --shape 32,32,32
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest

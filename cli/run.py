@@ -72,6 +72,7 @@ def describe(summary: dict[str, Any]) -> str:
             f"of {summary['contacts']:,} contacts "
             f"{slipping:,} slip, {slipless:,} do not, {undecided:,} are undecided"
         )
+    lines += [f"  {line}" for line in _separation(summary) if len(seeds) == 1]
     if "power_normalised" in summary and len(seeds) == 1:
         lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")
     lines.append(
@@ -81,6 +82,18 @@ def describe(summary: dict[str, Any]) -> str:
     lines.append(f"  run: {summary['run']}")
     lines.append(f"  histogram: {summary['run']}/power_histogram.png")
     return "\n".join(lines)
+
+
+def _separation(summary: dict[str, Any]) -> list[str]:
+    """How far apart the slips of slipping and slipless contacts are, with a warning where they are not."""
+    largest, smallest = summary["largest_slipless_slip"], summary["smallest_slipping_slip"]
+    if summary["law"] != "coulomb" or largest is None or smallest is None:
+        return []
+    words = f"slipless contacts slip at most {largest:.1e}, slipping ones at least {smallest:.1e}"
+    if summary["separation_decades"] < 1:
+        return [f"warning: no clear gap between the two kinds of contacts: {words}"]
+    proven = "; the contact states are proven" if summary["states_proven"] else ""
+    return [f"{words}: {summary['separation_decades']:.1f} decades apart{proven}"]
 
 
 def _number(value: float | None, form: str) -> str:

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_bearings import runtime
 from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.contact_state import ContactState
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.central_path import Iterate, newton_step
@@ -86,6 +87,8 @@ class InteriorPoint:
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         if scene.law != "coulomb":
             raise InputError(f"method is 'interior-point' and law is {scene.law!r}; it must be coulomb")
+        if runtime.current().is_gpu:
+            raise DeviceError("interior-point works in the memory of the CPU; use --arch cpu")
         return ()
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
@@ -166,7 +169,8 @@ class InteriorPoint:
                 values[:, group.acting] = -dual * (sample.unit * scene.normal_force)
                 state[group.axis][replica].reshape(-1)[group.acting] = states
         scene.impose_driving(staggered, self.spin_axes)
-        product = max(sample.iterate.complementarity for sample in self.samples) if self.frustrated else 0.0
+        unsettled = [sample.iterate.complementarity for sample in self.samples if sample.resolved is None]
+        product = max(unsettled, default=0.0) if self.frustrated else 0.0
         return Progress(
             iteration=self.iteration,
             staggered=staggered,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice import Lattice
@@ -58,13 +59,19 @@ def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndar
     return values[None] if values.ndim == dimension else values
 
 
+MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
+ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+
+
 def automatic_method(scene: Scene, settings: RunSettings) -> str:
     """Name of the fastest method that certifies this scene."""
     if scene.law == "viscous":
         return "linear-solver"
     if len(scene.minimum_spin_axes) == 1:
         return "planar-cut"
-    if settings.arch == "cpu" and scene.lattice.sites <= MOST_FACTORISED:
+    if settings.arch != "cpu" and (settings.arch == "cuda" or runtime.has_cuda()):
+        return "gradient-descent"
+    if settings.tolerance < ROUGH and scene.lattice.sites <= MOST_FACTORISED:
         return "interior-point"
     return "operator-splitting"
 
@@ -96,9 +103,6 @@ def build_method(settings: RunSettings, scene: Scene) -> Any:
     )
 
 
-MOST_FACTORISED = 120_000  # spheres of a 3D lattice up to which a factorisation pays and fits (about 48^3)
-
-
 @dataclass(frozen=True)
 class Job:
     """A checked run that is ready to be solved."""
@@ -117,7 +121,6 @@ def prepare(settings: RunSettings) -> Job:
 
 def solve_job(job: Job, monitors: Sequence[Any] = ()) -> Solution:
     """Solve on the device that the settings name; starts Taichi if the method needs it."""
-    from taichi_bearings import runtime
     from taichi_bearings.solvers.drive import solve
     from taichi_bearings.solvers.stopping import StopRule
 
@@ -270,7 +273,6 @@ def run(
 
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
     """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
-    from taichi_bearings import runtime
     from taichi_bearings.analysis.histogram import power_histogram, write_csv
     from taichi_bearings.files.run_file import read_run_file, write_run_file
     from taichi_bearings.plots.histogram import draw_histogram

@@ -191,8 +191,9 @@ def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize("what", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_saves_what_was_reached(tmp_path, what):
-    command = [sys.executable, "-m", "taichi_bearings_cli", "run", "--shape", "16,16,16", "--tolerance", "1e-13",
-               "--iterations", "100000000", "--out", str(tmp_path / "r"), "--json"]  # fmt: skip
+    options = ["--shape", "16,16,16", "--method", "gradient-descent", "--tolerance", "1e-13"]
+    command = [sys.executable, "-m", "taichi_bearings_cli", "run", *options, "--iterations", "100000000",
+               "--out", str(tmp_path / "r"), "--json"]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(8)
     process.send_signal(what)
