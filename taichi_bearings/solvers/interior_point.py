@@ -16,7 +16,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.blas import one_thread
-from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
+from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import DeviceError, InputError
@@ -32,6 +32,7 @@ UNDECIDED = ContactState.UNDECIDED
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
+SHARPLY = 1e-9  # relative gap up to which the bound is worth all the means of the certificate
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND, LEAST_RATIO = 0.6, 1e2  # a contact sticks if its slip fell by this factor in a step, its margin by less; and if
@@ -177,7 +178,7 @@ class InteriorPoint:
             spin_axes=self.spin_axes,
             force=force,
             power=scene.power(staggered, self.spin_axes),
-            lower_bound=lower_bound(scene, force, self.spin_axes),
+            lower_bound=self._lower_bound(force),
             resolution=scene.lattice.radius * scene.jump * float(np.sqrt(product)),
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
@@ -186,3 +187,9 @@ class InteriorPoint:
             resolved=np.array([sample.resolved is not None and sample.resolved.proven for sample in self.samples]),
             unsettled=self.frustrated and not all(sample.done for sample in self.samples),
         )
+
+    def _lower_bound(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
+        """Quickly as long as the path is far from its end; the forces are balanced to round-off anyway."""
+        if self.frustrated and max(sample.iterate.gap for sample in self.samples) > SHARPLY:
+            return work_and_bound(self.scene, force, self.spin_axes)[1]
+        return lower_bound(self.scene, force, self.spin_axes)
