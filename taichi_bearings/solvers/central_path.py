@@ -19,6 +19,7 @@ WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and 
 STEP_SHARE = 0.95  # of the way to the boundary of the cones
 TINY = np.finfo(np.float64).tiny
 WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
+REFINEMENTS, BALANCED = 4, 1e-15  # of the last solve, at most; torque, of the mean friction, that needs no more
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
 
 
@@ -40,6 +41,12 @@ class Iterate:
 
     def __post_init__(self) -> None:
         self.smooth = self.smooth or [np.zeros(len(mu), dtype=bool) for mu in self.friction]
+
+    def copy(self) -> "Iterate":
+        """A copy that a Newton step can change: the system and the friction are shared."""
+        lists = ([array.copy() for array in arrays] for arrays in (self.bound, self.difference, self.dual, self.smooth))
+        bound, difference, dual, smooth = lists
+        return Iterate(self.system, self.spins, self.friction, bound, difference, dual, smooth)
 
     @classmethod
     def start(cls, system: ContactSystem, spins: np.ndarray, friction: list[np.ndarray], slack: float) -> "Iterate":
@@ -80,6 +87,12 @@ class Iterate:
         return mean_product(self.primal, self.opposite)
 
     @property
+    def price_of_torques(self) -> float:
+        """What the torques left on the spheres take from the lower bound, at most, relative to the power."""
+        left = float(np.abs(self.system.torques(self.dual)).sum())
+        return left / sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
+
+    @property
     def gap(self) -> float:
         """(power - work of the driven planes) / power for balanced forces, summed without cancellation."""
         power = sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
@@ -118,6 +131,32 @@ def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> float:
         if not direction.recentre():
             break
     return direction.take()
+
+
+def balance(iterate: Iterate, matrix: NewtonMatrix) -> None:
+    """Take away the torques that rounding has left, from contacts in cones in proportion to the square of their margin.
+
+    Stiff contacts feel the rounding of the spins: over six decades of friction a Newton step leaves torques of 1e-8.
+    Raises NotPositiveDefinite if the forces cannot be balanced.
+    """
+    groups = iterate.system.groups
+    stiffness = [
+        np.eye(len(y))[:, :, None] * np.maximum(mu - length(y), TINY) ** 2
+        for mu, y in zip(iterate.friction, iterate.dual, strict=True)
+    ]
+    matrix.factorise(stiffness)
+    potential = np.zeros(iterate.system.unknowns)
+    for _ in range(3):
+        changes = [-np.einsum("ijn,jn->in", k, g.change(potential)) for k, g in zip(stiffness, groups, strict=True)]
+        torques = iterate.system.torques([y + dy for y, dy in zip(iterate.dual, changes, strict=True)])
+        potential = potential + matrix.solve(torques)
+    changes = [-np.einsum("ijn,jn->in", k, g.change(potential)) for k, g in zip(stiffness, groups, strict=True)]
+    along = min(
+        longest_step((mu, y), (np.zeros_like(mu), dy))
+        for mu, y, dy in zip(iterate.friction, iterate.dual, changes, strict=True)
+    )
+    for y, dy in zip(iterate.dual, changes, strict=True):
+        y += min(1.0, STEP_SHARE * along) * dy
 
 
 class _Direction:
@@ -186,11 +225,9 @@ class _Direction:
         return True
 
     def take(self) -> float:
-        """Refine the last solve, which balances the forces to round-off, and go most of the way to the boundary."""
+        """Balance the forces to round-off and go most of the way to the boundary."""
         iterate = self.iterate
-        imbalance = iterate.system.torques([y + step[2] for y, step in zip(iterate.dual, self.steps, strict=True)])
-        self.spins = self.spins + self.matrix.solve(imbalance)
-        self._expand()
+        self._refine()
         along, dual_along = min(1.0, STEP_SHARE * self.along), min(1.0, STEP_SHARE * self.dual_along)
         iterate.spins = iterate.spins + along * self.spins
         # not from the spins anew: their rounding is coarser than the last distances from the cones
@@ -210,6 +247,19 @@ class _Direction:
             b[smooth] = length(z[:, smooth])
             y[:, smooth] = -mu[smooth] * z[:, smooth] / b[smooth]
         return min(along, dual_along)
+
+    def _refine(self) -> None:
+        """Solve for the torques that rounding left, as long as that helps."""
+        last = np.inf
+        for _ in range(REFINEMENTS):
+            duals = [y + step[2] for y, step in zip(self.iterate.dual, self.steps, strict=True)]
+            imbalance = self.iterate.system.torques(duals)
+            size = float(np.abs(imbalance).max(initial=0.0))
+            if not BALANCED < size < last / 2:
+                break
+            last = size
+            self.spins = self.spins + self.matrix.solve(imbalance)
+            self._expand()
 
     def _solve(self, right: list[Point]) -> None:
         """Steps for W^-2 d(primal) + d(dual) = right that leave the forces balanced; `right` (n,), (d, n) a group."""

@@ -22,7 +22,7 @@ from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.central_path import Iterate, newton_step
+from taichi_bearings.solvers.central_path import Iterate, balance, newton_step
 from taichi_bearings.solvers.cone import length
 from taichi_bearings.solvers.contact_system import free_shape, jump_of, lattice_system
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
@@ -135,11 +135,19 @@ class InteriorPoint:
                 self.iteration += 1
 
     def _step(self, sample: _Sample) -> None:
+        before = sample.iterate.copy()
         try:
-            newton_step(sample.iterate, self.matrix)
-            sample.remember()
+            with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
+                newton_step(sample.iterate, self.matrix)
+                if sample.iterate.price_of_torques > max(sample.iterate.gap, CLOSEST):
+                    balance(sample.iterate, self.matrix)
+                sample.done = not np.isfinite(sample.iterate.gap)
         except NotPositiveDefinite:
             sample.done = True
+        if sample.done:
+            sample.iterate = before
+        else:
+            sample.remember()
         gap = sample.iterate.gap
         sample.done |= not gap > CLOSEST
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):

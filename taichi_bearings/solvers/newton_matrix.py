@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from taichi_bearings.cholesky import Cholesky, Part
+from taichi_bearings.cholesky import Cholesky, NotPositiveDefinite, Part
 from taichi_bearings.solvers.contact_system import ContactSystem, stacked
+
+SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 
 
 class NewtonMatrix:
@@ -17,11 +19,28 @@ class NewtonMatrix:
         self._cholesky = Cholesky(parts, *system.couplings())
         pattern = self._cholesky.pattern
         self._map = system.laplacian_map(pattern.entry, len(pattern.row))
+        self._diagonal = np.flatnonzero(pattern.row == pattern.column)
 
     def factorise(self, stiffness: list[np.ndarray]) -> None:
-        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group."""
-        if not self._empty:
-            self._cholesky.factorise(self._map @ stacked(stiffness))
+        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group.
+
+        Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by
+        as little as helps, and iterative refinement has to mend the rest.
+
+        Raises NotPositiveDefinite if nothing helps.
+        """
+        if self._empty:
+            return
+        values = self._map @ stacked(stiffness)
+        diagonal = values[self._diagonal]
+        for shift in SHIFTS:
+            values[self._diagonal] = diagonal * (1 + shift)
+            try:
+                return self._cholesky.factorise(values)
+            except NotPositiveDefinite:
+                if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
+                    raise
 
     def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)
