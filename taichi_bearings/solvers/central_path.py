@@ -19,7 +19,7 @@ WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and 
 STEP_SHARE = 0.95  # of the way to the boundary of the cones
 TINY = np.finfo(np.float64).tiny
 WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
-REFINEMENTS, BALANCED = 4, 1e-15  # of the last solve, at most; torque, of the mean friction, that needs no more
+REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the mean friction, that needs no second one
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
 
 
@@ -251,11 +251,11 @@ class _Direction:
     def _refine(self) -> None:
         """Solve for the torques that rounding left, as long as that helps."""
         last = np.inf
-        for _ in range(REFINEMENTS):
+        for trial in range(REFINEMENTS):
             duals = [y + step[2] for y, step in zip(self.iterate.dual, self.steps, strict=True)]
             imbalance = self.iterate.system.torques(duals)
             size = float(np.abs(imbalance).max(initial=0.0))
-            if not BALANCED < size < last / 2:
+            if trial > 0 and not BALANCED < size < last / 2:
                 break
             last = size
             self.spins = self.spins + self.matrix.solve(imbalance)
