@@ -155,6 +155,15 @@ class Scene:
             staggered[slot][..., 0], staggered[slot][..., -1] = bottom, top
         return staggered
 
+    def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Staggered spins (C, R, *N) in the interval of the driven values (PHYSICS 3.4).
+
+        A minimiser lies there, and clipping never raises the power.
+        """
+        low, high = np.sort(self.driven_values(spin_axes), axis=0)
+        shape = (-1, *(1,) * (staggered.ndim - 1))
+        return np.clip(staggered, low.reshape(shape), high.reshape(shape))
+
 
 def vector_length(components: np.ndarray) -> np.ndarray:
     """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""

@@ -55,8 +55,8 @@ class Contraction:
         below, above, offset = group.below[:, keep], group.above[:, keep], group.offset[:, keep].copy()
         ends = []
         for end, sign in ((below, -1.0), (above, 1.0)):
-            offset += sign * np.where(end >= 0, self.imposed[end], 0.0)
-            ends.append(np.where(end >= 0, self.number[end], -1))
+            offset += sign * np.append(self.imposed, 0.0)[end]  # end is -1 where a spin was imposed before
+            ends.append(np.append(self.number, -1)[end])
         same = ends[0] == ends[1]
         below, above = (np.where(same, -1, end) for end in ends)
         return ContactGroup(group.axis, group.acting[keep], below, above, offset, self.unknowns)

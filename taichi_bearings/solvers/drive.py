@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.certificate import relative_gap
-from taichi_bearings.contact_state import classify
+from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.fields import borrow
 from taichi_bearings.fields.workspace import make_layout
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -195,6 +195,16 @@ class _History:
         return {name: np.asarray(values) for name, values in self.columns.items()}
 
 
+def _states(scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float) -> tuple[np.ndarray, ...]:
+    """Contact states as the method has established them, else by slip and friction; none slips below the threshold."""
+    if final.state is None:
+        return classify(scene, slip, final.force, threshold)
+    return tuple(
+        np.where((state == ContactState.SLIPPING) & (speed <= threshold), ContactState.SLIPLESS, state).astype(np.uint8)
+        for state, speed in zip(final.state, slip, strict=True)
+    )
+
+
 def _collect(
     scene: Scene,
     method: str,
@@ -207,7 +217,6 @@ def _collect(
     slip_threshold: float | None,
 ) -> Solution:
     slip = scene.slips(final.staggered, final.spin_axes)
-    own = final.state if slip_threshold is None else None
     default = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump)
     threshold = default if slip_threshold is None else slip_threshold
     return Solution(
@@ -219,8 +228,8 @@ def _collect(
         slip=slip,
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
-        state=classify(scene, slip, final.force, threshold) if own is None else own,
-        resolved=np.zeros(scene.replicas, dtype=bool) if own is None or final.resolved is None else final.resolved,
+        state=_states(scene, slip, final, threshold),
+        resolved=np.zeros(scene.replicas, dtype=bool) if final.resolved is None else final.resolved,
         power=final.power,
         lower_bound=bound,
         gap=relative_gap(scene, final.power, bound),

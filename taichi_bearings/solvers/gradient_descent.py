@@ -67,7 +67,7 @@ class GradientDescent:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
         assert fields is not None
         self.fields, layout = fields, fields.layout
-        self._load_spins(self._clip_to_box(scene.staggered_spin(spin, self.spin_axes)))
+        self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
         weight = weights(scene.acting_coefficient, scene.lattice, self.spin_axes)
         weight[..., scene.lattice.is_driven] = 0.0
@@ -90,12 +90,6 @@ class GradientDescent:
         self.iteration = self.age = 0
         self.last_smooth_power = np.full(scene.replicas, np.inf)
         self._begin_epoch(FIRST_EPOCH)
-
-    def _clip_to_box(self, staggered: np.ndarray) -> np.ndarray:
-        """Into the interval of the driven values (PHYSICS 3.4): a minimiser lies there, and the power never rises."""
-        low, high = np.sort(self.scene.driven_values(self.spin_axes), axis=0)
-        shape = (-1, *(1,) * (staggered.ndim - 1))
-        return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
     def _load_spins(self, staggered: np.ndarray) -> None:
         for name in ("point", "point_next", "spin") if self.momentum else ("point", "point_next"):

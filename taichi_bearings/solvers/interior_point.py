@@ -68,6 +68,13 @@ class _Sample:
             for s, m, s_before, m_before in zip(self.slip[0], self.margin[0], self.slip[1], self.margin[1], strict=True)
         ]
 
+    def creep(self) -> float:
+        """Largest slip of a contact that counts as slipless, relative to the jump."""
+        if self.resolved is not None:
+            return 0.0
+        still = [s[state == ContactState.SLIPLESS] for s, state in zip(self.slip[0], self.states(), strict=True)]
+        return max(float(s.max(initial=0.0)) for s in still)
+
     def states(self) -> list[np.ndarray]:
         """Contact states (n,) a group."""
         if self.resolved is not None:
@@ -110,9 +117,8 @@ class InteriorPoint:
     def _start(self, spin: np.ndarray) -> np.ndarray:
         """Free spins (R, unknowns) from the bottom in units of the jump, inside the interval of the driven ones."""
         scene = self.scene
-        staggered = scene.staggered_spin(spin, self.spin_axes)
-        bottom, top = (v.reshape(-1, *(1,) * (staggered.ndim - 1)) for v in scene.driven_values(self.spin_axes))
-        inside = np.clip(staggered, np.minimum(bottom, top), np.maximum(bottom, top))
+        inside = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
+        bottom = scene.driven_values(self.spin_axes)[0].reshape(-1, *(1,) * (inside.ndim - 1))
         return np.moveaxis(((inside - bottom) / (scene.jump or 1.0))[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
@@ -178,8 +184,7 @@ class InteriorPoint:
                 values[:, group.acting] = -dual * (sample.unit * scene.normal_force)
                 state[group.axis][replica].reshape(-1)[group.acting] = states
         scene.impose_driving(staggered, self.spin_axes)
-        unsettled = [sample.iterate.complementarity for sample in self.samples if sample.resolved is None]
-        product = max(unsettled, default=0.0) if self.frustrated else 0.0
+        creep = max((sample.creep() for sample in self.samples), default=0.0) if self.frustrated else 0.0
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -187,7 +192,7 @@ class InteriorPoint:
             force=force,
             power=scene.power(staggered, self.spin_axes),
             lower_bound=self._lower_bound(force),
-            resolution=scene.lattice.radius * scene.jump * float(np.sqrt(product)),
+            resolution=scene.lattice.radius * scene.jump * creep,
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
             state=state if self.frustrated else None,

@@ -44,16 +44,10 @@ class LinearSolver:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         self.bottom, self.top = scene.driven_values(self.spin_axes)
-        self.spin = self._clip_to_box(scene.staggered_spin(spin, self.spin_axes))
+        self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
         self.iteration = 0
-
-    def _clip_to_box(self, staggered: np.ndarray) -> np.ndarray:
-        """Into the interval of the driven values (PHYSICS 3.4): a minimiser lies there, and the power never rises."""
-        shape = (-1, *(1,) * (staggered.ndim - 1))
-        low, high = np.minimum(self.bottom, self.top), np.maximum(self.bottom, self.top)
-        return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
     def _planes(self, slot: int) -> list[Planes]:
         """The planes of a spin component in bundles."""
@@ -111,7 +105,7 @@ class LinearSolver:
 
     def progress(self) -> Progress:
         scene = self.scene
-        staggered = self._clip_to_box(self.spin)
+        staggered = scene.clip_to_box(self.spin, self.spin_axes)
         force = tuple(
             scene.lattice.radius * coefficient * (difference + rest)
             for coefficient, difference, rest in zip(

@@ -94,7 +94,7 @@ class OperatorSplitting:
         self.arrays = {name: np.zeros((numbers, self.layout.length), dtype) for name, numbers in sizes.items()}
         self.kernel = contact_step(self.stencil).step
         self._step_contacts(0.0, blocks=0)  # compiles
-        self._load(scene.staggered_spin(spin, self.spin_axes))
+        self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""

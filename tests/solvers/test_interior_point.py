@@ -12,6 +12,8 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.gradient_descent import GradientDescent
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.studies.run import prepare, solve_job
+from taichi_bearings.studies.settings import RunSettings
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
@@ -125,3 +127,28 @@ def test_the_viscous_law_is_refused():
     scene = make_scene((4, 4, 5), law="viscous")
     with pytest.raises(InputError, match="law is 'viscous'"):
         minimum_of(scene)
+
+
+def test_auto_goes_on_with_operator_splitting_where_the_path_ends_early():
+    """Friction over six decades on a tall, narrow lattice is too much for float64 Newton steps."""
+    settings = RunSettings(shape=(2, 2, 50), distribution="bimodal:1e-3,1e3,0.5", seed=1, threads=1)
+    solution = solve_job(prepare(settings))
+    assert solution.method == "operator-splitting"
+    assert solution.status is Status.CERTIFIED
+    assert solution.gap[0] <= 1e-8
+
+
+def test_a_scene_whose_spins_are_all_tied_to_the_planes():
+    driving = {"direction": (1e-15, 1e-15, 1), "spin_bottom": -0.3}
+    scene = make_scene((4, 4, 4), seeds=(75,), distribution="uniform:1e-14,2e-14", **driving)
+    assert minimum_of(scene, 0.5).status is Status.CERTIFIED
+
+
+def test_a_threshold_of_the_user_only_turns_slipping_contacts_into_slipless_ones():
+    scene = make_scene((5, 5, 5), seeds=(1,))
+    plain = minimum_of(scene)
+    threshold = 0.02
+    coarse = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-9), slip_threshold=threshold)
+    for before, after, slip in zip(plain.state, coarse.state, coarse.slip, strict=True):
+        assert (after[slip <= threshold] != ContactState.SLIPPING).all()
+        assert (after[slip > threshold] == before[slip > threshold]).all()

@@ -165,3 +165,9 @@ def test_threads_do_not_change_the_bits():
     command = [sys.executable, "-c", THREADS]
     one, two = (subprocess.run([*command, n], capture_output=True, text=True, check=True).stdout for n in ("1", "2"))
     assert one == two
+
+
+@pytest.mark.parametrize("start", ["zero", "random"])
+def test_a_start_far_outside_a_small_jump(start):
+    scene = make_scene((6, 6, 6), spin_bottom=0.99)
+    assert split(scene, 1e-3, start, 3_000).status is Status.CERTIFIED
