@@ -28,15 +28,12 @@ from taichi_bearings.solvers.contact_system import free_shape, jump_of, lattice_
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 from taichi_bearings.solvers.resolution import Resolved, resolve
 
-UNDECIDED = ContactState.UNDECIDED
-
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
 SHARPLY = 1e-9  # relative gap up to which the bound is worth all the means of the certificate
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
-TREND, LEAST_RATIO = 0.6, 1e2  # a contact sticks if its slip fell by this factor in a step, its margin by less; and if
-# its margin is many times its slip
+TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 
 
 @dataclass
@@ -64,7 +61,7 @@ class _Sample:
     def sticking(self) -> list[np.ndarray]:
         """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
         return [
-            (m > LEAST_RATIO * s) & (s < TREND * s_before) & (m > TREND * m_before)
+            (m > APART * s) & (s < TREND * s_before) & (m > TREND * m_before)
             for s, m, s_before, m_before in zip(self.slip[0], self.margin[0], self.slip[1], self.margin[1], strict=True)
         ]
 
@@ -79,8 +76,9 @@ class _Sample:
         """Contact states (n,) a group."""
         if self.resolved is not None:
             return [np.where(s, ContactState.SLIPPING, ContactState.SLIPLESS) for s in self.resolved.slipping]
+        slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
         return [
-            np.where(s > APART * m, ContactState.SLIPPING, np.where(m > APART * s, ContactState.SLIPLESS, UNDECIDED))
+            np.where(s > APART * m, slipping, np.where(m > APART * s, slipless, undecided))
             for s, m in zip(self.slip[0], self.margin[0], strict=True)
         ]
 

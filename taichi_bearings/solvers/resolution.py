@@ -24,12 +24,9 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
 SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
-FARTHEST, DECIDED_AT_LAST = (
-    1e-22,
-    10,
-)  # product of slip and margin from which there is no going further: then this will do
+FARTHEST, DECIDED_AT_LAST = 1e-22, 10  # product of slip and margin beyond which nothing is gained; then this will do
 STEPS, LAST_STEPS, BALANCE_STEPS = 40, 8, 6
-HELD = 1e-13  # stiffness of forces that are held
+HELD, AT_MOST = 1e-13, 1e-6  # stiffness of forces that are held, and the relative change that they may suffer
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
 
@@ -223,7 +220,11 @@ def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> list[np.
         longest = min(float(a.min(initial=np.inf)) for a in reach)
         along = 1.0 if longest > 1 else 0.95 * longest
         if along == 1.0:
-            return changed
+            held = [
+                np.abs(length(y[:, s]) / mu[s] - 1).max(initial=0.0)
+                for y, mu, s in zip(changed, whole.friction, found.slipping, strict=True)
+            ]
+            return changed if max(held) < AT_MOST else None
         dual = [np.where(s, y, y + along * (new - y)) for y, new, s in zip(dual, changed, found.slipping, strict=True)]
     return None
 
