@@ -42,10 +42,8 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
         width = 1 / sharpness if sharpness else 0.0
         box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
         parity = scene.lattice.parity
-        omega = three_components(
-            scene,
-            scene.laboratory_spin(method._clip_to_box(scene.staggered_spin(start, method.spin_axes)), method.spin_axes),
-        )
+        clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
+        omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
         ahead, coefficient = omega.copy(), [c[0] for c in scene.coefficient]
         for sweep in range(4):
             moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity)
@@ -73,7 +71,7 @@ def test_averages_equal_plain_loops(shape, direction, precision):
         method.iteration = method.epoch_length // 2  # from here on the method averages
         step, sharpness = method._step_and_sharpness()
         box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
-        clipped = method._clip_to_box(scene.staggered_spin(start, method.spin_axes))
+        clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
         omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
         coefficient = [c[0] for c in scene.coefficient]
         spin_sum, force_sum = np.zeros_like(omega), {}
