@@ -25,7 +25,8 @@ STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the wa
 SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
 FARTHEST, DECIDED_AT_LAST = 1e-22, 10  # product of slip and margin beyond which nothing is gained; then this will do
-STEPS, LAST_STEPS, BALANCE_STEPS = 40, 8, 6
+STEPS, LAST_STEPS = 40, 8
+BALANCE_STEPS, FEW_BALANCE_STEPS, MANY = 6, 2, 20_000  # the second for more unknowns, where more did not help
 HELD, AT_MOST = 1e-13, 1e-6  # stiffness of forces that are held, and the relative change that they may suffer
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
@@ -192,7 +193,7 @@ def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> list[np.
     """
     system = whole.system
     dual = [np.where(s, y, _inside(y, mu)) for y, mu, s in zip(found.dual, whole.friction, found.slipping, strict=True)]
-    for _ in range(BALANCE_STEPS):
+    for _ in range(BALANCE_STEPS if system.unknowns < MANY else FEW_BALANCE_STEPS):
         stiffness, pull = [], []
         for mu, y, s in zip(whole.friction, dual, found.slipping, strict=True):
             room = np.where(s, 1.0, mu**2 - inner(y, y))
