@@ -72,7 +72,8 @@ def describe(summary: dict[str, Any]) -> str:
             f"of {summary['contacts']:,} contacts "
             f"{slipping:,} slip, {slipless:,} do not, {undecided:,} are undecided"
         )
-    lines += [f"  {line}" for line in _separation(summary) if len(seeds) == 1]
+    if len(seeds) == 1:
+        lines += [f"  {line}" for line in _separation(summary)]
     if "power_normalised" in summary and len(seeds) == 1:
         lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")
     lines.append(

@@ -178,6 +178,28 @@ def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path
     assert "already exists" in again.stderr
 
 
+@pytest.mark.parametrize("shape", ["6,7", "3,4,5"])
+def test_a_block_of_seeds_is_summarised_for_people(tmp_path, shape):
+    done = bearings("run", "--shape", shape, "--replicas", 12, "--out", tmp_path / "r")
+    assert done.returncode == 0, done.stderr
+    assert "seed 9:" in done.stdout
+    assert "2 more seeds" in done.stdout
+
+
+def test_the_gap_between_slipping_and_slipless_contacts_is_told(tmp_path):
+    done = bearings("run", "--shape", "5,5,5", "--out", tmp_path / "r", "--json")
+    summary = json.loads(done.stdout)
+    assert summary["method"] == "interior-point"
+    assert summary["states_proven"] is True
+    assert summary["largest_slipless_slip"] == 0
+    assert summary["separation_decades"] > 10
+    assert summary["undecided"] == 0
+    assert (
+        "decades apart; the contact states are proven"
+        in bearings("run", "--shape", "5,5,5", "--out", tmp_path / "s").stdout
+    )
+
+
 def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):
     done = bearings(
         "run", "--shape", "4,5", "--method", "gradient-descent", "--tolerance", "1e-12", "--iterations", 50,
