@@ -28,11 +28,7 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
 
     force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
     """
-    force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
-    finite = np.all([np.isfinite(f).all(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
-    if not finite.all():
-        keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
-        force = tuple(np.where(keep, f, 0.0) for f in force)
+    force = _finite(scene, force)
     balanced = balance(scene, force, spin_axes)
     if scene.law == "viscous":
         candidates = [force, balanced]
@@ -40,6 +36,40 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
         candidates = [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
     return np.maximum(best, 0.0)
+
+
+def slip_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...], power: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Largest slip speed that a contact can have at any minimum, one array (R, *contacts) an axis, length/time.
+
+    Admissible forces f with lower bound D prove sum_e (mu_e F_n - |f_e|) |v_e| <= P_min - D <= power - D (PHYSICS 4):
+    a contact with a friction margin slips at most (power - D) / margin, and never more than the spins of the box allow.
+    Coulomb law only. power : (R,), of any spins. The forces count as they are, capped or scaled: no Poisson solve.
+    """
+    force = _finite(scene, force)
+    bounds = [np.full((scene.replicas, *c.shape[1:]), np.inf) for c in scene.coefficient]
+    for candidate in (capped(scene, force), scaled(scene, force)):
+        left = np.maximum(power - dual_value(scene, candidate, spin_axes), 0.0)
+        excess = left.reshape(-1, *(1,) * scene.lattice.dimension)
+        for axis, (full, bound) in enumerate(zip(saturation(scene, candidate), bounds, strict=True)):
+            margin = scene.strength * scene.acting_coefficient[axis] * np.maximum(1.0 - full, 0.0)
+            slowest = np.divide(excess, margin, out=np.full_like(bound, np.inf), where=margin > 0)
+            np.minimum(bound, slowest, out=bound)
+    bottom, top = scene.driven_values(spin_axes)
+    for axis, bound in enumerate(bounds):
+        felt = [slot for slot, component in enumerate(spin_axes) if component != axis or scene.lattice.dimension == 2]
+        np.minimum(bound, scene.lattice.radius * float(np.linalg.norm((top - bottom)[felt])), out=bound)
+        bound[:, scene.lattice.between_driven(axis)] = 0.0
+    return tuple(bounds)
+
+
+def _finite(scene: Scene, force: Forces) -> Forces:
+    """The forces in float64, none between driven spheres, all zero in a replica that has one that is not finite."""
+    force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
+    finite = np.all([np.isfinite(f).all(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
+    if not finite.all():
+        keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
+        force = tuple(np.where(keep, f, 0.0) for f in force)
+    return force
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -200,5 +230,6 @@ __all__ = [
     "relative_gap",
     "saturation",
     "scaled",
+    "slip_bound",
     "work_and_bound",
 ]

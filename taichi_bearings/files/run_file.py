@@ -57,6 +57,9 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             put(file, f"coefficient/{name}", strip(values), law_unit, f"{kind} coefficient of the {name}-contacts")
             for key, (attribute, unit, text) in CONTACT_SETS.items():
                 put(file, f"contact/{name}/{key}", strip(getattr(solution, attribute)[axis]), unit, text)
+            if solution.slip_bound:
+                text = "largest slip speed that any minimum can have at this contact, proven"
+                put(file, f"contact/{name}/slip_bound", strip(solution.slip_bound[axis]), "length/time", text)
         put(file, "spin", strip(solution.spin), "1/time", "angular velocity in the laboratory frame")
         for key, column in solution.history.items():
             if one:

@@ -69,6 +69,7 @@ class Solution:
     spin : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time.
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
     resolved : (R,), True where the contact states are proven to be those of a minimum.
+    slip_bound : Coulomb, one array (R, *contacts) an axis: no minimiser slips faster there; proven. Else empty.
     power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
     findings : what else the method has found, by name, (R,) each.
     history : columns of equal length; power and lower_bound are (checks, R).
@@ -83,6 +84,7 @@ class Solution:
     power_per_contact: tuple[np.ndarray, ...]
     force: tuple[np.ndarray, ...]
     state: tuple[np.ndarray, ...]
+    slip_bound: tuple[np.ndarray, ...]
     resolved: np.ndarray
     power: np.ndarray
     lower_bound: np.ndarray

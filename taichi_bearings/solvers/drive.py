@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.certificate import relative_gap
+from taichi_bearings.certificate import relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.fields import borrow
 from taichi_bearings.fields.workspace import make_layout
@@ -229,6 +229,7 @@ def _collect(
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
         state=_states(scene, slip, final, threshold),
+        slip_bound=slip_bound(scene, final.force, final.spin_axes, final.power) if scene.law == "coulomb" else (),
         resolved=np.zeros(scene.replicas, dtype=bool) if final.resolved is None else final.resolved,
         power=final.power,
         lower_bound=bound,
