@@ -56,8 +56,8 @@ def slip_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...], power: n
             np.minimum(bound, slowest, out=bound)
     bottom, top = scene.driven_values(spin_axes)
     for axis, bound in enumerate(bounds):
-        felt = [slot for slot, component in enumerate(spin_axes) if component != axis or scene.lattice.dimension == 2]
-        np.minimum(bound, scene.lattice.radius * float(np.linalg.norm((top - bottom)[felt])), out=bound)
+        jump = (top - bottom)[list(tangential(axis, spin_axes))]
+        np.minimum(bound, scene.lattice.radius * float(np.linalg.norm(jump)), out=bound)
         bound[:, scene.lattice.between_driven(axis)] = 0.0
     return tuple(bounds)
 

@@ -18,6 +18,16 @@ class ContactState(IntEnum):
     DRIVEN = 3  # between two driven spheres
 
 
+def all_slipless(scene: Scene) -> tuple[np.ndarray, ...]:
+    """States of contacts that all rest, one array (R, *contacts) of uint8 an axis, for a method to fill in."""
+    states = []
+    for axis in range(scene.lattice.dimension):
+        state = np.full((scene.replicas, *scene.lattice.contact_shape(axis)), ContactState.SLIPLESS, dtype=np.uint8)
+        state[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
+        states.append(state)
+    return tuple(states)
+
+
 SATURATED = 1 - 1e-6  # share of the friction disc from which a Coulomb contact counts as saturated
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.lattice.grid import contact_differences, tangential
 
 LAWS = ("coulomb", "viscous")
 AXIS_NAMES = ("x", "y", "z")
@@ -154,6 +154,13 @@ class Scene:
         for slot, (bottom, top) in enumerate(zip(*self.driven_values(spin_axes), strict=True)):
             staggered[slot][..., 0], staggered[slot][..., -1] = bottom, top
         return staggered
+
+    def no_force(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+        """Contact forces of zero, one array (T, R, *contacts) an axis."""
+        return tuple(
+            np.zeros((len(tangential(axis, spin_axes)), self.replicas, *self.lattice.contact_shape(axis)))
+            for axis in range(self.lattice.dimension)
+        )
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Staggered spins (C, R, *N) in the interval of the driven values (PHYSICS 3.4).

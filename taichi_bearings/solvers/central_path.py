@@ -87,20 +87,23 @@ class Iterate:
         return mean_product(self.primal, self.opposite)
 
     @property
+    def power(self) -> float:
+        """Friction times slip, summed over the contacts."""
+        return sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
+
+    @property
     def price_of_torques(self) -> float:
         """What the torques left on the spheres take from the lower bound, at most, relative to the power."""
-        left = float(np.abs(self.system.torques(self.dual)).sum())
-        return left / sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
+        return float(np.abs(self.system.torques(self.dual)).sum()) / self.power
 
     @property
     def gap(self) -> float:
         """(power - work of the driven planes) / power for balanced forces, summed without cancellation."""
-        power = sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
         excess = sum(
             float((mu * length(z) + inner(z, y)).sum())
             for mu, z, y in zip(self.friction, self.difference, self.dual, strict=True)
         )
-        return excess / power
+        return excess / self.power
 
 
 def mean_product(primal: list[Point], dual: list[Point]) -> float:
@@ -139,18 +142,11 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> None:
     Stiff contacts feel the rounding of the spins: over six decades of friction a Newton step leaves torques of 1e-8.
     Raises NotPositiveDefinite if the forces cannot be balanced.
     """
-    groups = iterate.system.groups
     stiffness = [
         np.eye(len(y))[:, :, None] * np.maximum(mu - length(y), TINY) ** 2
         for mu, y in zip(iterate.friction, iterate.dual, strict=True)
     ]
-    matrix.factorise(stiffness)
-    potential = np.zeros(iterate.system.unknowns)
-    for _ in range(3):
-        changes = [-np.einsum("ijn,jn->in", k, g.change(potential)) for k, g in zip(stiffness, groups, strict=True)]
-        torques = iterate.system.torques([y + dy for y, dy in zip(iterate.dual, changes, strict=True)])
-        potential = potential + matrix.solve(torques)
-    changes = [-np.einsum("ijn,jn->in", k, g.change(potential)) for k, g in zip(stiffness, groups, strict=True)]
+    changes = [new - y for new, y in zip(matrix.balanced(iterate.dual, stiffness), iterate.dual, strict=True)]
     along = min(
         longest_step((mu, y), (np.zeros_like(mu), dy))
         for mu, y, dy in zip(iterate.friction, iterate.dual, changes, strict=True)

@@ -43,12 +43,12 @@ class Contraction:
         a, b = np.concatenate(first), np.concatenate(second)
         graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(whole.unknowns,) * 2)
         count, label = connected_components(graph, directed=False)
-        self.value = np.full(count, np.nan)
-        self.value[label[np.concatenate(imposed)]] = np.concatenate(value)
-        is_free = np.isnan(self.value)
+        imposed_value = np.full(count, np.nan)
+        imposed_value[label[np.concatenate(imposed)]] = np.concatenate(value)
+        is_free = np.isnan(imposed_value)
         number = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.unknowns = int(is_free.sum())
-        self.number, self.imposed = number[label], np.where(is_free, 0.0, self.value)[label]
+        self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
         """The contacts `keep` with the ends renamed; components with both ends in one set never slip."""

@@ -18,7 +18,7 @@ from taichi_bearings import runtime
 from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.cholesky import NotPositiveDefinite, dissect
-from taichi_bearings.contact_state import ContactState
+from taichi_bearings.contact_state import ContactState, all_slipless
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.scene import Progress, Scene
@@ -163,16 +163,7 @@ class InteriorPoint:
         scene = self.scene
         bottom, _ = scene.driven_values(self.spin_axes)
         staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
-        force = tuple(
-            np.zeros((sum(k != axis for k in self.spin_axes), scene.replicas, *scene.lattice.contact_shape(axis)))
-            for axis in range(scene.lattice.dimension)
-        )
-        state = tuple(
-            np.full((scene.replicas, *scene.lattice.contact_shape(axis)), ContactState.SLIPLESS, dtype=np.uint8)
-            for axis in range(scene.lattice.dimension)
-        )
-        for axis, of_axis in enumerate(state):
-            of_axis[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
+        force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
             spins = np.moveaxis(answer.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)

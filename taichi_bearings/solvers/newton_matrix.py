@@ -13,6 +13,7 @@ class NewtonMatrix:
 
     def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
         """parts : elimination tree over the unknowns of `system`."""
+        self._system = system
         self._empty = system.unknowns == 0  # everything is tied to the driven planes
         if self._empty:
             return
@@ -44,3 +45,21 @@ class NewtonMatrix:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)
+
+    def balanced(self, dual: list[np.ndarray], stiffness: list[np.ndarray]) -> list[np.ndarray]:
+        """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined twice.
+
+        Raises NotPositiveDefinite if the springs do not hold every spin.
+        """
+        self.factorise(stiffness)
+        spins = np.zeros(self._system.unknowns)
+        for _ in range(3):
+            spins = spins + self.solve(self._system.torques(self._relaxed(dual, stiffness, spins)))
+        return self._relaxed(dual, stiffness, spins)
+
+    def _relaxed(self, dual: list[np.ndarray], stiffness: list[np.ndarray], spins: np.ndarray) -> list[np.ndarray]:
+        """The dual less the forces of springs stretched by a change of the spins."""
+        return [
+            y - np.einsum("ijn,jn->in", k, g.change(spins))
+            for y, k, g in zip(dual, stiffness, self._system.groups, strict=True)
+        ]

@@ -10,7 +10,7 @@ proves it and is the friction (planar.py).
 import numpy as np
 
 from taichi_bearings.certificate import largest_unbalanced_torque, work_and_bound
-from taichi_bearings.contact_state import ContactState
+from taichi_bearings.contact_state import ContactState, all_slipless
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Workspace
 from taichi_bearings.fields.workspace import FieldSpec
@@ -40,17 +40,7 @@ class PlanarCut:
         (self.component,) = self.spin_axes
         self.bottom, self.top = (float(value[0]) for value in scene.driven_values(self.spin_axes))
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
-        self.force = tuple(
-            np.zeros((int(axis != self.component), scene.replicas, *scene.lattice.contact_shape(axis)))
-            for axis in range(scene.lattice.dimension)
-        )
-        self.state = tuple(
-            np.broadcast_to(
-                np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, ContactState.SLIPLESS),
-                (scene.replicas, *scene.lattice.contact_shape(axis)),
-            ).astype(np.uint8)
-            for axis in range(scene.lattice.dimension)
-        )
+        self.force, self.state = scene.no_force(self.spin_axes), all_slipless(scene)
         planes = 1 if scene.lattice.dimension == 2 else scene.lattice.shape[self.component]
         self.unique = np.ones((scene.replicas, planes), dtype=bool)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)

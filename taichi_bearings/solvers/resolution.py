@@ -191,9 +191,8 @@ def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> list[np.
     Newton's method for the analytic centre of such forces, from forces inside the discs that leave torques: every step
     of length a takes away a share a of the torques. None if that does not end.
     """
-    system = whole.system
     dual = [np.where(s, y, _inside(y, mu)) for y, mu, s in zip(found.dual, whole.friction, found.slipping, strict=True)]
-    for _ in range(BALANCE_STEPS if system.unknowns < MANY else FEW_BALANCE_STEPS):
+    for _ in range(BALANCE_STEPS if whole.system.unknowns < MANY else FEW_BALANCE_STEPS):
         stiffness, pull = [], []
         for mu, y, s in zip(whole.friction, dual, found.slipping, strict=True):
             room = np.where(s, 1.0, mu**2 - inner(y, y))
@@ -202,18 +201,7 @@ def _balanced(whole: Iterate, matrix: NewtonMatrix, found: Resolved) -> list[np.
             soft = (room / 2) * (unit - (2 / rest) * y[:, None] * y[None, :])
             stiffness.append(np.where(s, HELD * unit, soft))
             pull.append(np.where(s, y, y - y * room / rest))
-        matrix.factorise(stiffness)
-        potential = np.zeros(system.unknowns)
-        for _ in range(3):
-            changed = [
-                p - np.einsum("ijn,jn->in", k, g.change(potential))
-                for p, k, g in zip(pull, stiffness, system.groups, strict=True)
-            ]
-            potential = potential + matrix.solve(system.torques(changed))
-        changed = [
-            p - np.einsum("ijn,jn->in", k, g.change(potential))
-            for p, k, g in zip(pull, stiffness, system.groups, strict=True)
-        ]
+        changed = matrix.balanced(pull, stiffness)
         reach = [
             _reach(y[:, ~s], (new - y)[:, ~s], mu[~s])
             for y, new, mu, s in zip(dual, changed, whole.friction, found.slipping, strict=True)
