@@ -14,6 +14,7 @@ class Status(Enum):
 
     CERTIFIED = "certified"  # the proven gap is within the tolerance
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
+    FINISHED = "finished"  # a dynamics has gone on for the simulated time that was asked for
     STALLED = "stalled"  # the method can get no closer in this precision
     STEP_LIMIT = "step-limit"
     TIME_LIMIT = "time-limit"
@@ -23,7 +24,40 @@ class Status(Enum):
     @property
     def reached(self) -> bool:
         """True if the run did what was asked for."""
-        return self in (Status.CERTIFIED, Status.STATIONARY)
+        return self in (Status.CERTIFIED, Status.STATIONARY, Status.FINISHED)
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Energy books of a dynamics since its start, (R,) each, energy. Every account is kept from its own data.
+
+    A step works with its mean force, the one that changes the spins by what they change, on its mean slip.
+
+    kinetic : of the free spheres. spring : in the elongations of the contacts.
+    injected : work of the driven spheres. dissipated : work done on the contacts that is not in their springs.
+    at_start : kinetic and spring energy at time 0.
+    """
+
+    kinetic: np.ndarray
+    spring: np.ndarray
+    injected: np.ndarray
+    dissipated: np.ndarray
+    at_start: np.ndarray
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(R,) what the books leave unexplained, relative to the energy that has gone through them."""
+        turnover = np.maximum(self.at_start + np.abs(self.injected), np.abs(self.dissipated))
+        missing = self.at_start + self.injected - self.dissipated - self.kinetic - self.spring
+        return np.divide(missing, turnover, out=np.zeros_like(missing), where=turnover > 0)
+
+
+@dataclass(frozen=True)
+class Snapshots:
+    """Spins of a dynamics on its way. time : (S,). spin : laboratory frame, (S, R, *N) or (S, R, *N, 3), 1/time."""
+
+    time: np.ndarray
+    spin: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -34,6 +68,7 @@ class Progress:
     force : contact forces, one array (T, R, *contacts) an axis, along the spin difference of the contact.
     power, lower_bound : (R,), energy/time.
     time : simulated time of a dynamics, else None.
+    energy : energy books of a dynamics that keeps them. slipping : (R,), contacts of a dynamics that slip now.
     resolution : slip speed below which the method cannot tell slip from rest, length/time.
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
@@ -53,6 +88,8 @@ class Progress:
     resolution: float
     unbalanced_torque: np.ndarray
     time: float | None = None
+    energy: Energy | None = None
+    slipping: np.ndarray | None = None
     at_rest: bool = False
     exhausted: bool = False
     state: tuple[np.ndarray, ...] | None = None
@@ -73,6 +110,7 @@ class Solution:
     power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
     findings : what else the method has found, by name, (R,) each.
     history : columns of equal length; power and lower_bound are (checks, R).
+    snapshots : spins of a dynamics at the times asked for.
     """
 
     scene: Scene
@@ -95,3 +133,4 @@ class Solution:
     seconds_compile: float
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    snapshots: Snapshots | None = None

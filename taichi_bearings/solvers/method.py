@@ -1,6 +1,7 @@
 """What every method offers to the common loop in drive.py."""
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Protocol, TypeGuard
 
 import numpy as np
 
@@ -40,3 +41,30 @@ class Method(Protocol):
     def progress(self) -> Progress:
         """Where the method stands, judged by the certificate; the only device-to-host read."""
         ...
+
+
+class Dynamics(Method, Protocol):
+    """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits."""
+
+    iteration: int
+    time: float
+
+    def aim_at(self, time: float) -> None:
+        """The next simulated time at which a state is wanted; infinity for none.
+
+        `next_check` stops at the first step that reaches it; a method that chooses its steps ends one there exactly.
+        """
+        ...
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that the further course depends on."""
+        ...
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from such a state; called after `begin`."""
+        ...
+
+
+def is_dynamics(method: Method) -> TypeGuard[Dynamics]:
+    """True for a method that steps in time."""
+    return hasattr(method, "aim_at")
