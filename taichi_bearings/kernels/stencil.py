@@ -70,6 +70,14 @@ class Stencil:
             for axis, (first, slots) in enumerate(zip(self.force_slot, self.kept, strict=True))
         )
 
+    def forces_at_lower_sphere(self, force: tuple[np.ndarray, ...], layout: Layout) -> np.ndarray:
+        """Inverse of :meth:`forces_by_axis`; 0 where there is no contact."""
+        first = next(values for values in force if len(values))
+        stored = np.zeros((self.force_components, first.shape[1], *layout.shape))
+        for axis, (start, values) in enumerate(zip(self.force_slot, force, strict=True)):
+            layout.from_lower_sphere(stored[start : start + len(values)], axis)[...] = values
+        return stored
+
 
 @ti.func
 def in_range(index):

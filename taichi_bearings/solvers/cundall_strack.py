@@ -5,6 +5,7 @@ power of the spins is an upper bound of the least power, and the spring forces, 
 dynamical run proves its own gap.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from taichi_bearings.fields.workspace import FieldSpec, team_size
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences, torques
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.gear import (
     CORRECTORS,
@@ -42,6 +43,7 @@ class CundallStrackOptions:
     rest_tolerance : the run has come to rest when the power changes by less than this fraction over three checks in a
     row, no contact changes between sticking and slipping, and no free sphere feels more than this share of the
     typical friction torque.
+    keep_energy : keep energy books; a step then takes longer.
     """
 
     stiffness: float = 1e5
@@ -52,6 +54,7 @@ class CundallStrackOptions:
     gear_order: int = 2
     time_step: float | None = None
     rest_tolerance: float = 1e-9
+    keep_energy: bool = False
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "mass", "inertia", "time_step", "rest_tolerance"):
@@ -75,6 +78,7 @@ class CundallStrack:
 
     def __init__(self, options: CundallStrackOptions | None = None) -> None:
         self.options = options or CundallStrackOptions()
+        self.aim = np.inf
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
@@ -84,7 +88,11 @@ class CundallStrack:
         spec += [("predicted", components), ("is_free", 1), ("force", forces), ("coefficient", dimension)]
         if scene.law == "coulomb":
             spec += [("integral", components), ("elongation", forces)]
-        return tuple(spec)
+        if self.options.keep_energy:
+            spec += [(f"force_{n}", forces) for n in range(1, self.options.gear_order + 1)]
+            spec += [("mean_force", forces), ("work", 1), ("impulse", components)]
+        self.spec = tuple(spec)
+        return self.spec
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
         assert fields is not None
@@ -92,6 +100,7 @@ class CundallStrack:
         self.inertia = options.inertia or default_inertia(scene, options.mass)
         self.stability_bound = stability_bound(scene, self.spin_axes, options)
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
+        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
         fields.load("is_free", is_free.astype(np.float64))
@@ -99,33 +108,40 @@ class CundallStrack:
         fields.clear("force")
         if scene.law == "coulomb":
             fields.clear("elongation")
-        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         workers = team_size(layout, self.stencil.components + self.stencil.force_components)
         corrector = CORRECTORS[options.gear_order]
-        self.steps = fields.kernels(CundallStrackSteps, self.stencil, workers, scene.law, corrector)
+        self.steps = fields.kernels(
+            CundallStrackSteps, self.stencil, workers, scene.law, corrector, options.keep_energy
+        )
         self.steps.compile()
-        self.iteration = self.quiet_checks = 0
+        self.iteration = self.quiet_checks = self.rest_check = 0
         self.last_power = np.full(scene.replicas, np.inf)
         self.last_slipping = -1
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion: all of them for the linear viscous
         law; the first for Coulomb, whose force may jump in the first step anyway."""
-        lattice, order = self.scene.lattice, self.options.gear_order
-        derivatives = [staggered]
-        for n in range(1, order + 1):
-            if self.scene.law == "coulomb" and n > 1:
-                derivatives.append(np.zeros_like(staggered))
-                continue
-            force = self._damping_force(derivatives[-1])
-            rate = lattice.radius / self.inertia * torques(force, lattice, self.spin_axes)
-            rate[..., lattice.is_driven] = 0.0
-            derivatives.append(self.time_step / n * rate)
+        scene, options = self.scene, self.options
+        derivatives, forces = [staggered], []
+        for n in range(1, options.gear_order + 1):
+            if scene.law == "coulomb" and n > 1:
+                forces.append(scene.no_force(self.spin_axes))
+            else:
+                forces.append(tuple(force / n for force in self._damping_force(derivatives[-1])))
+            rate = scene.lattice.radius / self.inertia * torques(forces[-1], scene.lattice, self.spin_axes)
+            rate[..., scene.lattice.is_driven] = 0.0
+            derivatives.append(self.time_step * rate)
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
         self.fields.load("predicted", np.sum(derivatives, axis=0))
-        if self.scene.law == "coulomb":
+        if scene.law == "coulomb":
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
+        if options.keep_energy:
+            for n, force in enumerate(forces, start=1):
+                self.fields.load(f"force_{n}", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
+            for name in ("mean_force", "work", "impulse"):
+                self.fields.clear(name)
+            self.energy_at_start = self._kinetic_energy(staggered)
 
     def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forces of unstretched contacts: damping, capped by friction for Coulomb."""
@@ -140,8 +156,43 @@ class CundallStrack:
             forces.append(force * np.minimum(1.0, limit / np.maximum(vector_length(force), 1e-300)))
         return tuple(forces)
 
+    @property
+    def time(self) -> float:
+        """Simulated time."""
+        return self.iteration * self.time_step
+
+    def aim_at(self, time: float) -> None:
+        self.aim = time
+
     def next_check(self, iteration: int) -> int:
-        return iteration + 100 + iteration // 16
+        wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf
+        return int(min(self._next_rest_check(), max(wanted, iteration + 1)))
+
+    def _next_rest_check(self) -> int:
+        """Iterations 100 and 1/16 of the run apart, whatever other states are looked at in between."""
+        return self.rest_check + 100 + self.rest_check // 16
+
+    def state(self) -> dict[str, np.ndarray]:
+        fixed = ("is_free", "coefficient")
+        fields = {name: self.fields.read(name) for name, _ in self.spec if name not in fixed}
+        counters = [self.iteration, self.rest_check, self.quiet_checks, self.last_slipping]
+        return fields | {
+            "counters": np.array(counters, dtype=np.int64),
+            "last_power": self.last_power,
+            "time_step": np.array(self.time_step),
+        }
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        if float(state["time_step"]) != self.time_step:
+            raise InputError(
+                f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
+                "it was made by another version or library"
+            )
+        for name, values in state.items():
+            if name in dict(self.spec):
+                self.fields.load(name, values)
+        self.iteration, self.rest_check, self.quiet_checks, self.last_slipping = map(int, state["counters"])
+        self.last_power = np.array(state["last_power"])
 
     def advance(self, steps: int) -> None:
         scene, options = self.scene, self.options
@@ -168,6 +219,11 @@ class CundallStrack:
         power = scene.power(staggered, self.spin_axes)
         bound = lower_bound(scene, springs, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
+        slipping = self._slipping(force)
+        at_rest = False
+        if self.iteration >= self._next_rest_check():
+            self.rest_check = self.iteration
+            at_rest = self._at_rest(power, bound, force, left_over, int(slipping.sum()))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -177,15 +233,57 @@ class CundallStrack:
             lower_bound=bound,
             resolution=1e-6 * scene.lattice.radius * scene.jump,
             unbalanced_torque=left_over,
-            time=self.iteration * self.time_step,
-            at_rest=self._at_rest(power, bound, force, left_over),
+            time=self.time,
+            energy=self._energy(staggered, springs) if self.options.keep_energy else None,
+            slipping=slipping,
+            at_rest=at_rest,
+        )
+
+    def _slipping(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
+        """(R,) contacts that bear all the friction they can, and so slip."""
+        scene, total = self.scene, np.zeros(self.scene.replicas, dtype=np.int64)
+        if scene.law == "coulomb":
+            for axis, values in enumerate(force):
+                limit = scene.normal_force * scene.acting_coefficient[axis]
+                slips = (vector_length(values) >= (1 - 1e-12) * limit) & (limit > 0)
+                total += slips.reshape(scene.replicas, -1).sum(axis=1)
+        return total
+
+    def _kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
+        squares = (staggered[..., ~self.scene.lattice.is_driven] ** 2).sum(axis=0)
+        return self.inertia / 2 * squares.reshape(self.scene.replicas, -1).sum(axis=1)
+
+    def _energy(self, staggered: np.ndarray, springs: tuple[np.ndarray, ...]) -> Energy:
+        """The books at the end of the last step. springs : forces of the springs alone, stiffness * elongation."""
+        scene, replicas = self.scene, self.scene.replicas
+        spring, last_half = np.zeros(replicas), np.zeros(replicas)
+        if scene.law == "coulomb":
+            for values in springs:
+                spring += (values**2).sum(axis=0).reshape(replicas, -1).sum(axis=1) / (2 * self.options.stiffness)
+        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
+        for mean, difference in zip(self._contact_forces("mean_force"), differences, strict=True):
+            last_half += (mean * difference / 2).sum(axis=0).reshape(replicas, -1).sum(axis=1)
+        reach = scene.lattice.radius * self.time_step
+        work = reach * (self.fields.read("work").reshape(replicas, -1).sum(axis=1) + last_half)
+        pull = self.fields.read("impulse") * staggered * scene.lattice.is_driven
+        return Energy(
+            kinetic=self._kinetic_energy(staggered),
+            spring=spring,
+            injected=-reach * pull.sum(axis=0).reshape(replicas, -1).sum(axis=1),
+            dissipated=work - spring,
+            at_start=self.energy_at_start,
         )
 
     def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
         return self.stencil.forces_by_axis(self.fields.read(name), self.fields.layout)
 
     def _at_rest(
-        self, power: np.ndarray, bound: np.ndarray, force: tuple[np.ndarray, ...], left_over: np.ndarray
+        self,
+        power: np.ndarray,
+        bound: np.ndarray,
+        force: tuple[np.ndarray, ...],
+        left_over: np.ndarray,
+        slipping: int,
     ) -> bool:
         """True once power, slipping contacts and torque balance have been stationary for some checks in a row.
 
@@ -193,16 +291,11 @@ class CundallStrack:
         mu_s > mu_k, where it need not, only after the driven planes could have stretched the springs to slipping.
         """
         scene, tolerance = self.scene, self.options.rest_tolerance
-        slipping = 0
         typical_torque = scene.lattice.radius * max(float(vector_length(f).max(initial=0.0)) for f in force)
-        if scene.law == "coulomb":
-            for axis, values in enumerate(force):
-                limit = scene.normal_force * scene.acting_coefficient[axis]
-                slipping += int((vector_length(values) >= (1 - 1e-12) * limit)[limit > 0].sum())
         still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
         balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
         if self.options.static_ratio > 1:
-            believed = self.iteration * self.time_step >= self._loading_time()
+            believed = self.time >= self._loading_time()
         else:
             believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
         quiet = believed and still and balanced and slipping == self.last_slipping

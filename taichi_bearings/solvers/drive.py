@@ -3,7 +3,7 @@
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
@@ -15,7 +15,8 @@ from taichi_bearings.fields import borrow
 from taichi_bearings.fields.workspace import make_layout
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.method import Method, is_dynamics
+from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
 
 
@@ -34,6 +35,18 @@ Monitor = Callable[[Report], None]
 STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 
 
+@dataclass(frozen=True)
+class Checkpoints:
+    """Where and how often a dynamics writes down all that it needs to go on from there with the same bits.
+
+    every : seconds of wall time. write : takes the arrays by name. resume : what an earlier call has written.
+    """
+
+    every: float
+    write: Callable[[dict[str, np.ndarray]], None]
+    resume: Mapping[str, np.ndarray] | None = None
+
+
 def solve(
     scene: Scene,
     method: Method,
@@ -41,42 +54,107 @@ def solve(
     stop: StopRule | None = None,
     monitors: Sequence[Monitor] = (),
     slip_threshold: float | None = None,
+    recording: Recording | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> Solution:
     """Run `method` on `scene` from the laboratory spins `spin` until `stop` says so.
 
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
+    recording, checkpoints : for a dynamics.
     Ctrl-C ends the run with status INTERRUPTED and everything reached so far.
     """
-    stop = stop or StopRule()
+    stop, recording = stop or StopRule(), recording or Recording()
     began = time.perf_counter()
     spec = method.plan(scene, spin)
     workspace = borrow(make_layout(scene.replicas, scene.lattice.shape), spec) if method.needs_taichi else nullcontext()
     with _Interrupt() as interrupt, workspace as fields:
         method.begin(scene, spin, fields)
         compiled = time.perf_counter()
-        best = _Best(method.keeps_best)
-        history = _History()
-        pace = _Pace()
-        progress = method.progress()
+        course = _Course(scene, method, stop, recording, checkpoints, interrupt)
+        status, progress, seconds = course.follow(monitors)
+        best, recorder = course.best, course.recorder
+        final = replace(best.progress, iteration=progress.iteration)
+    return _collect(scene, method.name, status, final, best.bound, recorder, seconds, compiled - began, slip_threshold)
+
+
+class _Course:
+    """The loop of :func:`solve` from the start, or from a checkpoint, to the end."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        method: Method,
+        stop: StopRule,
+        recording: Recording,
+        checkpoints: Checkpoints | None,
+        interrupt: "_Interrupt",
+    ) -> None:
+        self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
+        self.checkpoints, self.interrupt = checkpoints, interrupt
+        self.best, self.recorder, self.pace = _Best(method.keeps_best), Recorder(scene, recording), _Pace()
+        self.target = 0  # iteration of the next look at the progress
+        self.began = self.written_at = time.perf_counter()
+        resume = checkpoints.resume if checkpoints else None
+        if resume is not None and is_dynamics(method):
+            method.restore(resume)
+            self.recorder.restore(resume)
+            self.best.bound = np.array(resume["lower_bound"])
+            self.began -= float(resume["elapsed"])
+            self._aim(method.iteration)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of wall time, those before a checkpoint included."""
+        return time.perf_counter() - self.began
+
+    def follow(self, monitors: Sequence[Monitor]) -> tuple[Status, Progress, float]:
+        """How it ended, the last state, and the seconds it took."""
+        scene, method, stop, best = self.scene, self.method, self.stop, self.best
+        iteration = method.iteration if is_dynamics(method) else 0
         while True:
+            self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
+            progress = method.progress()
+            iteration = progress.iteration
+            on_the_way = iteration < self.target
+            if on_the_way:
+                self._write()  # before anything is recorded that an undisturbed run would not record
             best.take(progress)
-            elapsed = time.perf_counter() - compiled
-            history.add(progress, best, elapsed)
+            elapsed = self.elapsed
+            self.recorder.take(progress, best.bound, elapsed)
             gap = relative_gap(scene, best.power, best.bound)
             for monitor in monitors:
                 monitor(Report(progress, best.power, gap, elapsed, stop))
-            stalled = progress.exhausted or best.has_stalled(progress.iteration, float(gap.max()))
+            stalled = progress.exhausted or best.has_stalled(iteration, float(gap.max()))
             status = stop.judge(scene, progress, best.power, best.bound, elapsed, stalled)
-            if status is None and interrupt.heard:
+            if status is None and self.interrupt.heard:
                 status = Status.INTERRUPTED
             if status is not None:
-                break
-            wanted = min(method.next_check(progress.iteration), stop.iterations) - progress.iteration
-            pace.advance(method, wanted, lambda: interrupt.heard or time.perf_counter() - compiled >= stop.seconds)
-            progress = method.progress()
-        seconds = time.perf_counter() - compiled
-        final = replace(best.progress, iteration=progress.iteration)
-    return _collect(scene, method.name, status, final, best.bound, history, seconds, compiled - began, slip_threshold)
+                if not on_the_way:
+                    self._write()
+                self.recorder.add_row(progress, best.bound, elapsed)
+                return status, progress, elapsed
+            self._write_if_due()
+            self._aim(iteration)
+
+    def _aim(self, iteration: int) -> None:
+        """Choose the iteration of the next look. It depends on the state of a dynamics only, not on earlier looks."""
+        if is_dynamics(self.method):
+            self.method.aim_at(min(self.recording.next_time(self.method.time), self.stop.duration))
+        self.target = min(self.method.next_check(iteration), self.stop.iterations)
+
+    def _is_ended(self) -> bool:
+        return self.interrupt.heard or self.elapsed >= self.stop.seconds
+
+    def _write_if_due(self) -> None:
+        if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:
+            self._write()
+
+    def _write(self) -> None:
+        if self.checkpoints is None or not is_dynamics(self.method):
+            return
+        own = {"lower_bound": self.best.bound, "elapsed": np.array(self.elapsed)}
+        self.checkpoints.write(self.method.state() | self.recorder.state() | own)
+        self.written_at = time.perf_counter()
 
 
 class _Interrupt:
@@ -108,7 +186,7 @@ class _Pace:
     def __init__(self) -> None:
         self.size = 64
 
-    def advance(self, method: Method, steps: int, ended: Callable[[], bool]) -> None:
+    def advance(self, method: Method, steps: int, ended: Callable[[], bool], between: Callable[[], None]) -> None:
         while steps > 0 and not ended():
             now = min(self.size, steps)
             began = time.perf_counter()
@@ -119,6 +197,8 @@ class _Pace:
                 self.size = max(64, self.size // 2)
             elif took < 0.25 and now == self.size:
                 self.size *= 2
+            if steps > 0:
+                between()
 
 
 class _Best:
@@ -127,7 +207,7 @@ class _Best:
     def __init__(self, keeps_best: bool) -> None:
         self.keeps_best = keeps_best
         self.progress: Progress
-        self.bound = np.zeros(0)
+        self.bound = np.zeros(0)  # none yet
         self._gap, self._improved_at = np.inf, 0
 
     @property
@@ -142,11 +222,9 @@ class _Best:
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
-        if len(self.bound) == 0:
-            self.progress, self.bound = new, new.lower_bound
-            return
-        self.bound = np.maximum(self.bound, new.lower_bound)
-        if not self.keeps_best:
+        first = len(self.bound) == 0
+        self.bound = new.lower_bound if first else np.maximum(self.bound, new.lower_bound)
+        if first or not self.keeps_best:
             self.progress = new
             return
         old = self.progress
@@ -174,27 +252,6 @@ class _Best:
         )
 
 
-class _History:
-    def __init__(self) -> None:
-        self.columns: dict[str, list] = {}
-
-    def add(self, progress: Progress, best: _Best, seconds: float) -> None:
-        row = {
-            "iteration": progress.iteration,
-            "seconds": seconds,
-            "power": progress.power,
-            "lower_bound": best.bound,
-            "unbalanced_torque": progress.unbalanced_torque,
-        }
-        if progress.time is not None:
-            row["time"] = progress.time
-        for name, value in row.items():
-            self.columns.setdefault(name, []).append(value)
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        return {name: np.asarray(values) for name, values in self.columns.items()}
-
-
 def _states(scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float) -> tuple[np.ndarray, ...]:
     """Contact states as the method has established them, else by slip and friction; none slips below the threshold."""
     if final.state is None:
@@ -211,7 +268,7 @@ def _collect(
     status: Status,
     final: Progress,
     bound: np.ndarray,
-    history: _History,
+    recorder: Recorder,
     seconds: float,
     seconds_compile: float,
     slip_threshold: float | None,
@@ -238,6 +295,7 @@ def _collect(
         unbalanced_torque=final.unbalanced_torque,
         seconds=seconds,
         seconds_compile=seconds_compile,
-        history=history.arrays(),
+        history=recorder.history(),
+        snapshots=recorder.snapshots(),
         findings=final.findings,
     )

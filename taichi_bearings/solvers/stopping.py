@@ -16,6 +16,7 @@ class StopRule:
     tolerance : (power - lower bound) / power at which every replica counts as done, in (0, 1).
     iterations : limit on iterations of the method.
     seconds : limit on wall time, compilation apart; infinity for none.
+    duration : simulated time after which a dynamics ends, whatever it has reached; infinity to go on until it is done.
     settle : once certified, go on as long as the method can still tell more slipping from slipless contacts.
     """
 
@@ -23,6 +24,7 @@ class StopRule:
     iterations: int = 1_000_000
     seconds: float = float("inf")
     settle: bool = True
+    duration: float = float("inf")
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
@@ -31,6 +33,8 @@ class StopRule:
             raise InputError(f"iterations is {self.iterations}; it must be 0 or more")
         if not self.seconds > 0:
             raise InputError(f"time_limit is {self.seconds}; it must be a positive number of seconds")
+        if not self.duration > 0:
+            raise InputError(f"duration is {self.duration}; it must be a positive simulated time")
 
     def judge(
         self,
@@ -46,9 +50,13 @@ class StopRule:
             return Status.NOT_FINITE
         certified = bool((relative_gap(scene, power, bound) <= self.tolerance).all())
         ended = progress.iteration >= self.iterations or elapsed >= self.seconds
-        if certified and (ended or not (self.settle and progress.unsettled)):
+        in_time = progress.time is not None and self.duration < float("inf")
+        finished = progress.time is not None and progress.time >= self.duration * (1 - 1e-9)
+        if certified and (ended or finished or not (in_time or (self.settle and progress.unsettled))):
             return Status.CERTIFIED
-        if progress.at_rest:
+        if finished:
+            return Status.FINISHED
+        if progress.at_rest and not in_time:
             return Status.STATIONARY
         if stalled:
             return Status.STALLED

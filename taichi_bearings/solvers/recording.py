@@ -1,0 +1,137 @@
+"""What a run writes down on its way: its history, and a dynamics also its spins at chosen simulated times."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from taichi_bearings.scene import Progress, Scene, Snapshots
+
+MOST_TIMES = 1_000_000
+SAME = 1e-9  # relative distance below which two simulated times are the same
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Simulated times that are wanted. history : rows of the history; empty for one at every check. snapshots : spins.
+
+    A state is recorded at the end of the first step that reaches a time; methods that choose their steps end one there.
+    """
+
+    history: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    snapshots: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def next_time(self, now: float) -> float:
+        """The first wanted time after `now`; infinity if there is none."""
+        wanted = np.concatenate([self.history, self.snapshots])
+        return float(wanted[wanted > now * (1 + SAME)].min(initial=np.inf))
+
+
+_SPACING: dict[str, Callable[..., np.ndarray]] = {"linear": np.linspace, "log": np.geomspace}
+
+
+def parse_times(text: str) -> np.ndarray:
+    """Ascending times from "linear:start,stop,count", "log:start,stop,count" or "t1,t2,...".
+
+    Raises ValueError or KeyError for anything else, negative times, and more than a million of them.
+    """
+    kind, colon, rest = text.partition(":")
+    numbers = [float(word) for word in (rest if colon else text).split(",")]
+    if not colon:
+        times = np.array(numbers)
+    else:
+        start, stop, count = numbers
+        if not (0 <= start < stop and count == int(count) and 2 <= count <= MOST_TIMES):
+            raise ValueError(text)
+        if kind == "log" and start == 0:
+            raise ValueError(text)
+        times = _SPACING[kind](start, stop, int(count))
+    if not (np.isfinite(times).all() and (times >= 0).all()):
+        raise ValueError(text)
+    return np.unique(times)
+
+
+class Recorder:
+    """History and snapshots as they grow."""
+
+    def __init__(self, scene: Scene, recording: Recording) -> None:
+        self._scene, self.recording = scene, recording
+        self._columns: dict[str, list] = {}
+        self._snapshot_times: list[float] = []
+        self._snapshot_spins: list[np.ndarray] = []
+        self._last_time = -np.inf
+
+    def take(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
+        """Write down what is due. bound : (R,), the best lower bound so far."""
+        if len(self.recording.history) == 0 or self._is_due(progress, self.recording.history):
+            self.add_row(progress, bound, seconds)
+        if self._is_due(progress, self.recording.snapshots):
+            assert progress.time is not None
+            self._snapshot_times.append(progress.time)
+            self._snapshot_spins.append(self._scene.laboratory_spin(progress.staggered, progress.spin_axes))
+        if progress.time is not None:
+            self._last_time = progress.time
+
+    def add_row(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
+        """Write this state into the history, unless it ends with it already."""
+        if not self._columns or self._columns["iteration"][-1] != progress.iteration:
+            self._append(progress, bound, seconds)
+
+    def _is_due(self, progress: Progress, times: np.ndarray) -> bool:
+        if progress.time is None:
+            return False
+        reached = progress.time * (1 + SAME)
+        return bool(((times > self._last_time * (1 + SAME)) & (times <= reached)).any())
+
+    def _append(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
+        row = {
+            "iteration": progress.iteration,
+            "seconds": seconds,
+            "power": progress.power,
+            "lower_bound": bound,
+            "unbalanced_torque": progress.unbalanced_torque,
+        }
+        if progress.time is not None:
+            row["time"] = progress.time
+        if progress.slipping is not None:
+            row["slipping"] = progress.slipping
+        if progress.energy is not None:
+            energy = progress.energy
+            for name in ("kinetic", "spring", "injected", "dissipated"):
+                row[f"{name}_energy"] = getattr(energy, name)
+            row["energy_residual"] = energy.residual
+        for name, value in row.items():
+            self._columns.setdefault(name, []).append(value)
+
+    def history(self) -> dict[str, np.ndarray]:
+        """Columns of equal length; those with one value a replica are (rows, R)."""
+        return {name: np.asarray(values) for name, values in self._columns.items()}
+
+    def snapshots(self) -> Snapshots | None:
+        """The snapshots so far; None if none were asked for."""
+        if len(self.recording.snapshots) == 0:
+            return None
+        empty = np.zeros((0, *self._scene.laboratory_spin(*_nothing(self._scene)).shape))
+        spins = np.stack(self._snapshot_spins) if self._snapshot_spins else empty
+        return Snapshots(np.array(self._snapshot_times), spins)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything written down so far, for a checkpoint."""
+        found = {f"history/{name}": values for name, values in self.history().items()}
+        snapshots = self.snapshots()
+        if snapshots is not None and len(snapshots.time):
+            found |= {"snapshots/time": snapshots.time, "snapshots/spin": snapshots.spin}
+        return found | {"last_time": np.array(self._last_time)}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from such a state."""
+        self._columns = {name[8:]: list(values) for name, values in state.items() if name.startswith("history/")}
+        self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
+        self._snapshot_spins = list(state.get("snapshots/spin", ()))
+        self._last_time = float(state["last_time"])
+
+
+def _nothing(scene: Scene) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Staggered spins of zero, and the component they are."""
+    axes = scene.minimum_spin_axes
+    return np.zeros((len(axes), scene.replicas, *scene.lattice.shape)), axes
