@@ -95,7 +95,7 @@ def accuracy(
     from taichi_bearings.studies.accuracy import choose_methods, choose_scenes, measure_all
     from taichi_bearings.studies.accuracy_report import ReportFiles, summarise, table
     from taichi_bearings.studies.peers import find_peers
-    from taichi_bearings.studies.run import default_run_path
+    from taichi_bearings.studies.run_directory import default_run_path
 
     scenes = choose_scenes(shape, law, seed=seed, threads=threads, time_limit=time_limit)
     chosen = choose_methods(methods)

@@ -29,7 +29,7 @@ def command(runs: tuple[str, ...], bins_per_decade: int, out: str | None, force:
     from taichi_bearings.files.run_file import read_run_file
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.style import save
-    from taichi_bearings.studies.run import default_run_path
+    from taichi_bearings.studies.run_directory import default_run_path
 
     stored = [read_run_file(Path(run)) for run in runs]
     if len({run.path.resolve() for run in stored}) < len(stored):

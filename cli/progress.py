@@ -44,8 +44,14 @@ class TerminalProgress:
         if rate > 0 and math.isfinite(rate):
             left = min(left, (report.stop.iterations - progress.iteration) / rate)
         left = min(left, report.stop.seconds - report.seconds)
+        if math.isfinite(report.stop.duration):  # goes on for that long, whatever the gap
+            left = self._seconds_to(report.stop.duration, progress.time, report.seconds)
         words.append(f"{_duration(left)} left" if math.isfinite(left) else "time left unknown")
         self._status.update("  ".join(words))
+
+    def _seconds_to(self, duration: float, time: float, seconds: float) -> float:
+        """Wall time to the end of the simulated time, at the pace so far."""
+        return seconds * (duration - time) / time if time > 0 else math.inf
 
     def _seconds_left(self, tolerance: float) -> float:
         """Extrapolate the gap as a power of the time over the second half of the run."""

@@ -13,16 +13,23 @@ from taichi_bearings_cli.options import json_option, run_options
 @run_options
 @click.option("--out", metavar="DIR", default=None, help="Run directory. [default: outputs/<time>-run-<id>]")
 @click.option("--force", is_flag=True, default=None, help="Replace an existing run directory.")
+@click.option("--resume", metavar="RUN", default=None, help="Go on with a run that has a checkpoint, in its directory.")
 @json_option
 @click.pass_context
 def command(
-    context: click.Context, scene: str | None, out: str | None, force: bool | None, as_json: bool, **options: Any
+    context: click.Context,
+    scene: str | None,
+    out: str | None,
+    force: bool | None,
+    resume: str | None,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Solve one scene (or a block of seeds) and write a run directory.
 
     SCENE.toml holds the same keys as the options, dashes as underscores; options win. A run directory or its run.h5
     serves too: it is run again. The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures.
-    Ctrl-C saves what was reached.
+    Ctrl-C saves what was reached. With --checkpoint-every even a killed run can be resumed, to the same bits.
 
     \b
     Exit codes: 0 reached, 1 not reached (the result is written), 2 bad input, 130 interrupted.
@@ -31,22 +38,35 @@ def command(
     Examples:
       bearings run --shape 10,10,10 --seed 3 --tolerance 1e-5
       bearings run scene.toml --method cundall-strack --initial random --out outputs/relaxation
+      bearings run --method cundall-strack --duration 10 --record log:1e-4,10,100 --checkpoint-every 60 --out outputs/a
+      bearings run --resume outputs/a --duration 20
     """
     from taichi_bearings_cli.progress import TerminalProgress
 
     from taichi_bearings.errors import InputError
-    from taichi_bearings.studies.run import run
+    from taichi_bearings.studies import run as study
     from taichi_bearings.studies.settings import RunSettings, read_toml
 
+    given = {key: value for key, value in options.items() if value is not None}
+    if resume:
+        if scene or out or force:
+            raise InputError(f"resume is {resume!r}: a resumed run keeps its scene and its directory; leave them out")
+        with TerminalProgress() as progress:
+            solution, summary = study.resume(Path(resume), given, [progress])
+        _finish(context, solution, summary, as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
     out, force = out or stored_out, stored_force if force is None else force
     if not isinstance(out, str | None) or not isinstance(force, bool):
         raise InputError(f"out is {out!r} and force is {force!r}; they must be a text, and true or false")
-    values |= {key: value for key, value in options.items() if value is not None}
-    settings = RunSettings.from_mapping(values, scene or "the options")
+    settings = RunSettings.from_mapping(values | given, scene or "the options")
     with TerminalProgress() as progress:
-        solution, summary = run(settings, Path(out) if out else None, force, [progress])
+        solution, summary = study.run(settings, Path(out) if out else None, force, [progress])
+    _finish(context, solution, summary, as_json)
+
+
+def _finish(context: click.Context, solution: Any, summary: dict[str, Any], as_json: bool) -> None:
+    """Print the summary and leave with the exit code that the status asks for."""
     click.echo(json.dumps(summary, allow_nan=False) if as_json else describe(summary))
     if solution.status.value == "interrupted":
         context.exit(130)

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.scene import Solution
 
 SCHEMA = "taichi_bearings.run"
@@ -28,6 +29,12 @@ HISTORY_UNITS = {
     "time": ("time", "simulated time"),
     "power": ("energy/time", "power dissipated by the spins"),
     "lower_bound": ("energy/time", "best proven lower bound on the least power so far"),
+    "slipping": ("1", "contacts that slip at this moment"),
+    "kinetic_energy": ("energy", "kinetic energy of the free spheres"),
+    "spring_energy": ("energy", "energy in the elongations of the contacts"),
+    "injected_energy": ("energy", "work of the driven spheres since the start"),
+    "dissipated_energy": ("energy", "energy dissipated at the contacts since the start"),
+    "energy_residual": ("1", "what the energy books leave unexplained, relative to the energy gone through them"),
     "unbalanced_torque": ("force*length", "largest torque left over on a free sphere"),
 }
 
@@ -67,6 +74,14 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             else:  # a leading replica axis, like everything else
                 values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
             put(file, f"history/{key}", values, *HISTORY_UNITS[key])
+        if solution.snapshots is not None:
+            times, spins = solution.snapshots.time, solution.snapshots.spin
+            if one:
+                spins = spins[:, 0]
+            else:
+                times, spins = np.tile(times, (scene.replicas, 1)), np.moveaxis(spins, 1, 0)
+            put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
+            put(file, "snapshots/spin", spins, "1/time", "angular velocity in the laboratory frame at these times")
     os.replace(temporary, path)
 
 
@@ -93,7 +108,9 @@ def read_run_file(run: Path) -> StoredRun:
     """Read a run directory or its run.h5; FileError if it is missing, damaged or of an unknown version."""
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
-        raise FileError(f"{run} is not a run: there is no {path}")
+        unfinished = path.with_name(CHECKPOINT).is_file()
+        hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
+        raise FileError(f"{run} is not a run: there is no {path}{hint}")
     try:
         with h5py.File(path, "r") as file:
             version = file.attrs.get("schema_version")

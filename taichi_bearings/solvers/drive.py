@@ -139,6 +139,9 @@ class _Course:
     def _aim(self, iteration: int) -> None:
         """Choose the iteration of the next look. It depends on the state of a dynamics only, not on earlier looks."""
         if is_dynamics(self.method):
+            if self.method.time >= self.stop.duration:
+                self.target = iteration
+                return
             self.method.aim_at(min(self.recording.next_time(self.method.time), self.stop.duration))
         self.target = min(self.method.next_check(iteration), self.stop.iterations)
 

@@ -1,13 +1,9 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
-import contextlib
 import json
-import os
-import secrets
 import shutil
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,14 +12,17 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
+from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
+from taichi_bearings.files.checkpoint_file import read_checkpoint, write_checkpoint
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.studies.run_directory import RunDirectory, default_run_path
+from taichi_bearings.studies.settings import RunSettings, parse_toml
 
 
 def build_scene(settings: RunSettings) -> Scene:
@@ -99,6 +98,7 @@ def build_method(settings: RunSettings, scene: Scene) -> Any:
             gear_order=settings.gear_order,
             time_step=settings.time_step,
             rest_tolerance=settings.rest_tolerance,
+            keep_energy=settings.energy,
         )
     )
 
@@ -116,19 +116,45 @@ class Job:
 def prepare(settings: RunSettings) -> Job:
     """Build everything the settings describe; every input error is raised here, before anything is computed."""
     scene = build_scene(settings)
-    return Job(settings, scene, initial_spin(scene, settings.initial), build_method(settings, scene))
+    method = build_method(settings, scene)
+    _refuse_time_without_dynamics(settings, method)
+    return Job(settings, scene, initial_spin(scene, settings.initial), method)
 
 
-def solve_job(job: Job, monitors: Sequence[Any] = ()) -> Solution:
-    """Solve on the device that the settings name; starts Taichi if the method needs it."""
+def _refuse_time_without_dynamics(settings: RunSettings, method: Any) -> None:
+    from taichi_bearings.solvers.method import is_dynamics
+
+    for key in ("duration", "record", "snapshots", "checkpoint_every"):
+        if getattr(settings, key) is not None and not is_dynamics(method):
+            raise InputError(
+                f"{key} is {getattr(settings, key)}, but {method.name} is not a dynamics; "
+                "it needs --method cundall-strack or rigid-limit"
+            )
+
+
+def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
+    """Solve on the device that the settings name; starts Taichi if the method needs it.
+
+    checkpoints : a solvers.drive.Checkpoints, for a dynamics.
+    """
     from taichi_bearings.solvers.drive import solve
+    from taichi_bearings.solvers.recording import Recording, parse_times
     from taichi_bearings.solvers.stopping import StopRule
 
     settings = job.settings
     if job.method.needs_taichi:
         runtime.start(settings.arch, settings.precision, settings.threads)
-    stop = StopRule(settings.tolerance, settings.iterations, settings.time_limit or float("inf"), settings.settle)
-    solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold)
+    stop = StopRule(
+        settings.tolerance,
+        settings.iterations,
+        settings.time_limit or float("inf"),
+        settings.settle,
+        settings.duration or float("inf"),
+    )
+    recording = Recording(
+        *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
+    )
+    solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     if settings.method == "auto" and solution.method == "interior-point" and solution.status is Status.STALLED:
         from taichi_bearings.solvers.operator_splitting import OperatorSplitting
 
@@ -202,6 +228,8 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
     summary |= {name: per_seed(values) for name, values in solution.findings.items()}
     if "time" in solution.history:
         summary["time"] = float(solution.history["time"][-1])
+    if "energy_residual" in solution.history:
+        summary["energy_residual"] = per_seed(np.abs(solution.history["energy_residual"]).max(axis=0))
     return summary
 
 
@@ -220,70 +248,81 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **found}
 
 
-@dataclass
-class RunDirectory:
-    """A run directory that appears under its name only when complete.
-
-    Files are written into a hidden neighbour and renamed at the end, so a killed run leaves nothing half-written; an
-    existing directory is replaced only with `force`, and only then.
-    """
-
-    path: Path
-    force: bool = False
-
-    def __post_init__(self) -> None:
-        try:
-            self._prepare()
-        except OSError as error:
-            raise FileError(f"output directory {self.path} cannot be written: {error.strerror or error}") from None
-
-    def _prepare(self) -> None:
-        exists = os.path.lexists(self.path)
-        if exists and not self.force:
-            raise FileError(f"output directory {self.path} already exists; choose another --out or add --force")
-        is_run = (self.path / "run.h5").is_file() or (self.path.is_dir() and not any(self.path.iterdir()))
-        if exists and not is_run:
-            raise FileError(f"{self.path} is not a run directory; --force replaces only run directories")
-        self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
-        self._made = [folder for folder in self.path.parents if not folder.exists()]  # nearest first
-        self.partial.mkdir(parents=True)
-
-    def publish(self) -> None:
-        """Rename to the final name, replacing an earlier run if that was allowed."""
-        if self.path.exists():
-            retired = self.partial.with_name(self.partial.name + "-replaced")
-            self.path.rename(retired)
-            self.partial.rename(self.path)
-            shutil.rmtree(retired)
-        else:
-            self.partial.rename(self.path)
-
-    def discard(self) -> None:
-        """Leave nothing behind, not even folders that were made for this run."""
-        shutil.rmtree(self.partial, ignore_errors=True)
-        for folder in self._made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-
-
-def default_run_path(command: str = "run") -> Path:
-    """outputs/<time>-<command>-<id> below the working folder."""
-    return Path("outputs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{command}-{secrets.token_hex(2)}"
-
-
 def run(
     settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()
 ) -> tuple[Solution, dict[str, Any]]:
     """Solve and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and .png, history.png.
 
+    With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
     returns : the solution and the summary, which has the directory as "run".
     Raises InputError or FileError before anything is computed or overwritten.
     """
     job = prepare(settings)
     directory = RunDirectory(out or default_run_path(), force)
+    if settings.checkpoint_every is None:
+        return _solve_into(directory, job, monitors)
     try:
-        solution = solve_job(job, monitors)
+        stored = _self_contained(job, directory.partial, checkpointed=True)
+        (directory.partial / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
+        write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
+        directory.publish()
+    except BaseException:
+        directory.discard()
+        raise
+    return _solve_into(RunDirectory(directory.path, force=True), job, monitors, stored)
+
+
+CHANGEABLE = (
+    "tolerance", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "threads",
+)  # fmt: skip
+
+
+def resume(
+    path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()
+) -> tuple[Solution, dict[str, Any]]:
+    """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
+
+    changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
+    """
+    checkpoint = read_checkpoint(path)
+    changes = dict(changes or {})
+    for key in changes:
+        if key in RunSettings.keys() and key not in CHANGEABLE:
+            raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
+    stored = parse_toml(checkpoint.scene, path)
+    settings = RunSettings.from_mapping(stored | changes, "the options")
+    job = prepare(settings)
+    directory = RunDirectory(path, force=True)
+    return _solve_into(directory, job, monitors, _self_contained(job, directory.partial, True), checkpoint.arrays)
+
+
+def _solve_into(
+    directory: RunDirectory,
+    job: Job,
+    monitors: Sequence[Any],
+    stored: RunSettings | None = None,
+    arrays: Mapping[str, np.ndarray] | None = None,
+) -> tuple[Solution, dict[str, Any]]:
+    """Solve a job and publish the run directory.
+
+    stored, arrays : self-contained settings of a run with checkpoints, and the checkpoint to go on from.
+    """
+    from taichi_bearings.solvers.drive import Checkpoints
+
+    checkpoints = None
+    if stored is not None:
+        assert job.settings.checkpoint_every is not None
+        text = stored.to_toml()
+
+        def write(state: Mapping[str, np.ndarray]) -> None:
+            write_checkpoint(directory.path, text, versions(), state)
+
+        checkpoints = Checkpoints(job.settings.checkpoint_every, write, arrays)
+    try:
+        solution = solve_job(job, monitors, checkpoints)
         summary = write_run(directory.partial, directory.path, job, solution)
+        if stored is not None:
+            shutil.copy2(directory.path / CHECKPOINT, directory.partial / CHECKPOINT)
         directory.publish()
     except BaseException:
         directory.discard()
@@ -307,7 +346,7 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
         "coefficients": job.settings.coefficients,
         "run": str(path),
     }
-    stored = _self_contained(job, folder)
+    stored = _self_contained(job, folder, job.settings.checkpoint_every is not None)
     attributes = summary | {"command": " ".join(["bearings", *sys.argv[1:]]), "scene": stored.to_toml(), **versions()}
     write_run_file(folder / "run.h5", solution, attributes)
     (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
@@ -322,11 +361,21 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     return summary
 
 
-def _self_contained(job: Job, folder: Path) -> RunSettings:
-    """Settings whose files lie in the run directory itself, so that it can be moved and run again."""
+def _self_contained(job: Job, folder: Path, checkpointed: bool) -> RunSettings:
+    """Settings whose files lie in the run directory itself, so that it can be moved and run again.
+
+    checkpointed : it must be possible while there is no run.h5 yet.
+    """
     settings = job.settings
-    if settings.coefficients is not None:
+    if settings.coefficients is not None and not checkpointed:
         settings = replace(settings, coefficients="run.h5")
+    elif settings.coefficients is not None:
+        one = job.scene.replicas == 1
+        arrays: dict[str, Any] = {
+            axis: c[0] if one else c for axis, c in zip("xyz", job.scene.coefficient, strict=False)
+        }
+        np.savez(folder / "coefficients.npz", **arrays)
+        settings = replace(settings, coefficients="coefficients.npz")
     if settings.initial not in STARTS:
         np.savez(folder / "initial_spin.npz", spin=job.spin[0] if job.scene.replicas == 1 else job.spin)
         settings = replace(settings, initial="initial_spin.npz")

@@ -70,6 +70,14 @@ def _text(value: Any) -> str:
     return value
 
 
+def _times(value: Any) -> str:
+    from taichi_bearings.solvers.recording import parse_times
+
+    text = value if isinstance(value, str) else ",".join(repr(float(part)) for part in value)
+    parse_times(text)
+    return text
+
+
 def _one_of(*choices: str) -> Kind:
     def read(value: Any) -> str:
         if value not in choices:
@@ -98,6 +106,7 @@ POSITIVE = Kind(_bounded(_real, LEAST, MOST), "a positive number from 1e-15 to 1
 NOT_NEGATIVE = Kind(_bounded(_real, 0, MOST), "0 or a positive number up to 1e15", "NUMBER")
 COUNT = Kind(_bounded(_integer, 1, 2**31), "a whole number, 1 or more", "N")
 SEED = Kind(_bounded(_integer, 0, 2**62), "a whole number, 0 or more and below 2^62", "N")
+TIMES = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 TRUTH = Kind(_truth, "true or false", "")
 
 
@@ -134,6 +143,17 @@ class RunSettings:
     radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
     iterations: int = setting(1_000_000, SEED, "Limit on the iterations (sweeps, which come in pairs, or time steps).")
     time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time of the solve, in seconds.")
+    duration: float | None = setting(
+        None, POSITIVE, "dynamics: simulated time to go on for, whatever is reached. Default: until done."
+    )
+    record: str | None = setting(
+        None, TIMES, "dynamics: simulated times of the rows of the history. Default: at every check."
+    )
+    snapshots: str | None = setting(None, TIMES, "dynamics: simulated times at which the spins are kept.")
+    energy: bool = setting(False, TRUTH, "cundall-strack with gear: keep energy books; steps take twice as long.")
+    checkpoint_every: float | None = setting(
+        None, POSITIVE, "dynamics: seconds between checkpoints, from which `bearings run --resume RUN` goes on."
+    )
     slip_threshold: float | None = setting(
         None, POSITIVE, "Slip speed up to which a contact counts as slipless. Default: what the method can resolve."
     )
@@ -209,27 +229,34 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
-    import sys
-
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     try:
         text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else path.read_text(encoding="utf-8")
-        values = tomllib.loads(text)
     except (OSError, UnicodeDecodeError) as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
+    return parse_toml(text, path)
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """Key-value pairs of a scene; names of files in it are taken relative to the folder of `path`, or to it."""
+    import sys
+
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    try:
+        values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"scene file {path} is not valid TOML: {error}") from None
+    folder = path if path.is_dir() else path.parent
     for key in ("coefficients", "initial"):
         value = values.get(key)
-        if isinstance(value, str) and (path.parent / value).is_file():
-            values[key] = str(path.parent / value)
+        if isinstance(value, str) and (folder / value).is_file():
+            values[key] = str(folder / value)
     return values
 
 

@@ -1,0 +1,58 @@
+"""checkpoint.h5: what a dynamics needs to go on with the same bits, beside the scene it belongs to."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from taichi_bearings.errors import FileError
+
+SCHEMA = "taichi_bearings.checkpoint"
+SCHEMA_VERSION = 1
+NAME = "checkpoint.h5"
+
+
+def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> None:
+    """Replace the checkpoint of a run directory in one move: a process killed on the way leaves the earlier one.
+
+    scene : the settings as TOML. arrays : none before the first step.
+    """
+    path = folder / NAME
+    temporary = path.with_name(path.name + ".partial")
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["scene"] = scene
+        for name, text in versions.items():
+            file.attrs[name] = text
+        for name, values in arrays.items():
+            file.create_dataset(name, data=values)
+    with temporary.open("rb") as file:
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+@dataclass(frozen=True)
+class StoredCheckpoint:
+    """A checkpoint as read back. arrays : None if the run had not come to its first one."""
+
+    scene: str
+    arrays: dict[str, np.ndarray] | None
+
+
+def read_checkpoint(folder: Path) -> StoredCheckpoint:
+    """The checkpoint of a run directory; FileError if there is none, or if it is damaged or of an unknown version."""
+    path = folder / NAME
+    if not path.is_file():
+        raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("schema") != SCHEMA or file.attrs.get("schema_version") != SCHEMA_VERSION:
+                raise FileError(f"{path} is not a checkpoint of layout version {SCHEMA_VERSION}")
+            arrays: dict[str, np.ndarray] = {}
+            file.visititems(lambda name, item: arrays.update({name: item[()]}) if hasattr(item, "shape") else None)
+            return StoredCheckpoint(str(file.attrs["scene"]), arrays or None)
+    except (OSError, KeyError) as error:
+        raise FileError(f"{path} cannot be read as a checkpoint: {str(error).strip(chr(39))}") from None
