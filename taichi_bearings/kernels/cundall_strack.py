@@ -25,19 +25,15 @@ class CundallStrackSteps(Team):
     elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
     spins stand at the end of the last step; the force is that at its predicted end.
 
-    tally : keep energy books too, in `force_1` ... `force_q`, `mean_force`, `work` and `impulse`.
-    force_n : the contact forces whose torques make gear_n: Gear's derivatives of the force.
-    mean_force : what the last step applied: its torque turns the spins by exactly what they turned.
-    work : of the mean forces on the slips at each sphere's upper contacts, over the radius, up to the middle of the
-    last step. impulse : mean forces that pull on each driven sphere, summed over the steps.
+    tally : keep energy books too, in `work` and `impulse`: sums over the steps, without the last one and with it.
+    work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
     """
 
     def __init__(self, fields, stencil: Stencil, workers: int, law: str, corrector: tuple[float, ...], tally: bool):
         super().__init__(fields, workers)
         self.tally = tally
         if tally:
-            self.force_gear = [fields[f"force_{n}"] for n in range(1, len(corrector))]
-            self.mean_force, self.work, self.impulse = fields["mean_force"], fields["work"], fields["impulse"]
+            self.work, self.impulse = fields["work"], fields["impulse"]
         self.gear = [fields[f"gear_{n}"] for n in range(len(corrector))]
         self.predicted, self.is_free = fields["predicted"], fields["is_free"]
         self.force, self.coefficient = fields["force"], fields["coefficient"]
@@ -105,60 +101,44 @@ class CundallStrackSteps(Team):
             copy_out(forces, self.force, self.stencil.force_slot[axis], first, self.stencil.block)
 
     @ti.func
-    def tally_block(self, first_site, x, y):
-        """Gear's method for the contact forces of one block, and their work on the spins at the start of the step.
-
-        A spin difference is the end of one step and the start of the next, so half of either mean force works on it.
-        """
+    def work_block(self, first_site, x, y):
+        """Add the power that the contacts of one block take from the spins at the end of the last step."""
         first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
-        work = ti.Matrix.zero(float, 1, self.stencil.block)
-        for axis in ti.static(self.stencil.slipping_axes):
-            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-            for t in ti.static(range(self.stencil.kept_count[axis])):
-                v = ti.static(self.stencil.force_slot[axis] + t)
-                c = ti.static(self.stencil.kept[axis][t])
-                error = ti.Matrix.zero(float, 1, self.stencil.block)
-                mean = ti.Matrix.zero(float, 1, self.stencil.block)
-                for m in range(self.stencil.block):
-                    site = first + m
-                    change, whole = self.force[site][v], 0.0
-                    for k in ti.static(range(1, self.order)):
-                        change -= ti.static(float(k)) * self.force_gear[k - 1][site][v]
-                        whole += self.force_gear[k - 1][site][v]
-                    error[0, m] = change
-                    mean[0, m] = whole + self.corrector[0] * change
-                    difference = self.gear[0][site + stride][c] - self.gear[0][site][c]
-                    work[0, m] += 0.5 * (self.mean_force[site][v] + mean[0, m]) * difference
-                copy_out(mean, self.mean_force, v, first, self.stencil.block)
-                for n in ti.static(range(1, self.order)):
-                    corrected = ti.Matrix.zero(float, 1, self.stencil.block)
-                    for m in range(self.stencil.block):
-                        value = self.corrector[n] * error[0, m]
-                        for k in ti.static(range(n, self.order)):
-                            value += ti.static(float(comb(k, n))) * self.force_gear[k - 1][first + m][v]
-                        corrected[0, m] = value
-                    copy_out(corrected, self.force_gear[n - 1], v, first, self.stencil.block)
         total = ti.Matrix.zero(float, 1, self.stencil.block)
         for m in range(self.stencil.block):
-            total[0, m] = self.work[first + m][0] + work[0, m]
+            total[0, m] = self.work[first + m][0]
+        for axis in ti.static(self.stencil.slipping_axes):
+            slot = ti.static(self.stencil.force_slot[axis])
+            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
+            for m in range(self.stencil.block):
+                site = first + m
+                speed = difference(self.gear[0][site], self.gear[0][site + stride], self.stencil.kept[axis])
+                for t in ti.static(range(speed.n)):
+                    total[0, m] += self.force[site][slot + t] * speed[t]
         copy_out(total, self.work, 0, first, self.stencil.block)
 
     @ti.func
     def impulse_block(self, first_site, x, y):
-        """Add what the mean forces of the step pull on the driven spheres of one block."""
+        """Add what the contacts pull on the driven spheres of one block."""
         first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
         for c in ti.static(range(self.stencil.components)):
             total = ti.Matrix.zero(float, 1, self.stencil.block)
             for m in range(self.stencil.block):
                 site = first + m
-                pull = 0.0
-                for axis in ti.static(self.stencil.slipping_axes):
-                    if ti.static(c in self.stencil.kept[axis]):
-                        v = ti.static(self.stencil.force_slot[axis] + self.stencil.kept[axis].index(c))
-                        stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-                        pull += self.mean_force[site][v] - self.mean_force[site - stride][v]
+                pull = self.pull(site, strides, c)
                 total[0, m] = self.impulse[site][c] + (1.0 - self.is_free[site][0]) * pull
             copy_out(total, self.impulse, c, first, self.stencil.block)
+
+    @ti.func
+    def pull(self, site, strides, c: ti.template()):
+        """Sum of the contact forces that pull on a sphere, component `c`."""
+        total = 0.0
+        for axis in ti.static(self.stencil.slipping_axes):
+            if ti.static(c in self.stencil.kept[axis]):
+                v = ti.static(self.stencil.force_slot[axis] + self.stencil.kept[axis].index(c))
+                stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
+                total += self.force[site][v] - self.force[site - stride][v]
+        return total
 
     @ti.func
     def sphere_block(self, first_site, x, y, response):
@@ -168,12 +148,7 @@ class CundallStrackSteps(Team):
             error = ti.Matrix.zero(float, 1, self.stencil.block)
             for m in range(self.stencil.block):
                 site = first + m
-                pull = 0.0
-                for axis in ti.static(self.stencil.slipping_axes):
-                    if ti.static(c in self.stencil.kept[axis]):
-                        v = ti.static(self.stencil.force_slot[axis] + self.stencil.kept[axis].index(c))
-                        stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-                        pull += self.force[site][v] - self.force[site - stride][v]
+                pull = self.pull(site, strides, c)
                 derivative = 0.0
                 for k in ti.static(range(1, self.order)):
                     derivative += ti.static(float(k)) * self.gear[k][site][c]
@@ -202,14 +177,14 @@ class CundallStrackSteps(Team):
         """Forces of blocks low ... high - 1. kinetic, static: normal force, times mu_s / mu_k for `static`."""
         for b in range(low, high):
             first = margin + b * self.stencil.block
+            if ti.static(self.tally):
+                self.work_block(first, stride_x, stride_y)
             if ti.static(self.coulomb):
                 self.spring_block(
                     first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, 1.0 / stiffness
                 )
             else:
                 self.dashpot_block(first, stride_x, stride_y, damping)
-            if ti.static(self.tally):
-                self.tally_block(first, stride_x, stride_y)
 
     @ti.func
     def sphere_pass(self, low, high, margin, stride_x, stride_y, response):

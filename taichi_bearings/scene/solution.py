@@ -31,8 +31,6 @@ class Status(Enum):
 class Energy:
     """Energy books of a dynamics since its start, (R,) each, energy. Every account is kept from its own data.
 
-    A step works with its mean force, the one that changes the spins by what they change, on its mean slip.
-
     kinetic : of the free spheres. spring : in the elongations of the contacts.
     injected : work of the driven spheres. dissipated : work done on the contacts that is not in their springs.
     at_start : kinetic and spring energy at time 0.

@@ -89,8 +89,7 @@ class CundallStrack:
         if scene.law == "coulomb":
             spec += [("integral", components), ("elongation", forces)]
         if self.options.keep_energy:
-            spec += [(f"force_{n}", forces) for n in range(1, self.options.gear_order + 1)]
-            spec += [("mean_force", forces), ("work", 1), ("impulse", components)]
+            spec += [("work", 1), ("impulse", components)]
         self.spec = tuple(spec)
         return self.spec
 
@@ -101,11 +100,11 @@ class CundallStrack:
         self.stability_bound = stability_bound(scene, self.spin_axes, options)
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
+        fields.clear("force")
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
         fields.load("is_free", is_free.astype(np.float64))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        fields.clear("force")
         if scene.law == "coulomb":
             fields.clear("elongation")
         workers = team_size(layout, self.stencil.components + self.stencil.force_components)
@@ -137,11 +136,12 @@ class CundallStrack:
         if scene.law == "coulomb":
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
         if options.keep_energy:
-            for n, force in enumerate(forces, start=1):
-                self.fields.load(f"force_{n}", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
-            for name in ("mean_force", "work", "impulse"):
-                self.fields.clear(name)
+            self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
+            self.fields.clear("work")
+            self.fields.clear("impulse")
             self.energy_at_start = self._kinetic_energy(staggered)
+            self.power_at_start = self._contact_power(forces[0], staggered)
+            self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
 
     def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forces of unstretched contacts: damping, capped by friction for Coulomb."""
@@ -220,10 +220,9 @@ class CundallStrack:
         bound = lower_bound(scene, springs, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         slipping = self._slipping(force)
-        at_rest = False
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            at_rest = self._at_rest(power, bound, force, left_over, int(slipping.sum()))
+            self._check_rest(power, bound, force, left_over, int(slipping.sum()))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -234,9 +233,9 @@ class CundallStrack:
             resolution=1e-6 * scene.lattice.radius * scene.jump,
             unbalanced_torque=left_over,
             time=self.time,
-            energy=self._energy(staggered, springs) if self.options.keep_energy else None,
+            energy=self._energy(staggered, force, springs) if self.options.keep_energy else None,
             slipping=slipping,
-            at_rest=at_rest,
+            at_rest=self.quiet_checks >= REST_CHECKS,
         )
 
     def _slipping(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -249,27 +248,35 @@ class CundallStrack:
                 total += slips.reshape(scene.replicas, -1).sum(axis=1)
         return total
 
-    def _kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
-        squares = (staggered[..., ~self.scene.lattice.is_driven] ** 2).sum(axis=0)
-        return self.inertia / 2 * squares.reshape(self.scene.replicas, -1).sum(axis=1)
+    def _total(self, values: np.ndarray) -> np.ndarray:
+        """(R,) from (T, R, ...)."""
+        return values.sum(axis=0).reshape(self.scene.replicas, -1).sum(axis=1)
 
-    def _energy(self, staggered: np.ndarray, springs: tuple[np.ndarray, ...]) -> Energy:
-        """The books at the end of the last step. springs : forces of the springs alone, stiffness * elongation."""
-        scene, replicas = self.scene, self.scene.replicas
-        spring, last_half = np.zeros(replicas), np.zeros(replicas)
+    def _kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
+        return self.inertia / 2 * self._total(staggered[..., ~self.scene.lattice.is_driven] ** 2)
+
+    def _contact_power(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> np.ndarray:
+        """(R,) what the contacts take from the spins, over the radius."""
+        differences = contact_differences(staggered, self.scene.lattice, self.spin_axes)
+        return np.sum([self._total(f * d) for f, d in zip(force, differences, strict=True)], axis=0)
+
+    def _energy(self, staggered: np.ndarray, force: tuple[np.ndarray, ...], springs: tuple[np.ndarray, ...]) -> Energy:
+        """The books at the end of the last step. springs : forces of the springs alone, stiffness * elongation.
+
+        The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
+        the integration, of Gear's and of this rule.
+        """
+        scene, spring = self.scene, np.zeros(self.scene.replicas)
         if scene.law == "coulomb":
-            for values in springs:
-                spring += (values**2).sum(axis=0).reshape(replicas, -1).sum(axis=1) / (2 * self.options.stiffness)
-        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
-        for mean, difference in zip(self._contact_forces("mean_force"), differences, strict=True):
-            last_half += (mean * difference / 2).sum(axis=0).reshape(replicas, -1).sum(axis=1)
+            spring = np.sum([self._total(f**2) for f in springs], axis=0) / (2 * self.options.stiffness)
         reach = scene.lattice.radius * self.time_step
-        work = reach * (self.fields.read("work").reshape(replicas, -1).sum(axis=1) + last_half)
-        pull = self.fields.read("impulse") * staggered * scene.lattice.is_driven
+        ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
+        work = reach * (self._total(self.fields.read("work")) + ends)
+        pull = self.fields.read("impulse") + (self.pull_at_start - torques(force, scene.lattice, self.spin_axes)) / 2
         return Energy(
             kinetic=self._kinetic_energy(staggered),
             spring=spring,
-            injected=-reach * pull.sum(axis=0).reshape(replicas, -1).sum(axis=1),
+            injected=-reach * self._total(pull * staggered * scene.lattice.is_driven),
             dissipated=work - spring,
             at_start=self.energy_at_start,
         )
@@ -277,15 +284,15 @@ class CundallStrack:
     def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
         return self.stencil.forces_by_axis(self.fields.read(name), self.fields.layout)
 
-    def _at_rest(
+    def _check_rest(
         self,
         power: np.ndarray,
         bound: np.ndarray,
         force: tuple[np.ndarray, ...],
         left_over: np.ndarray,
         slipping: int,
-    ) -> bool:
-        """True once power, slipping contacts and torque balance have been stationary for some checks in a row.
+    ) -> None:
+        """Count the checks in a row at which power, slipping contacts and torque balance have been stationary.
 
         Springs that have not loaded yet look stationary too. So rest is believed only if the certificate agrees; with
         mu_s > mu_k, where it need not, only after the driven planes could have stretched the springs to slipping.
@@ -301,7 +308,6 @@ class CundallStrack:
         quiet = believed and still and balanced and slipping == self.last_slipping
         self.quiet_checks = self.quiet_checks + 1 if quiet else 0
         self.last_power, self.last_slipping = power, slipping
-        return self.quiet_checks >= REST_CHECKS
 
     def _loading_time(self) -> float:
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""

@@ -100,7 +100,9 @@ class _Course:
             self.recorder.restore(resume)
             self.best.bound = np.array(resume["lower_bound"])
             self.began -= float(resume["elapsed"])
-            self._aim(method.iteration)
+            self.target = method.iteration
+            if not resume["looked"]:
+                self._aim(method.iteration)
 
     @property
     def elapsed(self) -> float:
@@ -117,7 +119,7 @@ class _Course:
             iteration = progress.iteration
             on_the_way = iteration < self.target
             if on_the_way:
-                self._write()  # before anything is recorded that an undisturbed run would not record
+                self._write(looked=False)  # before anything is recorded that an undisturbed run would not record
             best.take(progress)
             elapsed = self.elapsed
             self.recorder.take(progress, best.bound, elapsed)
@@ -130,10 +132,10 @@ class _Course:
                 status = Status.INTERRUPTED
             if status is not None:
                 if not on_the_way:
-                    self._write()
+                    self._write(looked=True)
                 self.recorder.add_row(progress, best.bound, elapsed)
                 return status, progress, elapsed
-            self._write_if_due()
+            self._write_if_due(looked=True)
             self._aim(iteration)
 
     def _aim(self, iteration: int) -> None:
@@ -148,14 +150,15 @@ class _Course:
     def _is_ended(self) -> bool:
         return self.interrupt.heard or self.elapsed >= self.stop.seconds
 
-    def _write_if_due(self) -> None:
+    def _write_if_due(self, looked: bool = False) -> None:
         if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:
-            self._write()
+            self._write(looked)
 
-    def _write(self) -> None:
+    def _write(self, looked: bool) -> None:
+        """Write a checkpoint. looked : this state has been recorded and judged."""
         if self.checkpoints is None or not is_dynamics(self.method):
             return
-        own = {"lower_bound": self.best.bound, "elapsed": np.array(self.elapsed)}
+        own = {"lower_bound": self.best.bound, "elapsed": np.array(self.elapsed), "looked": np.array(looked)}
         self.checkpoints.write(self.method.state() | self.recorder.state() | own)
         self.written_at = time.perf_counter()
 

@@ -8,6 +8,8 @@ from taichi_bearings.certificate import relative_gap
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Progress, Scene, Status
 
+UNLIMITED = 2**62  # iterations
+
 
 @dataclass(frozen=True)
 class StopRule:

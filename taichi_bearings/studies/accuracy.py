@@ -24,14 +24,13 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.scene import LAWS
 from taichi_bearings.solvers import METHODS, method_class
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 from taichi_bearings.studies.conic import conic_programme
 from taichi_bearings.studies.peers import TOLERANCES, Peer
 from taichi_bearings.studies.run import build_scene
 from taichi_bearings.studies.settings import RunSettings
 
 TIGHTEST = 1e-14  # asked of every method; rounding ends it earlier
-UNLIMITED = 2**62  # iterations
 SLACK = 1e-13  # relative rounding of a power; a bound that is higher than a power by more is wrong
 ROUND_OFF = float(np.finfo(np.float64).eps)  # the least relative error that double precision can tell
 DEFAULT_SCENES = (

@@ -132,6 +132,17 @@ def _refuse_time_without_dynamics(settings: RunSettings, method: Any) -> None:
             )
 
 
+MOST_ITERATIONS = 1_000_000  # unless the settings say otherwise
+
+
+def _iteration_limit(settings: RunSettings) -> int:
+    from taichi_bearings.solvers.stopping import UNLIMITED
+
+    if settings.iterations is not None:
+        return settings.iterations
+    return MOST_ITERATIONS if settings.duration is None else UNLIMITED
+
+
 def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
     """Solve on the device that the settings name; starts Taichi if the method needs it.
 
@@ -146,7 +157,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         runtime.start(settings.arch, settings.precision, settings.threads)
     stop = StopRule(
         settings.tolerance,
-        settings.iterations,
+        _iteration_limit(settings),
         settings.time_limit or float("inf"),
         settings.settle,
         settings.duration or float("inf"),

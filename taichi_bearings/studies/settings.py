@@ -141,7 +141,11 @@ class RunSettings:
     initial: str = setting("linear", TEXT, "Spins to start from: random, zero, linear, or a file with an array `spin`.")
     normal_force: float = setting(50.0, POSITIVE, "Normal force at every contact.")
     radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
-    iterations: int = setting(1_000_000, SEED, "Limit on the iterations (sweeps, which come in pairs, or time steps).")
+    iterations: int | None = setting(
+        None,
+        SEED,
+        "Limit on iterations (sweeps, which come in pairs, or time steps). Default: 1000000, none with --duration.",
+    )
     time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time of the solve, in seconds.")
     duration: float | None = setting(
         None, POSITIVE, "dynamics: simulated time to go on for, whatever is reached. Default: until done."

@@ -1,0 +1,113 @@
+"""Runs that are killed and go on: the same bits, no half-written file, clear words for what cannot be resumed."""
+
+import json
+import random
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.cli.test_cli import bearings
+
+SCENE = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
+COURSE = ("--duration", "30", "--record", "linear:0,30,31", "--snapshots", "0,1,30", "--checkpoint-every", "0.05")
+
+
+def arrays_of(run):
+    found = {}
+    with h5py.File(run / "run.h5") as file:
+        file.visititems(lambda name, item: found.update({name: item[()]}) if hasattr(item, "shape") else None)
+    del found["history/seconds"]
+    return found
+
+
+def kill_after(words, checkpoint, writings):
+    """Start a run and SIGKILL it after so many new checkpoints; True if it was killed before it ended."""
+    process = subprocess.Popen([sys.executable, "-m", "taichi_bearings_cli", *map(str, words)], stderr=subprocess.PIPE)
+    last, seen = checkpoint.stat().st_mtime_ns if checkpoint.exists() else None, 0
+    while process.poll() is None and seen < writings:
+        time.sleep(0.005)
+        now = checkpoint.stat().st_mtime_ns if checkpoint.exists() else last
+        seen, last = seen + (now != last), now
+    process.kill()
+    process.communicate()
+    return process.returncode != 0
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path):
+    undisturbed = bearings("run", *SCENE, *COURSE, "--out", tmp_path / "undisturbed", "--json")
+    assert undisturbed.returncode == 0, undisturbed.stderr
+    killed, draw = tmp_path / "killed", random.Random(7)
+    words = ["run", *SCENE, *COURSE, "--out", killed]
+    for _ in range(5):
+        assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 8)), "the run ended before it was killed"
+        assert not (killed / "run.h5").exists()
+        words = ["run", "--resume", killed]
+    done = bearings("run", "--resume", killed, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["power"] == json.loads(undisturbed.stdout)["power"]
+    one, other = arrays_of(tmp_path / "undisturbed"), arrays_of(killed)
+    assert set(one) == set(other)
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    assert len(one["history/time"]) == 31
+    assert len(one["snapshots/spin"]) == 3
+
+
+def test_a_finished_run_can_go_on_for_longer(tmp_path):
+    short = ("--duration", "1", "--checkpoint-every", "100")
+    assert bearings("run", *SCENE, *short, "--out", tmp_path / "a").returncode == 0
+    done = bearings("run", "--resume", tmp_path / "a", "--duration", "2")
+    assert done.returncode == 0, done.stderr
+    assert bearings("run", *SCENE, "--duration", "2", "--out", tmp_path / "b").returncode == 0
+    np.testing.assert_array_equal(arrays_of(tmp_path / "a")["spin"], arrays_of(tmp_path / "b")["spin"])
+
+
+def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
+    def refused(*words):
+        done = bearings("run", *words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+        return done.stderr
+
+    assert "no nothing/checkpoint.h5" in refused("--resume", "nothing")
+    stopped = (*SCENE, "--iterations", "500", "--checkpoint-every", "100", "--out", "run")
+    assert bearings("run", *stopped, cwd=tmp_path).returncode == 1
+    assert "seed cannot change" in refused("--resume", "run", "--seed", "4")
+    assert "leave them out" in refused("scene.toml", "--resume", "run")
+    assert "is not a dynamics" in refused("--shape", "3,3,4", "--checkpoint-every", "5")
+    assert "is not a dynamics" in refused("--shape", "3,3,4", "--duration", "5")
+    assert "record is 'soon'" in refused(*SCENE, "--record", "soon")
+    (tmp_path / "run" / "checkpoint.h5").write_bytes(b"damaged")
+    assert "cannot be read as a checkpoint" in refused("--resume", "run")
+
+
+def test_an_unfinished_run_is_named_as_such(tmp_path):
+    words = ["run", *SCENE, *COURSE, "--out", tmp_path / "run"]
+    assert kill_after(words, tmp_path / "run" / "checkpoint.h5", 1)
+    done = bearings("plot", "history", tmp_path / "run")
+    assert done.returncode == 2
+    assert "unfinished" in done.stderr
+    assert bearings("run", *SCENE, "--out", tmp_path / "run", "--iterations", "10").returncode == 2
+    assert bearings("run", *SCENE, "--out", tmp_path / "run", "--iterations", "10", "--force").returncode == 1
+
+
+def test_coefficients_and_spins_from_files_are_kept_for_the_resumed_run(tmp_path):
+    source = bearings("run", *SCENE, "--iterations", "500", "--out", tmp_path / "source")
+    assert source.returncode == 1
+    files = ("--coefficients", tmp_path / "source/run.h5", "--initial", tmp_path / "source/run.h5")
+    common = ("--shape", "3,3,4", "--method", "cundall-strack", *files, "--duration", "0.5")
+    assert bearings("run", *common, "--out", tmp_path / "a").returncode == 0
+    assert bearings(
+        "run", *common, "--iterations", "700", "--checkpoint-every", "9", "--out", tmp_path / "b"
+    ).returncode
+    (tmp_path / "source" / "run.h5").unlink()
+    (tmp_path / "b").rename(tmp_path / "c")
+    done = bearings("run", "--resume", tmp_path / "c", "--iterations", "1000000")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(arrays_of(tmp_path / "a")["spin"], arrays_of(tmp_path / "c")["spin"])
