@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.minimum_cut import MinimumCut, jump_weights, minimum_cut
 from taichi_bearings.scene.scene import Scene
 
-STARTS = ("random", "zero", "linear")
+STARTS = ("random", "zero", "linear", "minimum-cut")
 
 
 def random_spin(scene: Scene) -> np.ndarray:
@@ -34,13 +35,34 @@ def zero_spin(scene: Scene) -> np.ndarray:
     return np.zeros(shape if scene.lattice.dimension == 2 else (*shape, 3))
 
 
+def cut_of(scene: Scene) -> MinimumCut:
+    """The lightest interface between spheres that turn with the bottom and spheres that turn with the top.
+
+    Its power is strength * R jump * weight (coulomb; PHYSICS 3.7) or (R jump)^2 * weight (viscous, whose contacts weigh
+    by the square of their slip).
+    """
+    exponent = 1.0 if scene.law == "coulomb" else 2.0
+    return minimum_cut(jump_weights(scene.coefficient, scene.axis_vector, exponent))
+
+
+def minimum_cut_spin(scene: Scene) -> np.ndarray:
+    """Every sphere turns with the bottom or with the top: of all such states the one of least power, for either law."""
+    axes = scene.lattice.all_spin_axes
+    bottom, top = (
+        np.reshape(values, (-1, *(1,) * (1 + len(scene.lattice.shape)))) for values in scene.driven_values(axes)
+    )
+    return scene.laboratory_spin(np.where(cut_of(scene).above, top, bottom), axes)
+
+
 def initial_spin(scene: Scene, start: str) -> np.ndarray:
     """Laboratory spins (R, *N) or (R, *N, 3), 1/time.
 
-    start : "random", "zero", "linear", or a file with an array or data set ``spin`` (npy, npz, or HDF5 such as run.h5).
+    start : "random", "zero", "linear", "minimum-cut", or a file with an array or data set ``spin`` (npy, npz, or HDF5
+        such as run.h5).
     """
     if start in STARTS:
-        return {"random": random_spin, "zero": zero_spin, "linear": linear_spin}[start](scene)
+        start_of = dict(zip(STARTS, (random_spin, zero_spin, linear_spin, minimum_cut_spin), strict=True))
+        return start_of[start](scene)
     if not Path(start).exists():
         raise InputError(f"initial is {start!r}; allowed are {', '.join(STARTS)} or a file with an array `spin`")
     from taichi_bearings.scene.array_files import read_arrays

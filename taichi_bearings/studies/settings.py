@@ -138,7 +138,9 @@ class RunSettings:
         "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
         "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.",
     )
-    initial: str = setting("linear", TEXT, "Spins to start from: random, zero, linear, or a file with an array `spin`.")
+    initial: str = setting(
+        "linear", TEXT, "Spins to start from: random, zero, linear, minimum-cut, or a file with an array `spin`."
+    )
     normal_force: float = setting(50.0, POSITIVE, "Normal force at every contact.")
     radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
     iterations: int | None = setting(

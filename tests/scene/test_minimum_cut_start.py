@@ -1,0 +1,80 @@
+"""The start "minimum-cut": two domains, the least power that two domains can have, and no less than the minimum."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.scene.initial_spins import cut_of, initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.interior_point import InteriorPoint
+from taichi_bearings.solvers.linear_solver import LinearSolver
+from taichi_bearings.solvers.planar_cut import PlanarCut
+from taichi_bearings.solvers.stopping import StopRule
+from tests.scenes import make_scene, minima, name_of, scene_of
+
+DIRECTIONS = [(1, 1, 0), (1, 0, 0), (0, -2, 0), (0, 0, 1), (1, 0, -1), (3, 1, 2)]
+
+
+def start_of(scene):
+    axes = scene.lattice.all_spin_axes
+    return scene.staggered_spin(initial_spin(scene, "minimum-cut"), axes), axes
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)], ids=str)
+@pytest.mark.parametrize("direction", DIRECTIONS, ids=str)
+def test_the_power_is_that_of_the_cut(shape, direction, law):
+    """P = F_n R |jump| * weight for friction; (R |jump|)^2 * weight for viscous contacts."""
+    scene = make_scene(shape, law, seeds=(7, 8), direction=direction, spin_top=-0.7, spin_bottom=0.5, normal_force=3.0)
+    staggered, axes = start_of(scene)
+    unit = 3.0 * 0.5 * 1.2 if law == "coulomb" else (0.5 * 1.2) ** 2
+    assert scene.power(staggered, axes) == pytest.approx(unit * cut_of(scene).weight, rel=1e-13, abs=1e-300)
+    bottom, top = (np.reshape(values, (-1, *(1,) * (1 + len(shape)))) for values in scene.driven_values(axes))
+    turns_with_top = (staggered == top).all(axis=0)
+    assert (turns_with_top | (staggered == bottom).all(axis=0)).all()
+    assert turns_with_top[..., -1].all()
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_no_other_choice_of_two_domains_dissipates_less(law):
+    scene = make_scene((3, 2, 4), law)
+    best = scene.power(*start_of(scene))[0]
+    rng, axes = np.random.default_rng(11), scene.lattice.all_spin_axes
+    bottom, top = (np.reshape(values, (-1, 1, 1, 1)) for values in scene.driven_values(axes))
+    for _ in range(2000):
+        sides = rng.random((3, 2, 4)) < rng.random()
+        staggered = scene.impose_driving(np.where(sides, top, bottom)[:, None], axes)
+        assert best <= scene.power(staggered, axes)[0] * (1 + 1e-14)
+
+
+@pytest.mark.parametrize("shape", [(10, 10), (31, 20), (4, 5, 6)], ids=str)
+def test_one_component_starts_at_its_minimum(shape):
+    scene = make_scene(shape, seeds=(1, 2, 3), direction=(1, 0, 0))
+    least = solve(scene, PlanarCut(), initial_spin(scene, "zero"), StopRule(1e-12))
+    assert scene.power(*start_of(scene)) == pytest.approx(least.power, rel=1e-13)
+
+
+def test_two_components_start_at_or_above_their_minimum(needs_f64):
+    """In 3D two domains are not the best state of most samples (paper, Fig. 2); no proven bound is above theirs."""
+    scene = make_scene((4, 3, 5), seeds=range(6))
+    power = scene.power(*start_of(scene))
+    least = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-8))
+    assert (least.lower_bound <= power).all()
+    assert (least.power < 0.999 * power).sum() >= 4
+
+
+@pytest.mark.parametrize("entry", minima((10, 10, 10)), ids=name_of)
+def test_the_cut_of_a_larger_lattice_is_above_the_stored_minimum(entry):
+    scene = scene_of(entry)
+    assert entry["power_minimum"] < scene.power(*start_of(scene))[0]
+
+
+def test_viscous_domains_are_above_the_continuous_minimum():
+    scene = make_scene((4, 5), "viscous")
+    least = solve(scene, LinearSolver(), initial_spin(scene, "minimum-cut"), StopRule(1e-12))
+    assert least.power[0] < scene.power(*start_of(scene))[0]
+
+
+def test_without_a_jump_everything_turns_alike():
+    scene = make_scene((3, 4, 5), spin_bottom=1.0)
+    staggered, axes = start_of(scene)
+    assert scene.power(staggered, axes)[0] == 0
