@@ -12,6 +12,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "run": "Solve one scene, or a block of seeds, and write a run directory.",
     "histogram": "Distribution of the power per contact of one or more runs.",
     "plot": "One figure from a run.",
+    "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed, as ratios within one run.",
     "info": "Versions, devices, precision and cache.",
 }

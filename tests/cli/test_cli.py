@@ -38,7 +38,7 @@ def test_help_answers_at_once():
     assert min(times) < 0.5
 
 
-@pytest.mark.parametrize("command", ["run", "histogram", "plot", "info", "benchmark"])
+@pytest.mark.parametrize("command", ["run", "histogram", "plot", "reproduce", "info", "benchmark"])
 def test_every_command_has_help_with_an_example(command):
     done = bearings(command, "--help")
     assert done.returncode == 0

@@ -1,0 +1,58 @@
+"""bearings reproduce"""
+
+import json
+from pathlib import Path
+
+import click
+from taichi_bearings_cli.options import json_option
+
+
+@click.command()
+@click.argument("figures", nargs=-1, metavar="[FIGURE...]")
+@click.option("--seed", type=click.IntRange(0, 2**62), default=0, show_default=True, help="First seed of all samples.")
+@click.option(
+    "--samples", type=click.IntRange(1, 100_000), default=200, show_default=True,
+    help="Samples that a statistical claim may take.",
+)  # fmt: skip
+@click.option(
+    "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-reproduce-<id>]"
+)
+@click.option("--force", is_flag=True, help="Replace existing files.")
+@json_option
+@click.pass_context
+def command(
+    context: click.Context,
+    figures: tuple[str, ...],
+    seed: int,
+    samples: int,
+    out: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Figures of the paper and a verdict for each of its claims about them. FIGURE is fig2; without one, all.
+
+    \b
+    fig2  P(t) of a 3x3x3 Coulomb bearing from random spins and from the minimum cut, and the spins at both ends
+
+    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, report.json and report.md. Exit code 0 if every claim is confirmed, 1 if
+    one is refuted.
+
+    \b
+    Example:
+      bearings reproduce fig2 --out outputs/fig2
+    """
+    from taichi_bearings.studies.claims import Effort
+    from taichi_bearings.studies.reproduce import reproduce
+    from taichi_bearings.studies.run_directory import default_run_path
+
+    folder = Path(out) if out else default_run_path("reproduce")
+    report = reproduce(figures, folder, Effort(seed, samples), force, lambda line: click.echo(line, err=True))
+    if as_json:
+        click.echo(json.dumps(report, allow_nan=False))
+    else:
+        for found in report["figures"].values():
+            for claim in found["claims"]:
+                click.echo(f"{claim['verdict']:9}  {claim['claim']}\n           {claim['finding']}")
+            click.echo("\n".join(found["files"]))
+        click.echo("\n".join(report["files"]))
+    context.exit(1 if report["refuted"] else 0)

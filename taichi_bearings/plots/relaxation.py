@@ -1,0 +1,151 @@
+"""How the power falls from several starts to its minimum, with the spins at both ends (paper Fig. 2)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch
+
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
+
+COLOURS = "coolwarm"
+DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
+VIEW = np.array([[0.866, 0.5, 0.0], [-0.17, 0.294, 0.94], [0.47, -0.814, 0.342]])  # right, up, towards the reader
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """One start: its name, time (T,) and power (T,), and the spins (nx, ny, nz, 3) at its beginning and its end.
+
+    Spins are staggered, in units of the larger imposed one, and less the mean of each free layer about the height: that
+    part makes no contact slip and never changes, so ends can only be compared without it.
+    """
+
+    name: str
+    time: np.ndarray
+    power: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def draw_relaxation(starts: Sequence[Relaxation], least_power: float, cut_power: float) -> Figure:
+    """Above P/P_0, below its excess over the minimum, both against time; beside them the spins at both ends.
+
+    P_0 is the initial power of the first start; least_power is the certified minimum. An inset enlarges the end of the
+    first start around the power of the minimum cut.
+    """
+    figure = new_figure(9.6, 5.6)
+    parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)
+    _draw_curves(parts[0], starts, least_power, cut_power)
+    _draw_snapshots(parts[1], starts)
+    return figure
+
+
+def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, cut_power: float) -> None:
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1))
+    inset = top.inset_axes((0.50, 0.42, 0.48, 0.27))
+    initial = starts[0].power[0]
+    lines = (
+        (cut_power, GREEN, "--", r"minimum cut, $P_{\mathrm{cut}}$"),
+        (least_power, GREY, ":", r"certified minimum, $P_{\min}$"),
+    )
+    for start, colour in zip(starts, (BLUE, ORANGE), strict=False):
+        later = start.time > 0
+        excess = start.power / least_power - 1
+        for axes in (top, inset):
+            axes.plot(
+                start.time[later], start.power[later] / initial, color=colour, lw=1.6, label=f"start: {start.name}"
+            )
+        shown = later & (excess > 0)
+        bottom.plot(start.time[shown], excess[shown], color=colour, lw=1.6)
+    for power, colour, style, name in lines:
+        for axes in (top, inset):
+            axes.axhline(power / initial, color=colour, ls=style, lw=1.2, label=f"{name} = {power / initial:.4f} $P_0$")
+    if cut_power > least_power:
+        bottom.axhline(cut_power / least_power - 1, color=GREEN, ls="--", lw=1.2)
+    low, high = least_power / initial, max(cut_power, 1.02 * least_power) / initial
+    inset.set(xscale="log", xlim=(1e-3, starts[0].time[-1]), ylim=(1.2 * low - 0.2 * high, 2 * high - low))
+    inset.tick_params(labelsize=7.5)
+    top.set(xscale="log", ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
+    top.legend(fontsize=8, loc="upper right")
+    bottom.set(xscale="log", yscale="log", xlabel=r"time, $\omega_T\, t$", ylabel=r"$P\,/\,P_{\min} - 1$")
+    bottom.set_ylim(1e-8, 10)
+    for axes, letter in ((top, "a"), (bottom, "b")):
+        axes.text(-0.17, 1.0, f"({letter})", transform=axes.transAxes, va="top")
+
+
+def _draw_snapshots(figure: Any, starts: Sequence[Relaxation]) -> None:
+    grid = figure.subplots(len(starts), 2, squeeze=False)
+    for row, start in enumerate(starts):
+        for axes, spin, when in zip(grid[row], (start.first, start.last), ("= 0", r"\to \infty"), strict=True):
+            _draw_spheres(axes, spin)
+            axes.set_title(f"{start.name}, $t {when}$", fontsize=9.5, pad=2)
+    grid[0, 0].text(-0.02, 1.1, "(c)", transform=grid[0, 0].transAxes, va="top")
+    scale = ScalarMappable(Normalize(0, 1), COLOURS)
+    bar = figure.colorbar(scale, ax=grid, location="bottom", shrink=0.6, aspect=30, pad=0.02, extend="max")
+    bar.set_label(
+        r"$|\omega|\,/\,\omega_T$; arrows: $(-1)^{x+y+z}\,\omega$" + "\n(without the mean of each layer about $z$)",
+        fontsize=9,
+    )
+
+
+def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
+    """Shaded spheres from the back to the front with their spins as arrows, the driven planes in boxes."""
+    centre = np.moveaxis(np.indices(spin.shape[:-1]), 0, -1).reshape(-1, 3) @ VIEW.T
+    spins = spin.reshape(-1, 3)
+    length = np.linalg.norm(spins, axis=1)
+    nx, ny, nz = spin.shape[:-1]
+    for height in (0, nz - 1):
+        _draw_box(axes, (nx, ny), height)
+    light = _lit_sphere()
+    for order, n in enumerate(np.argsort(centre[:, 2])):
+        x, y = centre[n, :2]
+        r = DRAWN_RADIUS
+        colour = np.array(colormaps[COLOURS](min(length[n], 1.0)))
+        image = np.clip(light[..., :1] * colour[:3] + light[..., 1:2], 0, 1)
+        axes.imshow(
+            np.concatenate([image, light[..., 2:]], axis=-1),
+            extent=(x - r, x + r, y - r, y + r), origin="lower", zorder=2 + 2 * order, interpolation="bilinear",
+        )  # fmt: skip
+        if length[n] > 0.02:
+            across = VIEW[:2] @ spins[n] * 0.42
+            tail, head = (x, y) - across, (x, y) + across
+            axes.add_patch(
+                FancyArrowPatch(
+                    tail, head, arrowstyle="-|>", mutation_scale=7, lw=1.1, color="black", shrinkA=0, shrinkB=0,
+                    zorder=3 + 2 * order,
+                )
+            )  # fmt: skip
+    low, high = centre[:, :2].min(axis=0) - 0.75, centre[:, :2].max(axis=0) + 0.75
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_axis_off()
+
+
+def _lit_sphere(pixels: int = 96) -> np.ndarray:
+    """Diffuse light, gloss and opacity of a unit sphere seen from the front, (pixels, pixels, 3)."""
+    x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
+    square = x**2 + y**2
+    z = np.sqrt(np.clip(1 - square, 0, None))
+    towards = np.array([-0.45, 0.55, 0.70])
+    cosine = np.clip((x * towards[0] + y * towards[1] + z * towards[2]) / np.linalg.norm(towards), 0, 1)
+    opacity = np.clip((1 - np.sqrt(square)) * pixels / 4, 0, 1)
+    return np.stack([0.55 + 0.5 * cosine, 0.35 * cosine**24, opacity], axis=-1)
+
+
+def _draw_box(axes: Any, sides: tuple[int, int], height: int) -> None:
+    """The twelve edges of a box around a plane of spheres, as in the paper."""
+    corners = np.array([[x, y, z] for x in (-0.5, sides[0] - 0.5) for y in (-0.5, sides[1] - 0.5) for z in (-0.5, 0.5)])
+    corners[:, 2] += height
+    for first in range(8):
+        for bit in (1, 2, 4):
+            if not first & bit:
+                ends = corners[[first, first | bit]] @ VIEW.T
+                axes.plot(ends[:, 0], ends[:, 1], color=GREY, lw=0.7, zorder=1)
+
+
+__all__ = ["Relaxation", "draw_relaxation"]

@@ -1,0 +1,183 @@
+"""Figure 2 of the paper: a 3x3x3 Coulomb bearing relaxes to a power below that of the minimum cut."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
+from taichi_bearings.plots.style import save
+from taichi_bearings.scene import Scene
+from taichi_bearings.solvers.cundall_strack import CundallStrackOptions
+from taichi_bearings.studies.claims import Claim, Effort
+from taichi_bearings.studies.relaxation import (
+    SAME,
+    Minima,
+    Run,
+    draw_scene,
+    intermediate_spheres,
+    minima_of,
+    relax,
+    without_idle_spin,
+)
+
+SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
+STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
+RUNS = 5  # samples that are followed in time
+LARGER_SAMPLES = 20
+RISE = {"random": 0.01, "minimum-cut": 0.05}  # of P_0 that creep may cost; from the minimum cut all springs are slack
+STIFFER = 10.0  # factor of the damping at which the creep must be a fifth, or below STIFF_RISE
+STIFF_RISE = 1e-3
+STIFFER_STEPS = 30_000  # all loads have been taken up by then
+
+
+def reproduce(folder: Path, effort: Effort) -> list[Claim]:
+    """Write fig2.png, fig2.pdf and fig2.csv into `folder`; returns the claims with their verdicts."""
+    runtime.start("cpu", "f64")
+    runs_of = min(RUNS, effort.samples)
+    scene = draw_scene(SHAPE, effort.seed, runs_of)
+    runs = [relax(scene, start) for start in STARTS]
+    stiffer = [relax(scene, start, STIFFER * CundallStrackOptions().damping, STIFFER_STEPS) for start in STARTS]
+    minima = minima_of(draw_scene(SHAPE, effort.seed, effort.samples))
+    larger = minima_of(draw_scene(LARGER, effort.seed, min(LARGER_SAMPLES, effort.samples)))
+    write_csv(folder / "fig2.csv", scene, runs, minima)
+    largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
+    shown = shown_sample(minima, runs_of)
+    drawn = [
+        Relaxation(
+            name=STARTS[run.start],
+            time=run.time,
+            power=run.power[:, shown],
+            first=np.moveaxis(without_idle_spin(run.first)[:, shown], 0, -1) / largest,
+            last=np.moveaxis(without_idle_spin(run.last)[:, shown], 0, -1) / largest,
+        )
+        for run in runs
+    ]
+    figure = draw_relaxation(drawn, float(minima.power[shown]), float(minima.cut_power[shown]))
+    for ending in ("png", "pdf"):
+        save(figure, folder / f"fig2.{ending}")
+    return [
+        *(_falls(scene, run, other) for run, other in zip(runs, stiffer, strict=True)),
+        _same_end(scene, runs, minima),
+        _below_cut(minima, scene),
+        _leaves_cut(scene, runs[1], minima),
+        _intermediate_states(scene, minima),
+        _larger_systems(larger),
+    ]
+
+
+def shown_sample(minima: Minima, runs: int) -> int:
+    """Of the samples that are followed in time the first whose minimum is below its minimum cut, else the first."""
+    return int(np.argmax(minima.below_cut[:runs]))
+
+
+def write_csv(path: Path, scene: Scene, runs: list[Run], minima: Minima) -> None:
+    """The curves: start, seed, time, power, power over the initial one, power over the certified minimum."""
+    partial = path.with_name(f".partial-{path.name}")
+    with partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["start", "seed", "time", "power", "power_over_initial", "power_over_minimum"])
+        for run in runs:
+            for n, seed in enumerate(scene.seeds):
+                for time, power in zip(run.time, run.power[:, n], strict=True):
+                    numbers = (time, power, power / run.power[0, n], power / minima.power[n])
+                    writer.writerow([run.start, seed, *(repr(float(value)) for value in numbers)])
+    partial.replace(path)
+
+
+def _falls(scene: Scene, run: Run, stiffer: Run) -> Claim:
+    rise, less, limit = run.largest_rise, stiffer.largest_rise, RISE[run.start]
+    stiff_limit = max(float(rise.max()) / 5, STIFF_RISE)
+    return Claim(
+        f"3x3x3: from {STARTS[run.start]} the power decreases monotonically, but for the creep of soft contacts.",
+        f"P falls to {_range(run.power[-1] / run.power[0])} of P_0. It never rises above an earlier value by more than "
+        f"{rise.max():.1e} P_0 in {len(rise)} samples (limit {limit:g}), which is the creep of contacts that take up "
+        f"load: with {STIFFER:g} times the damping A_t it is {less.max():.1e} (limit {stiff_limit:.1e}).",
+        bool(rise.max() <= limit and less.max() <= stiff_limit),
+        {
+            "seeds": list(scene.seeds),
+            "largest_rise_over_initial": rise.tolist(),
+            "largest_rise_with_more_damping": less.tolist(),
+            "damping_factor": STIFFER,
+        },
+    )
+
+
+def _same_end(scene: Scene, runs: list[Run], minima: Minima) -> Claim:
+    excess = {run.start: run.power[-1] / minima.lower_bound[: scene.replicas] - 1 for run in runs}
+    worst = max(float(values.max()) for values in excess.values())
+    apart = np.abs(without_idle_spin(runs[0].last) - without_idle_spin(runs[1].last)).max() / scene.jump
+    return Claim(
+        "The stationary state is that of least dissipation, whatever the initial one.",
+        f"From random spins and from the minimum cut P ends at most {worst:.1e} above the proven lower bound of all "
+        f"spins (limit {SAME:g}) in {scene.replicas} samples. The spins at both ends differ by up to {apart:.1e} of "
+        "the jump, but for what is free: the mean of the layer about the height.",
+        worst <= SAME,
+        {"seeds": list(scene.seeds), "largest_difference_of_spins": float(apart)}
+        | {f"excess_from_{name}": values.tolist() for name, values in excess.items()},
+    )
+
+
+def _below_cut(minima: Minima, scene: Scene) -> Claim:
+    ratio, below, equal = minima.power / minima.cut_power, int(minima.below_cut.sum()), int(minima.cut_is_minimum.sum())
+    shown = shown_sample(minima, scene.replicas)
+    return Claim(
+        "3x3x3: the stationary power is generally below that of the minimum cut.",
+        f"P_min < P_cut is proven for {below} of {len(ratio)} samples (limit: more than half); in {equal} the minimum "
+        f"cut is itself the minimum. P_min / P_cut: median {np.median(ratio):.4f}, least {ratio.min():.4f}; "
+        f"{ratio[shown]:.4f} in the figure (seed {scene.seeds[shown]}).",
+        2 * below > len(ratio),
+        {
+            "samples": len(ratio),
+            "below": below,
+            "cut_is_minimum": equal,
+            "seeds": list(scene.seeds),
+            "minimum_over_cut": ratio[: scene.replicas].tolist(),
+            "minimum_over_cut_median": float(np.median(ratio)),
+            "minimum_over_cut_least": float(ratio.min()),
+        },
+    )
+
+
+def _leaves_cut(scene: Scene, run: Run, minima: Minima) -> Claim:
+    below = minima.below_cut[: scene.replicas]
+    falls = 1 - run.power[-1] / minima.cut_power[: scene.replicas]
+    left = below & (falls > SAME)
+    stayed = ~below & (np.abs(falls) <= SAME)
+    reached = f", to {_range(1 - falls[left])} of P_cut" if left.any() else ""
+    return Claim(
+        "3x3x3: the minimum-cut state is not stationary where it is not the minimum.",
+        f"The dynamics leaves it in {left.sum()} of the {below.sum()} samples whose minimum is proven to be lower"
+        f"{reached}; in the other {(~below).sum()} it comes back to it in {stayed.sum()}.",
+        bool(below.any() and (left == below).all()),
+        {"seeds": list(scene.seeds), "not_the_minimum": below.tolist(), "fall_over_cut": falls.tolist()},
+    )
+
+
+def _intermediate_states(scene: Scene, minima: Minima) -> Claim:
+    count = intermediate_spheres(scene, minima.spin[: scene.replicas])
+    below = minima.below_cut[: scene.replicas]
+    free = int((~scene.lattice.is_driven).sum())
+    return Claim(
+        "3x3x3: in the stationary state some spheres belong to neither of the two imposed bearing states.",
+        f"So do {', '.join(map(str, count))} of {free} free spheres (seeds {', '.join(map(str, scene.seeds))}), "
+        "and at least one wherever the minimum is below the minimum cut.",
+        bool(below.any() and (count[below] > 0).all()),
+        {"seeds": list(scene.seeds), "intermediate_spheres": count.tolist(), "free_spheres": free},
+    )
+
+
+def _larger_systems(minima: Minima) -> Claim:
+    ratio, below = minima.power / minima.cut_power, int(minima.below_cut.sum())
+    return Claim(
+        "The same behaviour is observed for larger systems.",
+        f"{'x'.join(map(str, LARGER))}: P_min < P_cut is proven for {below} of {len(ratio)} samples "
+        f"(limit: nine tenths), P_min / P_cut {_range(ratio)}.",
+        10 * below >= 9 * len(ratio),
+        {"shape": list(LARGER), "samples": len(ratio), "below": below, "minimum_over_cut": ratio.tolist()},
+    )
+
+
+def _range(values: np.ndarray) -> str:
+    return f"{values.min():.4f} ... {values.max():.4f}" if len(values) > 1 else f"{values[0]:.4f}"

@@ -1,0 +1,109 @@
+"""The figures and claims of the paper, each computed anew and judged: `bearings reproduce`."""
+
+import importlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.studies.claims import Claim, Effort
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """title, the module of studies/ whose `reproduce(folder, effort)` returns its claims, and the files it writes."""
+
+    title: str
+    module: str
+    files: tuple[str, ...]
+
+    def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
+        module = importlib.import_module(f"taichi_bearings.studies.{self.module}")
+        claims: list[Claim] = module.reproduce(folder, effort)
+        return claims
+
+
+FIGURES = {
+    "fig2": PaperFigure("Relaxation of a 3x3x3 Coulomb bearing", "figure_2", ("fig2.png", "fig2.pdf", "fig2.csv")),
+}
+REPORTS = ("report.json", "report.md")
+
+
+def choose_figures(names: Sequence[str]) -> list[str]:
+    """The figures asked for, each once; all of them if none is named."""
+    for name in names:
+        if name not in FIGURES:
+            raise InputError(f"figure is {name!r}; allowed are {', '.join(FIGURES)}")
+    return list(dict.fromkeys(names)) or list(FIGURES)
+
+
+def reproduce(
+    names: Sequence[str],
+    folder: Path,
+    effort: Effort,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Compute the figures, write their files, report.json and report.md into `folder`; returns the report.
+
+    Raises InputError or FileError before anything is computed.
+    """
+    chosen = choose_figures(names)
+    paths = [folder / file for name in chosen for file in FIGURES[name].files] + [folder / file for file in REPORTS]
+    standing = [path for path in paths if path.exists()]
+    if standing and not force:
+        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        claims = {}
+        for name in chosen:
+            tell(f"{name}: {FIGURES[name].title} ...")
+            claims[name] = FIGURES[name].reproduce(folder, effort)
+        report = describe(claims, folder, effort)
+        _write(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
+        _write(folder / "report.md", table(claims, effort))
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
+    return report
+
+
+def describe(claims: dict[str, list[Claim]], folder: Path, effort: Effort) -> dict[str, Any]:
+    """The report as plain data."""
+    from taichi_bearings import __version__
+
+    listed = [claim for found in claims.values() for claim in found]
+    return {
+        "figures": {
+            name: {
+                "title": FIGURES[name].title,
+                "claims": [claim.as_dict() for claim in found],
+                "files": [str(folder / file) for file in FIGURES[name].files],
+            }
+            for name, found in claims.items()
+        },
+        "confirmed": sum(claim.confirmed for claim in listed),
+        "refuted": sum(not claim.confirmed for claim in listed),
+        "seed": effort.seed,
+        "samples": effort.samples,
+        "files": [str(folder / file) for file in REPORTS],
+        "version": __version__,
+    }
+
+
+def table(claims: dict[str, list[Claim]], effort: Effort) -> str:
+    """The report as Markdown: a table of claims for each figure."""
+    parts = []
+    for name, found in claims.items():
+        rows = [f"| {claim.text} | **{claim.verdict}** | {claim.finding} |" for claim in found]
+        image = f"![{name}]({FIGURES[name].files[0]})"
+        head = f"## {name}: {FIGURES[name].title}"
+        parts.append("\n".join([head, "", image, "", "| claim | verdict | finding |", "|---|---|---|", *rows]))
+    return f"# Figures and claims, samples from seed {effort.seed}\n\n" + "\n\n".join(parts) + "\n"
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(f".partial-{path.name}")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)

@@ -1,0 +1,99 @@
+"""Figure 2: what each verdict is made of, and that it can be refuted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.studies import figure_2
+from taichi_bearings.studies.relaxation import (
+    Minima,
+    Run,
+    draw_scene,
+    intermediate_spheres,
+    minima_of,
+    relax,
+    without_idle_spin,
+)
+
+
+def run_of(*powers):
+    """A run of one sample with the given powers."""
+    power, spins = np.array(powers, dtype=float)[:, None], np.zeros((3, 1, 3, 3, 3))
+    return Run("random", np.arange(len(power), dtype=float), power, spins, spins)
+
+
+def minima_like(power, cut):
+    power, cut = np.array([power]), np.array([cut])
+    return Minima(power, power * (1 - 1e-11), cut, cut * (1 - 1e-13), np.zeros((1, 3, 3, 3, 3)))
+
+
+def test_the_largest_rise_is_measured_from_the_lowest_power_before():
+    assert run_of(10, 4, 3, 3.5, 3.2, 3.9, 1).largest_rise == pytest.approx([0.09])
+    assert run_of(10, 4, 3, 1).largest_rise == 0
+
+
+def test_verdicts_follow_the_numbers():
+    scene = draw_scene((3, 3, 3), 0, 1)
+    falls, rises, creeps = run_of(10, 4, 3, 1), run_of(10, 4, 4.2, 1), run_of(10, 4, 4.05, 1)
+    assert figure_2._falls(scene, falls, falls).confirmed
+    assert figure_2._falls(scene, creeps, falls).confirmed
+    assert not figure_2._falls(scene, creeps, creeps).confirmed  # creep must be less where contacts are stiffer
+    assert not figure_2._falls(scene, rises, falls).confirmed
+    assert figure_2._same_end(scene, [falls, falls], minima_like(1.0, 2.0)).confirmed
+    assert not figure_2._same_end(scene, [falls, falls], minima_like(0.9999, 2.0)).confirmed
+    assert figure_2._below_cut(minima_like(1.0, 1.1), scene).confirmed
+    assert not figure_2._below_cut(minima_like(1.1, 1.1), scene).confirmed
+    assert figure_2._leaves_cut(scene, run_of(2, 1), minima_like(1.0, 2.0)).confirmed
+    assert not figure_2._leaves_cut(scene, run_of(2, 2), minima_like(1.0, 2.0)).confirmed
+    assert not figure_2._larger_systems(minima_like(1.1, 1.1)).confirmed
+
+
+def test_a_minimum_is_below_its_cut_or_is_the_cut(needs_f64):
+    minima = minima_of(draw_scene((3, 3, 3), 0, 12))
+    assert (minima.lower_bound <= minima.cut_power).all()
+    assert (minima.below_cut ^ minima.cut_is_minimum).all()
+    assert 0 < minima.below_cut.sum() < 12  # both kinds are common at this size
+
+
+def test_only_spins_of_neither_plane_count_as_intermediate():
+    scene = draw_scene((3, 4, 5), 3, 2)
+    assert (intermediate_spheres(scene, initial_spin(scene, "minimum-cut")) == 0).all()
+    assert (intermediate_spheres(scene, initial_spin(scene, "linear")) == 3 * 4 * 3).all()
+
+
+def test_idle_spin_makes_nothing_slip():
+    scene = draw_scene((3, 4, 5), 3, 2)
+    axes = scene.lattice.all_spin_axes
+    staggered = scene.staggered_spin(initial_spin(scene, "random"), axes)
+    rest = without_idle_spin(staggered)
+    assert scene.power(rest, axes) == pytest.approx(scene.power(staggered, axes), rel=1e-13)
+    assert np.abs(rest[2, ..., 1:-1].mean(axis=(1, 2))).max() < 1e-15
+    assert (rest[:2] == staggered[:2]).all()
+
+
+def test_a_relaxation_is_seen_from_its_first_step_to_its_certified_end(needs_f64):
+    scene = draw_scene((3, 3, 3), 0, 1)
+    run, minima = relax(scene, "minimum-cut"), minima_of(scene)
+    assert run.power[0] == pytest.approx(minima.cut_power, rel=1e-13)
+    assert minima.lower_bound[0] <= run.power[-1, 0] <= minima.power[0] * (1 + 2e-8)
+    assert run.time[0] == 0
+    assert run.time[1] < 1e-4
+    assert (run.last[..., [0, -1]] == run.first[..., [0, -1]]).all()
+
+
+def test_the_figure_shows_the_numbers():
+    time, power = np.array([0.0, 1.0, 10.0]), np.array([8.0, 4.0, 2.0])
+    spins = np.random.default_rng(5).uniform(-1, 1, (2, 3, 2, 3))
+    start = Relaxation("random spins", time, power, spins, spins)
+    figure = draw_relaxation([start, replace(start, name="minimum cut", power=power / 2)], 1.0, 1.5)
+    curves = figure.subfigs[0].axes[0].lines
+    assert (curves[0].get_xdata() == time[1:]).all()
+    assert (curves[0].get_ydata() == power[1:] / 8).all()
+    assert (curves[1].get_ydata() == power[1:] / 16).all()
+    assert [line.get_ydata()[0] for line in curves[2:]] == [1.5 / 8, 1.0 / 8]
+    snapshots = [axes for axes in figure.subfigs[1].axes if axes.images]
+    assert len(snapshots) == 4
+    assert all(len(axes.images) == 2 * 3 * 2 for axes in snapshots)
