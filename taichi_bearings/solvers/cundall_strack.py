@@ -118,15 +118,12 @@ class CundallStrack:
         self.last_slipping = -1
 
     def _load_gear(self, staggered: np.ndarray) -> None:
-        """Spins and their derivatives at the start, from the equation of motion: all of them for the linear viscous
-        law; the first for Coulomb, whose force may jump in the first step anyway."""
+        """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
+        the first step would spoil the order of all that follow."""
         scene, options = self.scene, self.options
         derivatives, forces = [staggered], []
         for n in range(1, options.gear_order + 1):
-            if scene.law == "coulomb" and n > 1:
-                forces.append(scene.no_force(self.spin_axes))
-            else:
-                forces.append(tuple(force / n for force in self._damping_force(derivatives[-1])))
+            forces.append(tuple(force / n for force in self._force_derivative(derivatives)))
             rate = scene.lattice.radius / self.inertia * torques(forces[-1], scene.lattice, self.spin_axes)
             rate[..., scene.lattice.is_driven] = 0.0
             derivatives.append(self.time_step * rate)
@@ -143,6 +140,28 @@ class CundallStrack:
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
 
+    def _force_derivative(self, derivatives: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Derivative of the contact forces at the start, scaled like the last of these of the spins, of the same order.
+
+        A sticking contact feels its damper and the spring that the slip stretches from then on; one that slips keeps
+        its force, apart from a turn of the slip in contacts with two components, which is left out.
+        """
+        scene, options, order = self.scene, self.options, len(derivatives) - 1
+        if order == 0 or scene.law == "viscous":
+            return self._damping_force(derivatives[-1])
+        stretch = options.stiffness * self.time_step / order
+        felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
+        holds = options.static_ratio * scene.normal_force
+        return tuple(
+            np.where(options.damping * slip <= holds * coefficient, scene.lattice.radius * values, 0.0)
+            for values, slip, coefficient in zip(
+                contact_differences(felt, scene.lattice, self.spin_axes),
+                scene.slips(derivatives[0], self.spin_axes),
+                scene.acting_coefficient,
+                strict=True,
+            )
+        )
+
     def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forces of unstretched contacts: damping, capped by friction for Coulomb."""
         scene, forces = self.scene, []
@@ -152,8 +171,9 @@ class CundallStrack:
                 forces.append(scene.lattice.radius * coefficient * spin_difference)
                 continue
             force = self.options.damping * scene.lattice.radius * spin_difference
-            limit = scene.normal_force * coefficient
-            forces.append(force * np.minimum(1.0, limit / np.maximum(vector_length(force), 1e-300)))
+            size, limit = vector_length(force), scene.normal_force * coefficient
+            slips = size > limit * self.options.static_ratio
+            forces.append(force * np.divide(limit, size, out=np.ones_like(size), where=slips))
         return tuple(forces)
 
     @property
