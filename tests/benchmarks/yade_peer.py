@@ -1,0 +1,69 @@
+"""The benchmark scene in YADE, run by its own interpreter: yade -n -x tests/benchmarks/yade_peer.py '{...}'.
+
+UNTESTED where it was written (no YADE there): from its documented Python interface and source alone. Spheres overlap a
+little, so that the normal force is constant; translations are blocked, those of the driven spheres with their turning.
+ViscElMat connects two spheres in series, so each carries twice the stiffness and damping of the contact.
+
+Request and answer as in lammps_peer.py (no `style`, no `final`).
+"""
+
+import json
+import math
+import sys
+import time
+
+import numpy as np
+from yade import (
+    Bo1_Sphere_Aabb,
+    ForceResetter,
+    Ig2_Sphere_Sphere_ScGeom,
+    InsertionSortCollider,
+    InteractionLoop,
+    Ip2_ViscElMat_ViscElMat_ViscElPhys,
+    Law2_ScGeom_ViscElPhys_Basic,
+    NewtonIntegrator,
+    O,
+    ViscElMat,
+    utils,
+)
+
+OVERLAP = 1e-4
+ANY, DRIVEN = 1, 2  # groups; driven spheres do not touch one another
+
+
+def main(request):
+    shape, spin = request["shape"], np.load(request["spin"])
+    material = O.materials.append(
+        ViscElMat(
+            kn=2 * request["normal_force"] / OVERLAP,
+            ks=2 * request["stiffness"],
+            cn=0.0,
+            cs=2 * request["damping"],
+            frictionAngle=math.atan(request["friction"]),
+        )
+    )
+    for site in np.ndindex(*shape):
+        body = utils.sphere([float(n) for n in site], (1 + OVERLAP) / 2, material=material)
+        driven = site[-1] in (0, shape[-1] - 1)
+        body.mask = ANY | DRIVEN if driven else ANY
+        body.state.blockedDOFs = "xyzXYZ" if driven else "xyz"
+        body.state.mass, body.state.inertia = 1.0, [0.1] * 3  # 2 m R^2 / 5
+        body.state.angVel = [float(value) for value in spin[site]]
+        O.bodies.append(body)
+    O.engines = [
+        ForceResetter(),
+        InsertionSortCollider([Bo1_Sphere_Aabb()], avoidSelfInteractionMask=DRIVEN),
+        InteractionLoop(
+            [Ig2_Sphere_Sphere_ScGeom()], [Ip2_ViscElMat_ViscElMat_ViscElPhys()], [Law2_ScGeom_ViscElPhys_Basic()]
+        ),
+        NewtonIntegrator(damping=0),
+    ]
+    O.dt = request["time_step"]
+    O.run(request["warm_up"] + 1, True)
+    began = time.perf_counter()
+    O.run(request["steps"], True)
+    seconds = time.perf_counter() - began
+    print(json.dumps({"seconds": seconds, "contacts": O.interactions.countReal()}))
+
+
+main(json.loads(sys.argv[-1]))
