@@ -36,6 +36,13 @@ def laplacian(scene, component, weighted=True):
     return (matrix.T.multiply(weight) @ matrix).toarray(), free
 
 
+def without_vertical(spin):
+    """Laboratory spins whose vertical component in 3D is 0: kernels for two components compile sooner."""
+    if spin.shape[-1] == 3 and spin.ndim == 5:
+        spin[..., 2] = 0.0
+    return spin
+
+
 def exact_spins(scene, start, axes, options, duration):
     """Staggered spins (C, 1, *N) after `duration` while no contact slips: the matrix exponential of the linear system
     in the spins and, for Coulomb, their integrals, which stretch the springs."""
@@ -54,7 +61,7 @@ def exact_spins(scene, start, axes, options, duration):
 
 @pytest.mark.usefixtures("needs_f64")
 @pytest.mark.parametrize("order", sorted(CORRECTORS))
-@pytest.mark.parametrize("shape", [(3, 5), (2, 3, 4)])
+@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
 @pytest.mark.parametrize("law", ["viscous", "coulomb"])
 def test_the_error_falls_with_the_number_of_values_kept(law, shape, order):
     """Gear's q + 1 values for a first-order equation are an Adams method of order q + 1, dashpots and springs alike.
@@ -63,10 +70,10 @@ def test_the_error_falls_with_the_number_of_values_kept(law, shape, order):
     the step, over the five finest steps (a factor 2) whose error is clear of the rounding.
     """
     scene = make_scene(shape, law, distribution="uniform:0.1,1.0" if law == "viscous" else "constant:1e9")
-    start = initial_spin(scene, "random")
+    start = without_vertical(initial_spin(scene, "random"))
     options = CundallStrackOptions(gear_order=order, inertia=0.05, damping=50.0)
     duration = 0.05 if law == "viscous" else 2e-3  # some decay times of the stiffest mode
-    axes = scene.lattice.all_spin_axes
+    axes = scene.minimum_spin_axes
     exact = exact_spins(scene, start, axes, options, duration)
     numbers = np.ceil(2 * duration / stability_bound(scene, axes, options) * 2 ** np.arange(0.0, 3.1, 0.25)).astype(int)
     errors = []
@@ -87,7 +94,7 @@ def largest_stable_step_found(shape, options):
     or twofold from the first half of 3000 steps to the second.
     """
     scene = make_scene(shape, distribution="constant:1e15", spin_top=0.0)
-    spin = 1e-3 * np.random.default_rng(3).standard_normal(initial_spin(scene, "zero").shape)
+    spin = without_vertical(1e-3 * np.random.default_rng(3).standard_normal(initial_spin(scene, "zero").shape))
     method = CundallStrack(options)
     with borrow(make_layout(1, shape), method.plan(scene, spin)) as fields:
         method.begin(scene, spin, fields)
