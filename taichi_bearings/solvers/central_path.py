@@ -23,12 +23,24 @@ REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the m
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
 
 
+@dataclass(frozen=True)
+class Inertia:
+    """The cost weight / 2 |spins - origin|^2 beside the power: the torques then balance weight * (spins - origin)."""
+
+    weight: float
+    origin: np.ndarray
+
+    def torques(self, spins: np.ndarray) -> np.ndarray:
+        """Torques (unknowns,) that bring the spins from their origin to `spins`."""
+        return self.weight * (spins - self.origin)
+
+
 @dataclass
 class Iterate:
     """A point inside all cones: spins (unknowns,); a group each: friction and bound (n,), difference and dual (d, n).
 
     The dual is minus the contact force. smooth : (n,) masks, contacts that are in no cone but obey the law of friction
-    exactly: dual = - friction * direction of slip.
+    exactly: dual = - friction * direction of slip. inertia : what resists a change of the spins, None at the minimum.
     """
 
     system: ContactSystem
@@ -38,6 +50,7 @@ class Iterate:
     difference: list[np.ndarray]
     dual: list[np.ndarray]
     smooth: list[np.ndarray] = field(default_factory=list)
+    inertia: Inertia | None = None
 
     def __post_init__(self) -> None:
         self.smooth = self.smooth or [np.zeros(len(mu), dtype=bool) for mu in self.friction]
@@ -46,7 +59,7 @@ class Iterate:
         """A copy that a Newton step can change: the system and the friction are shared."""
         lists = ([array.copy() for array in arrays] for arrays in (self.bound, self.difference, self.dual, self.smooth))
         bound, difference, dual, smooth = lists
-        return Iterate(self.system, self.spins, self.friction, bound, difference, dual, smooth)
+        return Iterate(self.system, self.spins, self.friction, bound, difference, dual, smooth, self.inertia)
 
     @classmethod
     def start(cls, system: ContactSystem, spins: np.ndarray, friction: list[np.ndarray], slack: float) -> "Iterate":
@@ -91,19 +104,28 @@ class Iterate:
         """Friction times slip, summed over the contacts."""
         return sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
 
+    def imbalance(self, spins: np.ndarray, dual: list[np.ndarray]) -> np.ndarray:
+        """Torques (unknowns,) that forces leave on the spheres, less what their inertia takes up."""
+        torques = self.system.torques(dual)
+        return torques if self.inertia is None else torques - self.inertia.torques(spins)
+
     @property
     def price_of_torques(self) -> float:
         """What the torques left on the spheres take from the lower bound, at most, relative to the power."""
         return float(np.abs(self.system.torques(self.dual)).sum()) / self.power
 
     @property
-    def gap(self) -> float:
-        """(power - work of the driven planes) / power for balanced forces, summed without cancellation."""
-        excess = sum(
+    def excess(self) -> float:
+        """Cost less dual cost for balanced forces, summed without cancellation, with inertia or without."""
+        return sum(
             float((mu * length(z) + inner(z, y)).sum())
             for mu, z, y in zip(self.friction, self.difference, self.dual, strict=True)
         )
-        return excess / self.power
+
+    @property
+    def gap(self) -> float:
+        """(power - work of the driven planes) / power for balanced forces."""
+        return self.excess / self.power
 
 
 def mean_product(primal: list[Point], dual: list[Point]) -> float:
@@ -146,7 +168,8 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> None:
         np.eye(len(y))[:, :, None] * np.maximum(mu - length(y), TINY) ** 2
         for mu, y in zip(iterate.friction, iterate.dual, strict=True)
     ]
-    changes = [new - y for new, y in zip(matrix.balanced(iterate.dual, stiffness), iterate.dual, strict=True)]
+    load = 0.0 if iterate.inertia is None else iterate.inertia.torques(iterate.spins)
+    changes = [new - y for new, y in zip(matrix.balanced(iterate.dual, stiffness, load), iterate.dual, strict=True)]
     along = min(
         longest_step((mu, y), (np.zeros_like(mu), dy))
         for mu, y, dy in zip(iterate.friction, iterate.dual, changes, strict=True)
@@ -174,7 +197,7 @@ class _Direction:
                 stiffness[:, :, cone] = in_cone
                 stiffness[:, :, smooth] = friction_stiffness(mu[smooth], z[:, smooth])
             self.stiffness.append(stiffness)
-        matrix.factorise(self.stiffness)
+        matrix.factorise(self.stiffness, iterate.inertia.weight if iterate.inertia else 0.0)
         self.mean = iterate.complementarity
         self.target = 0.0
         self.right: list[Point] = []
@@ -249,7 +272,7 @@ class _Direction:
         last = np.inf
         for trial in range(REFINEMENTS):
             duals = [y + step[2] for y, step in zip(self.iterate.dual, self.steps, strict=True)]
-            imbalance = self.iterate.system.torques(duals)
+            imbalance = self.iterate.imbalance(self.iterate.spins + self.spins, duals)
             size = float(np.abs(imbalance).max(initial=0.0))
             if trial > 0 and not BALANCED < size < last / 2:
                 break
@@ -263,7 +286,7 @@ class _Direction:
         self.pull = [y.copy() for y in self.iterate.dual]
         for pull, (head, tail), (diagonal, off, _), c in zip(self.pull, right, self.blocks, self.cones, strict=True):
             pull[:, c] += tail - off * (head / diagonal)
-        self.spins = self.matrix.solve(self.iterate.system.torques(self.pull))
+        self.spins = self.matrix.solve(self.iterate.imbalance(self.iterate.spins, self.pull))
         self._expand()
 
     def _expand(self) -> None:
@@ -285,6 +308,8 @@ class _Direction:
             if smooth.any():  # the law of friction is far from linear once a slip changes by as much as itself
                 share = length(iterate.difference[number][:, smooth]) / np.maximum(length(difference[:, smooth]), TINY)
                 self.along = min(self.along, 0.5 * float(share.min()))
+        if iterate.inertia is not None:  # spins and forces that balance each other go on together
+            self.along = self.dual_along = min(self.along, self.dual_along)
 
     def _after(self, along: float, dual_along: float) -> tuple[list[Point], list[Point]]:
         """Primal and dual points after steps of these lengths."""

@@ -22,8 +22,8 @@ class NewtonMatrix:
         self._map = system.laplacian_map(pattern.entry, len(pattern.row))
         self._diagonal = np.flatnonzero(pattern.row == pattern.column)
 
-    def factorise(self, stiffness: list[np.ndarray]) -> None:
-        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group.
+    def factorise(self, stiffness: list[np.ndarray], inertia: float = 0.0) -> None:
+        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group, and a spring at every spin.
 
         Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by
         as little as helps, and iterative refinement has to mend the rest.
@@ -33,7 +33,7 @@ class NewtonMatrix:
         if self._empty:
             return
         values = self._map @ stacked(stiffness)
-        diagonal = values[self._diagonal]
+        diagonal = values[self._diagonal] + inertia
         for shift in SHIFTS:
             values[self._diagonal] = diagonal * (1 + shift)
             try:
@@ -46,15 +46,17 @@ class NewtonMatrix:
         """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)
 
-    def balanced(self, dual: list[np.ndarray], stiffness: list[np.ndarray]) -> list[np.ndarray]:
+    def balanced(
+        self, dual: list[np.ndarray], stiffness: list[np.ndarray], load: np.ndarray | float = 0.0
+    ) -> list[np.ndarray]:
         """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined twice.
 
-        Raises NotPositiveDefinite if the springs do not hold every spin.
+        load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
         spins = np.zeros(self._system.unknowns)
         for _ in range(3):
-            spins = spins + self.solve(self._system.torques(self._relaxed(dual, stiffness, spins)))
+            spins = spins + self.solve(self._system.torques(self._relaxed(dual, stiffness, spins)) - load)
         return self._relaxed(dual, stiffness, spins)
 
     def _relaxed(self, dual: list[np.ndarray], stiffness: list[np.ndarray], spins: np.ndarray) -> list[np.ndarray]:

@@ -57,6 +57,20 @@ def test_solutions_equal_those_of_scipy(options, leaf):
     assert matrix.solve(right) == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
 
 
+@pytest.mark.parametrize("shape", [(5, 6, 7), (2, 3, 3), (2, 2, 9)])
+def test_three_components_with_a_spring_at_every_spin(shape):
+    """Contacts do not hold the mean about the height of a layer; the springs do."""
+    rng = np.random.default_rng(2)
+    scene = make_scene(shape)
+    system = lattice_system(scene.lattice, (0, 1, 2), np.ones(3))
+    stiffness = random_stiffness(system, rng)
+    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), (0, 1, 2), 30))
+    matrix.factorise(stiffness, 0.3)
+    right = rng.standard_normal(system.unknowns)
+    expected = spsolve(assembled(system, stiffness) + 0.3 * sparse.identity(system.unknowns, format="csc"), right)
+    assert matrix.solve(right) == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
+
+
 def test_a_second_factorisation_leaves_nothing_of_the_first():
     rng = np.random.default_rng(3)
     scene = make_scene((5, 6, 7))
