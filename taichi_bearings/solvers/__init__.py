@@ -10,6 +10,7 @@ METHODS = {
     "operator-splitting": "taichi_bearings.solvers.operator_splitting:OperatorSplitting",
     "linear-solver": "taichi_bearings.solvers.linear_solver:LinearSolver",
     "gradient-descent": "taichi_bearings.solvers.gradient_descent:GradientDescent",
+    "rigid-limit": "taichi_bearings.solvers.rigid_limit:RigidLimit",
     "cundall-strack": "taichi_bearings.solvers.cundall_strack:CundallStrack",
 }
 

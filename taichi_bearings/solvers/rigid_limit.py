@@ -1,0 +1,290 @@
+"""Rigid-limit dynamics: I dOmega/dt = - dP/dOmega without springs, in implicit Euler steps of any length.
+
+Where Cundall and Strack give every contact a spring, nonsmooth contact dynamics (Moreau 1988; Jean 1999) lets friction
+act at once: a contact that slips bears all its friction, one that does not bears what is needed. Then the motion is the
+steepest descent of the power in the metric of the inertia (PHYSICS 3.6), and a step is the minimum of the power plus
+I |change of the spins|^2 / (2 h), found to round-off (proximal.py). The power cannot rise, however long the step; the
+forces of the step obey the law of friction, and near rest they prove how far the power is from its minimum.
+
+The error of a step is estimated as in codes for stiff equations: by the difference from what the forces of the step
+before would have done. Components of the spins that have died out (the one about the height, after a random start)
+are set to rest and cost nothing from then on; where they have, they never start again (PHYSICS 3.3).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.blas import one_thread
+from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
+from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.fields.workspace import FieldSpec, Workspace
+from taichi_bearings.lattice.grid import contact_differences, tangential, torques
+from taichi_bearings.scene import Energy, Progress, Scene
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.cundall_strack import default_inertia, moving_spin_axes
+from taichi_bearings.solvers.proximal import ProximalSteps, Step
+
+FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
+LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
+GROWTH, SHRINKAGE = 3.0, 0.2  # of the step from one to the next, at most
+SAFETY = 0.8
+ACCEPTED = 2.0  # error over tolerance up to which a step counts
+DEAD = 1e-7  # of the unit of spin: a component that varies by less is at rest,
+UNFELT = (
+    1e-14  # provided that stopping it changes the kinetic energy by no more than this fraction of that at the start
+)
+RESOLVED = 1e-12  # of the unit of spin: slips at the start
+BELIEVED = 1e-9  # proven gap from which a state whose power no longer falls is believed to be at rest
+REST, STUCK = 2, 20  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
+
+
+@dataclass(frozen=True)
+class RigidLimitOptions:
+    """Inertia and length of the steps.
+
+    mass : of a sphere. inertia : moment of inertia; default m R^2 / 2 (disc) or 2 m R^2 / 5 (sphere).
+    time_step : length of every step; default None, chosen by error_tolerance.
+    error_tolerance : root mean square error of the spins in one step, relative to the largest spin of the start.
+    rest_tolerance : at rest once the power falls by less than this fraction in a step and the proven gap is below 1e-9.
+    """
+
+    mass: float = 1.0
+    inertia: float | None = None
+    time_step: float | None = None
+    error_tolerance: float = 1e-3
+    rest_tolerance: float = 1e-12
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "inertia", "time_step", "error_tolerance", "rest_tolerance"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value}; it must be a positive number")
+
+
+class RigidLimit:
+    """See the module docstring. An iteration is one time step of all replicas together."""
+
+    name = "rigid-limit"
+    keeps_best = False
+    needs_taichi = True  # fills the fronts of the factorisation
+
+    def __init__(self, options: RigidLimitOptions | None = None) -> None:
+        self.options = options or RigidLimitOptions()
+        self.aim = np.inf
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        if runtime.current().is_gpu:
+            raise DeviceError("rigid-limit works in the memory of the CPU; use --arch cpu")
+        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
+        return ()
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        self.inertia = self.options.inertia or default_inertia(scene, self.options.mass)
+        self.staggered = scene.staggered_spin(spin, self.spin_axes)
+        spread = [float(values.max() - values.min()) for values in self.staggered]
+        self.unit = max(spread) or 1.0
+        self.largest = float(np.abs(self.staggered).max()) or 1.0
+        self.moving = self.spin_axes
+        self._prepare()
+        self.force = self._force_at_start()
+        self.iteration = self.newton_steps = self.still = 0
+        self.time = 0.0
+        self.length = self.options.time_step or FIRST_STEP * self.options.error_tolerance * self.relaxation_time
+        self.last_length = self.length
+        self.injected, self.dissipated = np.zeros(scene.replicas), np.zeros(scene.replicas)
+        self.energy_at_start = self._kinetic_energy()
+        self.rest_time = np.zeros(scene.replicas)
+        self.creep = RESOLVED * self.unit
+        self.slipping = sum(
+            (slip > scene.lattice.radius * self.creep).reshape(scene.replicas, -1).sum(axis=1)
+            for slip in scene.slips(self.staggered, self.spin_axes)
+        )
+
+    def _prepare(self) -> None:
+        """Set up the steps of the components that move."""
+        self.slots = [self.spin_axes.index(component) for component in self.moving]
+        self.steps = ProximalSteps(self.scene, self.moving, self.unit, self.inertia) if self.moving else None
+
+    @property
+    def relaxation_time(self) -> float:
+        """Time in which a typical contact alone stops a sphere from the largest spin."""
+        scene = self.scene
+        acting = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.coefficient)]
+        speed = scene.lattice.radius * self.largest if scene.law == "viscous" else 1.0
+        force = scene.strength * float(np.mean(np.concatenate(acting))) * speed
+        return self.inertia * self.largest / (scene.lattice.radius * force)
+
+    def _force_at_start(self) -> tuple[np.ndarray, ...]:
+        """Forces of the contacts that slip."""
+        scene, forces = self.scene, []
+        for axis, difference in enumerate(contact_differences(self.staggered, scene.lattice, self.spin_axes)):
+            size = scene.lattice.radius if scene.law == "viscous" else _inverse(vector_length(difference))
+            forces.append(scene.strength * scene.acting_coefficient[axis] * size * difference)
+        return tuple(forces)
+
+    def next_check(self, iteration: int) -> int:
+        return iteration + 1
+
+    def aim_at(self, time: float) -> None:
+        self.aim = time
+
+    def advance(self, steps: int) -> None:
+        with one_thread():  # fronts are shared among threads here, not inside the library
+            for _ in range(steps):
+                self._step()
+
+    def _step(self) -> None:
+        """One step that is accurate enough, or as short as steps may be."""
+        least, most = LEAST_STEP * self.relaxation_time, MOST_STEP * self.relaxation_time
+        chosen = self.options.time_step is not None
+        while True:
+            aimed = self.time < self.aim <= self.time + self.length * (1 + 1e-9)
+            duration = self.aim - self.time if aimed else self.length
+            step = self._tried(duration)
+            error = self._error(step, duration) / self.options.error_tolerance
+            if chosen or duration <= least or (step.solved and error <= ACCEPTED):
+                break
+            factor = SAFETY / error if step.solved else SHRINKAGE
+            self.length = max(least, duration * max(SHRINKAGE, min(factor, 0.5)))
+        self._take(step, duration, self.aim if aimed else self.time + duration)
+        factor = min(GROWTH, SAFETY / np.sqrt(max(error, 1e-30)))
+        if not chosen and (not aimed or factor < 1):
+            self.length = min(max(duration * factor, least), most)
+
+    def _tried(self, duration: float) -> Step:
+        """A step with all components, those at rest included."""
+        scene, force = self.scene, self.scene.no_force(self.spin_axes)
+        if self.steps is None:
+            return Step(self.staggered, force, np.zeros(scene.replicas, dtype=int), 0.0, 0, True)
+        step = self.steps.step(self.staggered[self.slots], duration)
+        staggered = self.staggered.copy()
+        staggered[self.slots] = step.staggered
+        for axis, values in enumerate(step.force):
+            felt = [self.spin_axes[slot] for slot in tangential(axis, self.spin_axes)]
+            own = [felt.index(self.moving[slot]) for slot in tangential(axis, self.moving)]
+            force[axis][own] = values
+        return Step(staggered, force, step.slipping, step.creep, step.newton_steps, step.solved)
+
+    def _error(self, step: Step, duration: float) -> float:
+        """Error of the spins in a step, root mean square of the worst sample, relative to the largest spin.
+
+        Implicit Euler errs by h^2 / 2 times the second derivative; that is h / (h + last h) of the difference from what
+        the forces of the step before would have made of the spins.
+        """
+        scene = self.scene
+        impulse = duration * scene.lattice.radius / self.inertia
+        foreseen = self.staggered + impulse * torques(self.force, scene.lattice, self.spin_axes)
+        missed = (step.staggered - foreseen)[..., ~scene.lattice.is_driven]
+        mean_square = (missed**2).mean(axis=(0, 2)).max()
+        return duration / (duration + self.last_length) * float(np.sqrt(mean_square)) / self.largest
+
+    def _take(self, step: Step, duration: float, time: float) -> None:
+        scene = self.scene
+        before, power_before = self.staggered, scene.power(self.staggered, self.spin_axes)
+        self.staggered, self.force = step.staggered, step.force
+        self._book(before, duration)
+        self._lay_to_rest()
+        self.time, self.last_length = time, duration
+        self.slipping, self.creep = step.slipping, step.creep
+        self.iteration += 1
+        self.newton_steps += step.newton_steps
+        fall = power_before - scene.power(self.staggered, self.spin_axes)
+        falls = fall > self.options.rest_tolerance * power_before
+        self.rest_time = np.where(falls, time, self.rest_time)
+        self.still = 0 if falls.any() else self.still + 1
+
+    def _book(self, before: np.ndarray, duration: float) -> None:
+        """Work of the forces of a step on its mean slip, and of the driven spheres against them."""
+        scene = self.scene
+        reach, mean = duration * scene.lattice.radius, (before + self.staggered) / 2
+        for force, slip in zip(self.force, contact_differences(mean, scene.lattice, self.spin_axes), strict=True):
+            self.dissipated = self.dissipated + reach * (force * slip).sum(axis=0).reshape(scene.replicas, -1).sum(
+                axis=1
+            )
+        work = torques(self.force, scene.lattice, self.spin_axes) * mean * scene.lattice.is_driven
+        self.injected = self.injected - reach * work.sum(axis=0).reshape(scene.replicas, -1).sum(axis=1)
+
+    def _lay_to_rest(self) -> None:
+        """Stop the components that the driving leaves alone and that vary no more."""
+        scene, moving = self.scene, []
+        for component in self.moving:
+            slot = self.spin_axes.index(component)
+            bottom, top = (float(values[slot]) for values in scene.driven_values(self.spin_axes))
+            free = self.staggered[slot][..., 1:-1]
+            rest = np.full_like(free, bottom)
+            if component == scene.lattice.height_axis:
+                rest = np.broadcast_to(free.mean(axis=(1, 2), keepdims=True), free.shape)
+            elif bottom != top:
+                moving.append(component)
+                continue
+            energy = self.inertia / 2 * (free**2 - rest**2).reshape(scene.replicas, -1).sum(axis=1)
+            unfelt = bool((np.abs(energy) <= UNFELT * self.energy_at_start).all())
+            if unfelt and np.abs(free - rest).max() <= DEAD * self.unit:
+                free[...] = rest
+            else:
+                moving.append(component)
+        if tuple(moving) != self.moving:
+            self.moving = tuple(moving)
+            self._prepare()
+
+    def _kinetic_energy(self) -> np.ndarray:
+        squares = (self.staggered[..., ~self.scene.lattice.is_driven] ** 2).sum(axis=0)
+        return self.inertia / 2 * squares.reshape(self.scene.replicas, -1).sum(axis=1)
+
+    def progress(self) -> Progress:
+        scene = self.scene
+        power = scene.power(self.staggered, self.spin_axes)
+        bound = lower_bound(scene, self.force, self.spin_axes)
+        believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
+        return Progress(
+            iteration=self.iteration,
+            staggered=self.staggered.copy(),
+            spin_axes=self.spin_axes,
+            force=self.force,
+            power=power,
+            lower_bound=bound,
+            resolution=scene.lattice.radius * self.creep,
+            unbalanced_torque=largest_unbalanced_torque(scene, self.force, self.spin_axes),
+            time=self.time,
+            energy=Energy(
+                kinetic=self._kinetic_energy(),
+                spring=np.zeros(scene.replicas),
+                injected=self.injected,
+                dissipated=self.dissipated,
+                at_start=self.energy_at_start,
+            ),
+            slipping=self.slipping,
+            at_rest=self.still >= REST and believed,
+            exhausted=self.still >= STUCK and not believed,
+            findings={"rest_time": self.rest_time, "newton_steps": np.full(scene.replicas, self.newton_steps)},
+        )
+
+    def state(self) -> dict[str, np.ndarray]:
+        forces = {f"force_{axis}": force for axis, force in enumerate(self.force)}
+        books = ("injected", "dissipated", "energy_at_start", "rest_time", "slipping")
+        times = [self.time, self.length, self.last_length, self.unit, self.largest, self.creep]
+        return forces | {name: np.array(getattr(self, name)) for name in books} | {
+            "spin": self.staggered,
+            "moving": np.array(self.moving, dtype=np.int64),
+            "times": np.array(times),
+            "counters": np.array([self.iteration, self.newton_steps, self.still], dtype=np.int64),
+        }  # fmt: skip
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        self.force = tuple(np.array(state[f"force_{axis}"]) for axis in range(self.scene.lattice.dimension))
+        for name in ("injected", "dissipated", "energy_at_start", "rest_time", "slipping"):
+            setattr(self, name, np.array(state[name]))
+        self.staggered = np.array(state["spin"])
+        times = map(float, state["times"])
+        self.time, self.length, self.last_length, self.unit, self.largest, self.creep = times
+        self.iteration, self.newton_steps, self.still = map(int, state["counters"])
+        self.moving = tuple(int(component) for component in state["moving"])
+        self._prepare()
+
+
+def _inverse(values: np.ndarray) -> np.ndarray:
+    """1 / values, and 0 where values is 0."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)

@@ -1,0 +1,310 @@
+"""The rigid limit against motion worked out by hand, a conic solver, linear algebra, and its own claims."""
+
+import clarabel
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import expm
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import contact_differences, tangential, torques
+from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.interior_point import InteriorPoint
+from taichi_bearings.solvers.planar_cut import PlanarCut
+from taichi_bearings.solvers.rigid_limit import RigidLimit, RigidLimitOptions
+from taichi_bearings.solvers.stopping import StopRule
+from tests.agreement.test_independent_solvers import incidence
+from tests.scenes import make_scene
+
+pytestmark = pytest.mark.usefixtures("needs_f64")
+
+RADIUS, NORMAL_FORCE, INERTIA = 0.5, 50.0, 0.4
+
+
+def begun(scene, spin, **options):
+    method = RigidLimit(RigidLimitOptions(**options))
+    method.plan(scene, spin)
+    method.begin(scene, spin, None)
+    return method
+
+
+def two_discs(left, right):
+    """Two free discs side by side: friction 0.7 on the top, 0.3 on the bottom, 0.1 between them; top at 1, bottom 0."""
+    lattice = Lattice((2, 3))
+    between, height = np.full((1, 1, 3), 0.1), np.empty((1, 2, 2))
+    height[..., 0], height[..., 1] = 0.3, 0.7
+    scene = Scene(lattice, "coulomb", (between, height), normal_force=NORMAL_FORCE)
+    staggered = np.zeros((1, 1, 2, 3))
+    staggered[0, 0, :, 1] = left, right
+    return scene, scene.laboratory_spin(scene.impose_driving(staggered, (2,)), (2,))
+
+
+@pytest.mark.parametrize("steps", [1, 2, 15])
+def test_a_disc_between_unequal_frictions_turns_at_a_constant_rate_until_it_sticks(steps):
+    """dOmega/dt = R F_n (0.7 - 0.3) / I until the disc turns like the top."""
+    scene, spin = two_discs(0.3, 0.3)
+    arrival = 0.7 * INERTIA / (RADIUS * NORMAL_FORCE * 0.4)
+    method = begun(scene, spin, inertia=INERTIA, time_step=0.8 * arrival / steps)
+    method.advance(steps)
+    assert method.staggered[0, 0, :, 1] == pytest.approx(0.3 + 0.8 * 0.7, abs=1e-9)
+    method.advance(2 * steps)
+    assert method.staggered[0, 0, :, 1] == pytest.approx(1.0, abs=1e-10)
+    progress = method.progress()
+    assert progress.lower_bound[0] == pytest.approx(progress.power[0], rel=1e-9)
+    assert progress.power[0] == pytest.approx(2 * 0.3 * RADIUS * NORMAL_FORCE, rel=1e-10)
+    assert progress.slipping[0] == 2
+
+
+def test_two_discs_meet_and_go_on_together():
+    """The slower one feels 0.1 more, the faster one 0.1 less, until they meet; their mean is 0.3 + 0.4 t."""
+    scene, spin = two_discs(0.2, 0.4)
+    unit = INERTIA / (RADIUS * NORMAL_FORCE)
+    method = begun(scene, spin, inertia=INERTIA, time_step=0.25 * unit)
+    for number in range(1, 7):
+        method.advance(1)
+        t = 0.25 * number
+        expected = [min(0.2 + 0.5 * t, 0.3 + 0.4 * t), max(0.4 + 0.3 * t, 0.3 + 0.4 * t)]
+        assert method.staggered[0, 0, :, 1] == pytest.approx(expected, abs=2e-5)  # root of the excess allowed
+
+
+def test_rest_is_reached_in_finite_time_where_the_power_is_piecewise_linear():
+    scene, spin = two_discs(0.2, 0.4)
+    method = RigidLimit(RigidLimitOptions(inertia=INERTIA))
+    solution = solve(scene, method, spin, StopRule(1e-12))
+    assert solution.status is Status.CERTIFIED
+    exact = 0.7 / 0.4 * INERTIA / (RADIUS * NORMAL_FORCE)
+    assert solution.findings["rest_time"][0] == pytest.approx(exact, rel=0.02)
+
+
+def conic_step(scene, axes, before, weight):
+    """argmin sum mu |D| + weight / 2 |spins - before|^2 of the free spins (C, *N) by Clarabel."""
+    shape = scene.lattice.shape
+    matrix, where = incidence(shape)
+    free = ~scene.lattice.is_driven.ravel()
+    sites, contacts = int(free.sum()), len(where)
+    flat = before.reshape(len(axes), -1)
+    rows, offsets, cones = [], [], []
+    cost = np.zeros(len(axes) * sites + contacts)
+    for number, (axis, site) in enumerate(where):
+        cost[len(axes) * sites + number] = scene.coefficient[axis][0][site]
+        bound = sparse.csr_matrix(([-1.0], ([0], [len(axes) * sites + number])), shape=(1, len(cost)))
+        rows.append(bound)
+        offsets.append(0.0)
+        for slot in tangential(axis, axes):
+            row = sparse.lil_matrix((1, len(cost)))
+            row[0, slot * sites : (slot + 1) * sites] = -matrix[number][:, free].toarray()
+            rows.append(row.tocsr())
+            offsets.append((matrix[number][:, ~free] @ flat[slot, ~free])[0])
+        cones.append(clarabel.SecondOrderConeT(1 + len(tangential(axis, axes))))
+    own = flat[:, free].ravel()
+    cost[: len(own)] = -weight * own
+    quadratic = sparse.diags(np.concatenate([np.full(len(own), weight), np.zeros(contacts)]), format="csc")
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    answer = clarabel.DefaultSolver(
+        quadratic, cost, sparse.vstack(rows, format="csc"), np.array(offsets), cones, settings
+    ).solve()
+    after = flat.copy()
+    after[:, free] = np.array(answer.x)[: len(own)].reshape(len(axes), -1)
+    return after.reshape(before.shape)
+
+
+@pytest.mark.parametrize("relative_step", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize(
+    ("shape", "driving"), [((4, 5), {}), ((3, 2, 4), {}), ((2, 3, 4), {"direction": (1, -2, 3), "spin_bottom": -0.4})]
+)
+def test_a_step_is_the_minimum_that_clarabel_finds(shape, driving, relative_step):
+    scene = make_scene(shape, **driving)
+    spin = initial_spin(scene, "random")
+    method = begun(scene, spin, time_step=1.0)
+    duration = relative_step * method.relaxation_time
+    method = begun(scene, spin, time_step=duration)
+    before = method.staggered[:, 0].copy()
+    method.advance(1)
+    weight = method.inertia / (duration * RADIUS * NORMAL_FORCE)
+    expected = conic_step(scene, method.spin_axes, before, weight)
+    assert method.staggered[:, 0] == pytest.approx(expected, abs=2e-5 * np.abs(expected - before).max() + 1e-7)
+
+
+@pytest.mark.parametrize("relative_step", [1e-6, 1e-2, 1.0, 1e3])
+def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step):
+    scene = make_scene((4, 3, 5), seeds=(8, 9))
+    spin = initial_spin(scene, "random")
+    duration = relative_step * begun(scene, spin).relaxation_time
+    method = begun(scene, spin, time_step=duration)
+    before = method.staggered.copy()
+    method.advance(1)
+    change = (method.staggered - before)[..., 1:-1]
+    pull = torques(method.force, scene.lattice, method.spin_axes)[..., 1:-1]
+    assert method.inertia * change == pytest.approx(duration * RADIUS * pull, rel=1e-7, abs=1e-9 * duration)
+    differences = contact_differences(method.staggered, scene.lattice, method.spin_axes)
+    for axis, (force, difference) in enumerate(zip(method.force, differences, strict=True)):
+        limit = scene.normal_force * scene.acting_coefficient[axis]
+        assert (vector_length(force) <= limit).all()
+        slips = vector_length(difference) > 1e-3
+        along = limit * difference / np.maximum(vector_length(difference), 1e-300)
+        assert force[:, slips] == pytest.approx(along[:, slips], abs=2e-3 * scene.normal_force)
+
+
+@pytest.mark.parametrize("relative_step", [1e-6, 1e-3, 0.1, 10.0, 1e3])
+@pytest.mark.parametrize("odd", [{"shape": (5, 7)}, {"shape": (3, 4, 5)}, {"shape": (3, 3, 4), "law": "viscous"}])
+def test_the_power_never_rises(odd, relative_step):
+    scene = make_scene(**odd, seeds=(21, 22))
+    spin = initial_spin(scene, "random")
+    method = begun(scene, spin, time_step=relative_step * begun(scene, spin).relaxation_time)
+    power = scene.power(method.staggered, method.spin_axes)
+    for _ in range(8):
+        method.advance(1)
+        new = scene.power(method.staggered, method.spin_axes)
+        assert (new <= power * (1 + 1e-13)).all()
+        power = new
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_energy_books_and_layer_means_are_kept_to_round_off(law):
+    """No contact turns a whole layer about the height, so a random start keeps the layers' means (PHYSICS 3.3)."""
+    scene = make_scene((4, 3, 5), law, spin_bottom=-0.3, seeds=(5, 6))
+    spin = initial_spin(scene, "random")
+    method = begun(scene, spin, error_tolerance=0.1)
+    assert method.spin_axes == (0, 1, 2)
+    means = method.staggered[2].mean(axis=(1, 2))
+    while not (progress := method.progress()).at_rest:
+        assert np.abs(progress.energy.residual).max() < 1e-12
+        method.advance(1)
+    assert method.staggered[2].mean(axis=(1, 2)) == pytest.approx(means, abs=1e-14)
+    assert (np.ptp(method.staggered[2], axis=(1, 2)) < 1e-6).all()
+    assert (progress.energy.dissipated > progress.energy.at_start).all()
+
+
+def test_the_order_in_the_step_is_one():
+    scene = make_scene((2, 2, 4))
+    spin = initial_spin(scene, "random")
+    duration = begun(scene, spin).relaxation_time / 2
+    states = {}
+    for steps in (3, 6, 12, 96):
+        method = begun(scene, spin, time_step=duration / steps)
+        method.advance(steps)
+        states[steps] = method.staggered
+    errors = [np.sqrt(np.mean((states[n] - states[96]) ** 2)) for n in (3, 6, 12)]
+    slope = -np.polyfit(np.log([3, 6, 12]), np.log(errors), 1)[0]
+    assert slope == pytest.approx(1, abs=0.2), errors
+
+
+def test_viscous_decay_converges_to_the_matrix_exponential():
+    scene = make_scene((3, 6), "viscous")
+    spin = initial_spin(scene, "random")
+    matrix, where = incidence((3, 6))
+    weight = [scene.coefficient[axis][0][site] for axis, site in where]
+    laplacian, free = (matrix.T.multiply(weight) @ matrix).toarray(), ~scene.lattice.is_driven.ravel()
+    start = begun(scene, spin).staggered.ravel()
+    rate = -(RADIUS**2) / begun(scene, spin).inertia * laplacian
+    block = rate[free][:, free]
+    rest = np.linalg.solve(block, -rate[free][:, ~free] @ start[~free])
+    duration = 0.3 * begun(scene, spin).relaxation_time
+    exact = rest + expm(duration * block) @ (start[free] - rest)
+    errors = []
+    for steps in (20, 40, 80):
+        method = begun(scene, spin, time_step=duration / steps)
+        method.advance(steps)
+        errors.append(np.abs(method.staggered.ravel()[free] - exact).max())
+    assert errors[0] / errors[1] == pytest.approx(2, abs=0.1)
+    assert errors[1] / errors[2] == pytest.approx(2, abs=0.1)
+
+
+def test_a_smaller_tolerance_makes_a_smaller_error():
+    scene = make_scene((2, 3, 4))
+    spin = initial_spin(scene, "random")
+    duration = begun(scene, spin).relaxation_time / 2
+    states = []
+    for tolerance in (3e-2, 3e-3, 5e-4):
+        method = begun(scene, spin, error_tolerance=tolerance)
+        method.aim_at(duration)
+        while method.time < duration:
+            method.advance(1)
+        assert method.time == duration
+        states.append(method.staggered)
+    coarse, fine = (np.sqrt(np.mean((state - states[-1]) ** 2)) for state in states[:2])
+    assert fine < coarse / 2
+    assert fine < 0.02
+
+
+@pytest.mark.parametrize(
+    ("shape", "tolerance", "other"),
+    [((3, 3, 3), 1e-2, InteriorPoint), ((10, 10, 10), 1.0, InteriorPoint), ((8, 9), 1e-1, PlanarCut)],
+)
+def test_the_stationary_power_is_the_certified_minimum(shape, tolerance, other):
+    scene = make_scene(shape, seeds=(3,))
+    method = RigidLimit(RigidLimitOptions(error_tolerance=tolerance))
+    solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-13))
+    assert solution.status in (Status.STATIONARY, Status.CERTIFIED)
+    assert solution.gap[0] < 1e-10
+    minimum = solve(scene, other(), initial_spin(scene, "linear"), StopRule(1e-11))
+    assert solution.power == pytest.approx(minimum.power, rel=1e-10)
+
+
+def test_a_viscous_scene_comes_to_rest_at_its_minimum():
+    scene = make_scene((4, 5, 6), "viscous")
+    method = RigidLimit(RigidLimitOptions(error_tolerance=0.1))
+    solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-12))
+    assert solution.status.reached
+    assert solution.gap[0] < 1e-10
+
+
+def test_a_resumed_run_gives_the_same_bits():
+    scene = make_scene((3, 4, 4), seeds=(1, 2))
+    spin = initial_spin(scene, "random")
+    whole = begun(scene, spin, error_tolerance=0.3)
+    whole.advance(3)
+    resumed = begun(scene, spin, error_tolerance=0.3)
+    resumed.restore({name: values.copy() for name, values in whole.state().items()})
+    whole.advance(9)
+    resumed.advance(9)
+    assert whole.moving != whole.spin_axes  # one component came to rest on the way
+    again = begun(scene, spin, error_tolerance=0.3)
+    again.restore(whole.state())
+    whole.advance(2)
+    again.advance(2)
+    resumed.advance(2)
+    for name, values in whole.state().items():
+        assert (values == resumed.state()[name]).all(), name
+        assert (values == again.state()[name]).all(), name
+
+
+def test_a_state_that_is_wanted_at_a_time_is_met_exactly_and_the_steps_go_on_as_before():
+    scene = make_scene((3, 5))
+    spin = initial_spin(scene, "random")
+    method = begun(scene, spin, error_tolerance=0.01)
+    method.advance(4)
+    length = method.length
+    wanted = method.time + length / 7
+    method.aim_at(wanted)
+    method.advance(1)
+    assert method.time == wanted
+    assert method.length == length
+
+
+@pytest.mark.parametrize("spin_bottom", [0.0, 1.0])
+@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 4)])
+def test_without_a_jump_everything_comes_to_turn_like_the_planes(shape, spin_bottom):
+    scene = make_scene(shape, spin_top=spin_bottom, spin_bottom=spin_bottom, seeds=(11,))
+    rng = np.random.default_rng(4)
+    spin = rng.uniform(-1, 1, initial_spin(scene, "zero").shape)
+    method = RigidLimit(RigidLimitOptions(error_tolerance=0.1))
+    solution = solve(scene, method, spin, StopRule(1e-12))
+    assert solution.status.reached
+    assert solution.power[0] < 1e-12
+    for slot, component in enumerate(method.spin_axes):
+        if component != scene.lattice.height_axis:
+            bottom = scene.driven_values(method.spin_axes)[0][slot]
+            assert method.staggered[slot] == pytest.approx(np.full_like(method.staggered[slot], bottom), abs=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [{"mass": 0}, {"inertia": -1.0}, {"time_step": np.nan}, {"error_tolerance": 0.0}])
+def test_unphysical_options_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        RigidLimitOptions(**wrong)
