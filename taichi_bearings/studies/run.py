@@ -4,7 +4,7 @@ import json
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -84,23 +84,26 @@ def build_method(settings: RunSettings, scene: Scene) -> Any:
         from taichi_bearings.solvers.gradient_descent import GradientDescentOptions
 
         return method_class(name)(GradientDescentOptions(momentum=settings.momentum))
+    if name == "rigid-limit":
+        from taichi_bearings.solvers.rigid_limit import RigidLimitOptions
+
+        return method_class(name)(RigidLimitOptions(**_given(settings, RigidLimitOptions)))
     if name != "cundall-strack":
         return method_class(name)()
     from taichi_bearings.solvers.cundall_strack import CundallStrackOptions
 
-    return method_class(name)(
-        CundallStrackOptions(
-            stiffness=settings.stiffness,
-            damping=settings.damping,
-            mass=settings.mass,
-            inertia=settings.inertia,
-            static_ratio=settings.static_ratio,
-            gear_order=settings.gear_order,
-            time_step=settings.time_step,
-            rest_tolerance=settings.rest_tolerance,
-            keep_energy=settings.energy,
-        )
-    )
+    options = CundallStrackOptions(**_given(settings, CundallStrackOptions), keep_energy=settings.energy)
+    if settings.integrator == "implicit":
+        from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
+
+        return ImplicitCundallStrack(options)
+    return method_class(name)(options)
+
+
+def _given(settings: RunSettings, options: Any) -> dict[str, Any]:
+    """The settings that these options have too, but for those left to their default."""
+    shared = {item.name for item in fields(options)} & set(RunSettings.keys())
+    return {name: getattr(settings, name) for name in sorted(shared) if getattr(settings, name) is not None}
 
 
 @dataclass(frozen=True)

@@ -169,20 +169,35 @@ class RunSettings:
     momentum: bool = setting(True, TRUTH, "gradient-descent: accelerate; --no-momentum is the paper's plain method.")
     stiffness: float = setting(1e5, POSITIVE, "cundall-strack: tangential stiffness K_t.")
     damping: float = setting(1e3, NOT_NEGATIVE, "cundall-strack: tangential damping A_t.")
-    mass: float = setting(1.0, POSITIVE, "cundall-strack: mass of a sphere.")
+    mass: float = setting(1.0, POSITIVE, "dynamics: mass of a sphere.")
     inertia: float | None = setting(
-        None, POSITIVE, "cundall-strack: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere)."
+        None, POSITIVE, "dynamics: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere)."
     )
     static_ratio: float = setting(
         1.0, Kind(_bounded(_real, 1), "1 or more", "NUMBER"), "cundall-strack: static over kinetic friction, mu_s/mu_k."
     )
+    integrator: str = setting(
+        "gear",
+        _one_of("gear", "implicit"),
+        "cundall-strack: gear is explicit, implicit has no stability limit and chooses its steps.",
+    )
     gear_order: int = setting(
         2,
         Kind(_bounded(_integer, 2, 5), "a whole number from 2 to 5", "N"),
-        "cundall-strack: derivatives kept by Gear's predictor-corrector.",
+        "cundall-strack with gear: derivatives kept by the predictor-corrector.",
     )
-    time_step: float | None = setting(None, POSITIVE, "cundall-strack: default 0.8 of the computed stability bound.")
-    rest_tolerance: float = setting(1e-9, POSITIVE, "cundall-strack: change of P that counts as rest.")
+    time_step: float | None = setting(
+        None, POSITIVE, "dynamics: fixed step. Default: 0.8 of the computed stability bound with gear, else by error."
+    )
+    error_tolerance: float | None = setting(
+        None,
+        POSITIVE,
+        "dynamics with steps chosen by error: root mean square error of the spins in a step, relative to the largest "
+        "spin. Default: 1e-3.",
+    )
+    rest_tolerance: float | None = setting(
+        None, POSITIVE, "dynamics: change of P that counts as rest. Default: 1e-9, rigid-limit 1e-12."
+    )
     arch: str = setting("cpu", _one_of("cpu", "cuda", "auto"), "Device.")
     precision: str = setting("f64", _one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
     threads: int = setting(0, SEED, "CPU threads; 0 for all.")
