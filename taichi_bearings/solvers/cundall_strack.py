@@ -40,6 +40,8 @@ class CundallStrackOptions:
     static_ratio : mu_s / mu_k of every contact, 1 or more.
     gear_order : derivatives kept by Gear's method, 2 to 5.
     time_step : default 0.8 of the computed stability bound; larger than the bound is refused.
+    error_tolerance : implicit integrator without a fixed step: local error of a step, root mean square over the spins,
+    relative to the largest spin of the scene.
     rest_tolerance : the run has come to rest when the power changes by less than this fraction over three checks in a
     row, no contact changes between sticking and slipping, and no free sphere feels more than this share of the
     typical friction torque.
@@ -53,11 +55,12 @@ class CundallStrackOptions:
     static_ratio: float = 1.0
     gear_order: int = 2
     time_step: float | None = None
+    error_tolerance: float = 1e-3
     rest_tolerance: float = 1e-9
     keep_energy: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "mass", "inertia", "time_step", "rest_tolerance"):
+        for name in ("stiffness", "mass", "inertia", "time_step", "error_tolerance", "rest_tolerance"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; it must be a positive number")

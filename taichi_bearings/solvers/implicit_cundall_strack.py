@@ -1,0 +1,365 @@
+"""Cundall–Strack dynamics with implicit steps: no stability limit, however stiff the contacts and long the steps.
+
+The law of solvers/cundall_strack.py, integrated by the L-stable diagonally implicit Runge-Kutta method of order 2 with
+two stages (Alexander, SIAM J. Numer. Anal. 14, 1977). In a stage of length g the force of a contact is F = K delta +
+(K g + A) v, limited by friction, with the slip v at the end of the stage: a convex problem (friction_stage.py). Between
+the stages the springs carry their elastic rate (delta at the end - delta at the base) / g, as in plasticity (Simo and
+Hughes 1998), so that a contact that slips loads nothing. The difference to the first-order answer with the force of the
+first stage alone is the error that chooses the step. Near rest nothing is left of it, steps grow by their largest
+factor, and K g acts as the penalty of the method of multipliers: the proven gap falls to rounding in a few steps.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.blas import one_thread
+from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
+from taichi_bearings.cholesky import dissect
+from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.fields import Workspace
+from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.scene import Energy, Progress, Scene
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
+from taichi_bearings.solvers.cundall_strack import (
+    BELIEVED,
+    REST_CHECKS,
+    CundallStrackOptions,
+    default_inertia,
+    moving_spin_axes,
+)
+from taichi_bearings.solvers.friction_stage import Friction, FrictionStage, Groups, StageEnd
+from taichi_bearings.solvers.newton_matrix import NewtonMatrix
+
+GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
+SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
+RETREAT, MOST_RETREATS = 0.25, 40  # change of a step whose Newton iteration fails, and how often in a row
+SPAN = 1e6  # a free step stretches no spring by more than so many times what friction holds: rounding of the forces
+SAME_FORCE = 1e-9  # relative: a contact this close to all the friction it can bear slips
+LATER = 1 / 16  # share of the run between two checks that count for rest
+
+
+@dataclass
+class _Sample:
+    """One replica. spins : (unknowns,). elongation, force : (d, n) a group, at the end of the last step.
+
+    work, injected : energy so far: of the contact forces on the slips, and of the driven spheres.
+    """
+
+    spins: np.ndarray
+    elongation: Groups
+    force: Groups
+    work: float = 0.0
+    injected: float = 0.0
+
+
+class ImplicitCundallStrack:
+    """See the module docstring. An iteration is one time step, the same for all replicas."""
+
+    name = "cundall-strack"
+    keeps_best = False
+    needs_taichi = True  # fills the fronts of the factorisation
+
+    def __init__(self, options: CundallStrackOptions | None = None) -> None:
+        self.options = options or CundallStrackOptions()
+        self.aim = np.inf
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        ratio = self.options.static_ratio
+        if scene.law == "coulomb" and ratio > 1:
+            raise InputError(
+                f"static_ratio is {ratio}; it must be 1 with the implicit integrator, use the gear integrator"
+            )
+        if runtime.current().is_gpu:
+            raise DeviceError("the implicit integrator works in the memory of the CPU; use --arch cpu")
+        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
+        return ()
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+        options = self.options
+        self.inertia = options.inertia or default_inertia(scene, options.mass)
+        self.system = _absolute_system(scene, self.spin_axes)
+        staggered = scene.staggered_spin(spin, self.spin_axes)
+        self._set_stage(float(np.abs(staggered).max()) or 1.0)
+        free = np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
+        self.samples = [self._sample_at(replica, spins.copy()) for replica, spins in enumerate(free)]
+        self.energy_at_start = np.array([self._kinetic_energy(sample) for sample in self.samples])
+        self.time, self.iteration = 0.0, 0
+        self.time_step = options.time_step or self._first_step()
+        self.quiet_checks, self.rest_check, self.rest_time = 0, 0, 0.0
+        self.last_power, self.last_slipping = np.full(scene.replicas, np.inf), -1
+        with one_thread():  # once for all, so that the kernels are compiled before the clock starts
+            self.stage.matrix.factorise(
+                [np.eye(len(g.below))[:, :, None] * np.ones(len(g.acting)) for g in self.groups], 1.0
+            )
+
+    @property
+    def groups(self) -> tuple[ContactGroup, ...]:
+        return self.system.groups
+
+    def _set_stage(self, spin_scale: float) -> None:
+        scene = self.scene
+        matrix = NewtonMatrix(self.system, dissect(free_shape(scene.lattice), self.spin_axes))
+        strength = [
+            scene.strength * scene.coefficient[g.axis].reshape(scene.replicas, -1)[:, g.acting] for g in self.groups
+        ]
+        self.strength = [[values[replica] for values in strength] for replica in range(scene.replicas)]
+        strongest = max(float(values.max(initial=0.0)) for values in strength)
+        if scene.law == "viscous":
+            strongest *= scene.lattice.radius * spin_scale
+        conserved = _conserved_modes(scene, self.spin_axes)
+        self.stage = FrictionStage(self.system, matrix, scene.lattice.radius, conserved, spin_scale, strongest)
+
+    def _friction(self, replica: int, span: float) -> Friction:
+        """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
+        strength, inertia = self.strength[replica], self.inertia / span if span > 0 else np.inf
+        if self.scene.law == "viscous":
+            return Friction([np.full_like(m, np.inf) for m in strength], strength, inertia, replica)
+        resistance = self.options.stiffness * span + self.options.damping
+        return Friction(strength, [np.full_like(m, resistance) for m in strength], inertia, replica)
+
+    def _sample_at(self, replica: int, spins: np.ndarray) -> _Sample:
+        """At the start: no spring is stretched."""
+        friction, radius = self._friction(replica, 0.0), self.scene.lattice.radius
+        force = friction.limited(
+            [c * radius * g.differences(spins) for c, g in zip(friction.resistance, self.groups, strict=True)]
+        )
+        return _Sample(spins, [np.zeros_like(g.offset) for g in self.groups], force)
+
+    def _first_step(self) -> float:
+        """Spins change by the tolerated error in it, and it is not long against the time scale of the stiffest contact."""
+        scene, radius = self.scene, self.scene.lattice.radius
+        if scene.law == "coulomb":
+            longest = np.sqrt(self.inertia / self.options.stiffness) / radius
+        else:
+            longest = self.inertia / (radius**2 * max(float(c.max()) for c in scene.coefficient))
+        fastest = max(_mean_size(radius / self.inertia * self.system.torques(s.force)) for s in self.samples)
+        change = self.options.error_tolerance * self.stage.spin_scale
+        return min(longest, change / fastest) if fastest > 0 else longest
+
+    def _longest_step(self) -> float:
+        if self.scene.law == "viscous":
+            return np.inf
+        reach = self.options.stiffness * self.scene.lattice.radius * self.stage.spin_scale
+        return SPAN * self.stage.force_scale / reach
+
+    def aim_at(self, time: float) -> None:
+        self.aim = time
+
+    def next_check(self, iteration: int) -> int:
+        return iteration + 1 if np.isfinite(self.aim) else self._next_rest_check()
+
+    def _next_rest_check(self) -> int:
+        return self.rest_check + 1 + self.rest_check // 32
+
+    def advance(self, steps: int) -> None:
+        with one_thread():  # fronts are shared among threads here, not inside the library
+            for _ in range(steps):
+                self._step()
+                self.iteration += 1
+
+    def _step(self) -> None:
+        """One accepted step: as long as planned, unless the aim, the error or Newton's method asks for less."""
+        left, planned, most = self.aim - self.time, self.time_step, GROW
+        fixed = self.options.time_step is not None
+        for _ in range(MOST_RETREATS):
+            arrives = 0 < left <= planned * (1 + 1e-12)
+            span = left if arrives else planned
+            tried = [self._tried(replica, sample, span) for replica, sample in enumerate(self.samples)]
+            found = [new for new in tried if new is not None]
+            if len(found) < len(tried):
+                planned, most = RETREAT * span, 1.0
+                continue
+            error = max(new[1] for new in found) / (self.options.error_tolerance * self.stage.spin_scale)
+            factor = float(np.clip(SAFETY / np.sqrt(max(error, 1e-300)), SHRINK, most))
+            if fixed or not error > 1:
+                break
+            planned, most = factor * span, 1.0
+        else:
+            raise ArithmeticError(f"no time step from {self.time_step:g} down to {planned:g} can be solved")
+        self.samples = [new for new, _ in found]
+        self.time = self.aim if arrives else self.time + span
+        if not fixed:
+            self.time_step = min(max(factor * span, planned if arrives else 0.0), self._longest_step())
+
+    def _tried(self, replica: int, sample: _Sample, span: float) -> tuple[_Sample, float] | None:
+        """The sample after a step and the error (root mean square of the spins); None if a stage cannot be solved."""
+        stage, share = GAMMA * span, (1 - GAMMA) / GAMMA
+        friction = self._friction(replica, stage)
+        first = self._stage(friction, sample.spins, sample.elongation, sample.spins)
+        if first is None:
+            return None
+        end, elongation = first
+        base = sample.spins + share * (end.spins - sample.spins)
+        stretched = [old + share * (new - old) for old, new in zip(sample.elongation, elongation, strict=True)]
+        second = self._stage(friction, base, self._bearable(friction, stretched), end.spins)
+        if second is None:
+            return None
+        last, elongation = second
+        force = [(1 - GAMMA) * f + GAMMA * g for f, g in zip(end.force, last.force, strict=True)]
+        error = _mean_size((last.spins - base) - (end.spins - sample.spins))
+        return self._booked(sample, _Sample(last.spins, elongation, last.force), force, span), error
+
+    def _stage(
+        self, friction: Friction, base: np.ndarray, elongation: Groups, guess: np.ndarray
+    ) -> tuple[StageEnd, Groups] | None:
+        """End of a stage, and the elongations there: of a spring that slips, what its force alone stretches it to."""
+        if self.scene.law == "viscous":
+            end = self.stage.solve(friction, base, [np.zeros_like(d) for d in elongation], guess)
+            return None if end is None else (end, elongation)
+        stiffness, damping = self.options.stiffness, self.options.damping * self.scene.lattice.radius
+        end = self.stage.solve(friction, base, [stiffness * d for d in elongation], guess)
+        if end is None:
+            return None
+        damped = [
+            np.where(s, 0.0, damping * g.differences(end.spins)) for s, g in zip(end.slips, self.groups, strict=True)
+        ]
+        return end, [(f - d) / stiffness for f, d in zip(end.force, damped, strict=True)]
+
+    def _bearable(self, friction: Friction, elongation: Groups) -> Groups:
+        """Springs pull no harder than friction holds: one that has begun to slip is not stretched any further."""
+        if self.scene.law == "viscous":
+            return elongation
+        stiffness = self.options.stiffness
+        return [f / stiffness for f in friction.limited([stiffness * d for d in elongation])]
+
+    def _booked(self, old: _Sample, new: _Sample, force: Groups, span: float) -> _Sample:
+        """The new sample with the work that the mean force of the step has done on the mean slip."""
+        reach, mean = self.scene.lattice.radius * span, (old.spins + new.spins) / 2
+        work = sum(float((f * g.differences(mean)).sum()) for f, g in zip(force, self.groups, strict=True))
+        injected = sum(float((f * g.offset).sum()) for f, g in zip(force, self.groups, strict=True))
+        return replace(new, work=old.work + reach * work, injected=old.injected + reach * injected)
+
+    def _kinetic_energy(self, sample: _Sample) -> float:
+        return self.inertia / 2 * float(sample.spins @ sample.spins)
+
+    def _spring_energy(self, sample: _Sample) -> float:
+        return self.options.stiffness / 2 * sum(float((d * d).sum()) for d in sample.elongation)
+
+    def _energy(self) -> Energy:
+        spring = np.array([self._spring_energy(sample) for sample in self.samples])
+        return Energy(
+            kinetic=np.array([self._kinetic_energy(sample) for sample in self.samples]),
+            spring=spring,
+            injected=np.array([sample.injected for sample in self.samples]),
+            dissipated=np.array([sample.work for sample in self.samples]) - spring,
+            at_start=self.energy_at_start,
+        )
+
+    def progress(self) -> Progress:
+        scene, stiffness = self.scene, self.options.stiffness
+        staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
+        force, springs = scene.no_force(self.spin_axes), scene.no_force(self.spin_axes)
+        for replica, sample in enumerate(self.samples):
+            spins = sample.spins.reshape(*free_shape(scene.lattice), -1)
+            staggered[:, replica, ..., 1:-1] = np.moveaxis(spins, -1, 0)
+            for group, pulls, elongation in zip(self.groups, sample.force, sample.elongation, strict=True):
+                force[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = pulls
+                springs[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = stiffness * elongation
+        scene.impose_driving(staggered, self.spin_axes)
+        power = scene.power(staggered, self.spin_axes)
+        bound = lower_bound(scene, springs if scene.law == "coulomb" else force, self.spin_axes)
+        left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
+        slipping = self._slipping()
+        at_rest = False
+        if self.iteration >= self._next_rest_check():
+            self.rest_check = self.iteration
+            at_rest = self._at_rest(power, bound, left_over, int(slipping.sum()))
+        return Progress(
+            iteration=self.iteration,
+            staggered=staggered,
+            spin_axes=self.spin_axes,
+            force=force,
+            power=power,
+            lower_bound=bound,
+            resolution=1e-6 * scene.lattice.radius * scene.jump,
+            unbalanced_torque=left_over,
+            time=self.time,
+            energy=self._energy(),
+            slipping=slipping,
+            at_rest=at_rest,
+        )
+
+    def _slipping(self) -> np.ndarray:
+        """(R,) contacts that bear all the friction they can, and so slip."""
+        if self.scene.law == "viscous":
+            return np.zeros(self.scene.replicas, dtype=np.int64)
+        found = [
+            sum(int((vector_length(f) >= (1 - SAME_FORCE) * m).sum()) for f, m in zip(sample.force, limit, strict=True))
+            for sample, limit in zip(self.samples, self.strength, strict=True)
+        ]
+        return np.array(found, dtype=np.int64)
+
+    def _at_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> bool:
+        """True once power, slipping contacts and torque balance have been stationary for some checks, each a sixteenth
+        of the simulated time apart, and the certificate agrees."""
+        if self.time < self.rest_time * (1 + LATER):
+            return False
+        scene, tolerance = self.scene, self.options.rest_tolerance
+        largest = max(float(vector_length(f).max(initial=0.0)) for sample in self.samples for f in sample.force)
+        still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
+        balanced = bool((left_over <= 1e3 * tolerance * scene.lattice.radius * largest).all())
+        believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
+        quiet = believed and still and balanced and slipping == self.last_slipping
+        self.quiet_checks = self.quiet_checks + 1 if quiet else 0
+        self.last_power, self.last_slipping, self.rest_time = power, slipping, self.time
+        return self.quiet_checks >= REST_CHECKS
+
+    def state(self) -> dict[str, np.ndarray]:
+        state = {
+            "spins": np.stack([sample.spins for sample in self.samples]),
+            "books": np.array([[sample.work, sample.injected] for sample in self.samples]),
+            "energy_at_start": self.energy_at_start,
+            "clock": np.array([self.time, self.time_step, self.rest_time]),
+            "counters": np.array([self.iteration, self.rest_check, self.quiet_checks, self.last_slipping]),
+            "last_power": self.last_power,
+            "spin_scale": np.array(self.stage.spin_scale),
+        }
+        for n, group in enumerate(self.groups):
+            state[f"elongation_{group.axis}"] = np.stack([sample.elongation[n] for sample in self.samples])
+            state[f"force_{group.axis}"] = np.stack([sample.force[n] for sample in self.samples])
+        return state
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        self.samples = [
+            _Sample(
+                np.array(state["spins"][replica]),
+                [np.array(state[f"elongation_{g.axis}"][replica]) for g in self.groups],
+                [np.array(state[f"force_{g.axis}"][replica]) for g in self.groups],
+                *map(float, state["books"][replica]),
+            )
+            for replica in range(self.scene.replicas)
+        ]
+        self.energy_at_start, self.last_power = np.array(state["energy_at_start"]), np.array(state["last_power"])
+        self.time, self.time_step, self.rest_time = map(float, state["clock"])
+        self.iteration, self.rest_check, self.quiet_checks, self.last_slipping = map(int, state["counters"])
+        self._set_stage(float(state["spin_scale"]))
+
+
+def _absolute_system(scene: Scene, spin_axes: tuple[int, ...]) -> ContactSystem:
+    """Contacts between spins as they are, not measured from the bottom: a driven end adds its own spin."""
+    bottom, top = scene.driven_values(spin_axes)
+    system = lattice_system(scene.lattice, spin_axes, top - bottom)
+    groups = []
+    for group in system.groups:
+        slots = [slot for slot, component in enumerate(spin_axes) if component != group.axis]
+        offset = top[slots, None] * (group.above < 0) - bottom[slots, None] * (group.below < 0)
+        groups.append(replace(group, offset=offset))
+    return ContactSystem(system.unknowns, tuple(groups))
+
+
+def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """(layers, spheres) unknowns of the component about the height of a cubic lattice: no contact changes a layer's mean."""
+    lattice = scene.lattice
+    if lattice.dimension == 2 or lattice.height_axis not in spin_axes:
+        return np.zeros((0, 0), dtype=np.int64)
+    spheres = np.arange(np.prod(free_shape(lattice))).reshape(-1, free_shape(lattice)[-1]).T
+    return spheres * len(spin_axes) + spin_axes.index(lattice.height_axis)
+
+
+def _mean_size(values: np.ndarray) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt((values * values).mean())) if values.size else 0.0
