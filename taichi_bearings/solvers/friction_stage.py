@@ -23,6 +23,9 @@ Groups = list[np.ndarray]
 MOST_ITERATIONS = 60  # of Newton's method
 SETTLED, BALANCED = 1e-10, 1e-15  # torque left, relative to friction and inertia: Newton ends; linear corrections end
 CORRECTIONS = 3  # linear ones with the last factorisation, at most
+COUPLED = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
+RULED_BY_INERTIA = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
+SHARP = 1e-5  # residual to which they do, relative
 FLAT = 0.1  # share of its slope at which a line search ends
 LINE_SEARCH = 20  # trials, at most
 TINY = 1e-280  # far below any force, and no limit over it overflows
@@ -111,9 +114,9 @@ class FrictionStage:
             if stiffness and np.abs(torque).max(initial=0.0) <= SETTLED * scale + noise:
                 return self._corrected(friction, base, spins, trial, force, stiffness, scale)
             stiffness = friction.stiffness(trial)
-            if not self._factorise(friction, trial, stiffness):
+            if not self._prepare(friction, trial, stiffness):
                 return None
-            step = self._conserving(self.matrix.solve(-torque), base - spins)
+            step = self._conserving(self._solved(-torque), base - spins)
             change = [c * self.radius * g.change(step) for c, g in zip(resistance, self.system.groups, strict=True)]
             length = self._step_length(friction, trial, change, spins - base, step, float(torque @ step))
             spins = spins + length * step
@@ -130,20 +133,51 @@ class FrictionStage:
         """What is to become zero, (unknowns,)."""
         return inertia * gained + self.radius * self.system.torques(force)
 
-    def _factorise(self, friction: Friction, trial: Groups, stiffness: Groups) -> bool:
-        """Factorise, unless nothing slips and nothing has changed; False if rounding does not let it."""
+    def _prepare(self, friction: Friction, trial: Groups, stiffness: Groups) -> bool:
+        """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
+
+        Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
+        slips and nothing else changes.
+        """
         linear = not any(slips.any() for slips in friction.slips(trial))
+        coupling = COUPLED * self.radius**2 * max(float(c.max(initial=0.0)) for c in friction.resistance)
+        self._iterates = not linear and coupling <= RULED_BY_INERTIA * friction.inertia
+        self._inertia, self._stiffness = friction.inertia, [self.radius**2 * k for k in stiffness]
+        if self._iterates:
+            return True
         held = (friction.inertia, friction.number) if linear else None
         if held is not None and held == self._held:
             return True
         self._held = None
         try:
-            self.matrix.factorise([self.radius**2 * k for k in stiffness], friction.inertia)
+            self.matrix.factorise(self._stiffness, friction.inertia)
         except NotPositiveDefinite:
             return False
         self.factorisations += 1
         self._held = held
         return True
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        """Solution with what was prepared last; by conjugate gradients to SHARP, relative."""
+        if not self._iterates:
+            return self.matrix.solve(right)
+        solution, left, direction = np.zeros_like(right), right, right
+        size = first = float(right @ right)
+        while size > SHARP**2 * first:
+            image = self._resisted(direction)
+            length = size / float(direction @ image)
+            solution, left = solution + length * direction, left - length * image
+            size, before = float(left @ left), size
+            direction = left + size / before * direction
+        return solution
+
+    def _resisted(self, spins: np.ndarray) -> np.ndarray:
+        """Derivative of the torques times a change of the spins."""
+        forces = [
+            np.einsum("ijn,jn->in", k, g.change(spins))
+            for k, g in zip(self._stiffness, self.system.groups, strict=True)
+        ]
+        return self._inertia * spins + self.system.torques(forces)
 
     def _step_length(
         self, friction: Friction, trial: Groups, change: Groups, gained: np.ndarray, step: np.ndarray, first: float
@@ -186,7 +220,7 @@ class FrictionStage:
             torque = self._torque(force, friction.inertia, spins - base)
             if np.abs(torque).max(initial=0.0) <= BALANCED * scale:
                 break
-            step = self._conserving(self.matrix.solve(-torque), base - spins)
+            step = self._conserving(self._solved(-torque), base - spins)
             force = [
                 f + self.radius * np.einsum("ijn,jn->in", k, g.change(step))
                 for f, k, g in zip(force, stiffness, self.system.groups, strict=True)

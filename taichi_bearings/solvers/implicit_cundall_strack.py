@@ -130,7 +130,7 @@ class ImplicitCundallStrack:
         return _Sample(spins, [np.zeros_like(g.offset) for g in self.groups], force)
 
     def _first_step(self) -> float:
-        """Spins change by the tolerated error in it, and it is not long against the time scale of the stiffest contact."""
+        """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""
         scene, radius = self.scene, self.scene.lattice.radius
         if scene.law == "coulomb":
             longest = np.sqrt(self.inertia / self.options.stiffness) / radius
@@ -352,7 +352,7 @@ def _absolute_system(scene: Scene, spin_axes: tuple[int, ...]) -> ContactSystem:
 
 
 def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """(layers, spheres) unknowns of the component about the height of a cubic lattice: no contact changes a layer's mean."""
+    """(layers, spheres) unknowns of the component about the height of a cubic lattice, whose mean contacts conserve."""
     lattice = scene.lattice
     if lattice.dimension == 2 or lattice.height_axis not in spin_axes:
         return np.zeros((0, 0), dtype=np.int64)
