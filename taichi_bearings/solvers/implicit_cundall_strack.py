@@ -264,10 +264,9 @@ class ImplicitCundallStrack:
         bound = lower_bound(scene, springs if scene.law == "coulomb" else force, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         slipping = self._slipping()
-        at_rest = False
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            at_rest = self._at_rest(power, bound, left_over, int(slipping.sum()))
+            self._check_rest(power, bound, left_over, int(slipping.sum()))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -280,7 +279,7 @@ class ImplicitCundallStrack:
             time=self.time,
             energy=self._energy(),
             slipping=slipping,
-            at_rest=at_rest,
+            at_rest=self.quiet_checks >= REST_CHECKS,
         )
 
     def _slipping(self) -> np.ndarray:
@@ -293,11 +292,11 @@ class ImplicitCundallStrack:
         ]
         return np.array(found, dtype=np.int64)
 
-    def _at_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> bool:
-        """True once power, slipping contacts and torque balance have been stationary for some checks, each a sixteenth
-        of the simulated time apart, and the certificate agrees."""
+    def _check_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> None:
+        """Count the checks in a row, each a sixteenth of the simulated time apart, at which power, slipping contacts and
+        torque balance have been stationary and the certificate agrees."""
         if self.time < self.rest_time * (1 + LATER):
-            return False
+            return
         scene, tolerance = self.scene, self.options.rest_tolerance
         largest = max(float(vector_length(f).max(initial=0.0)) for sample in self.samples for f in sample.force)
         still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
@@ -306,7 +305,6 @@ class ImplicitCundallStrack:
         quiet = believed and still and balanced and slipping == self.last_slipping
         self.quiet_checks = self.quiet_checks + 1 if quiet else 0
         self.last_power, self.last_slipping, self.rest_time = power, slipping, self.time
-        return self.quiet_checks >= REST_CHECKS
 
     def state(self) -> dict[str, np.ndarray]:
         state = {
