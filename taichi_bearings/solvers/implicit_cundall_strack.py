@@ -293,8 +293,8 @@ class ImplicitCundallStrack:
         return np.array(found, dtype=np.int64)
 
     def _check_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> None:
-        """Count the checks in a row, each a sixteenth of the simulated time apart, at which power, slipping contacts and
-        torque balance have been stationary and the certificate agrees."""
+        """Count the checks in a row, each a sixteenth of the simulated time apart, at which power, slipping contacts
+        and torque balance have been stationary and the certificate agrees."""
         if self.time < self.rest_time * (1 + LATER):
             return
         scene, tolerance = self.scene, self.options.rest_tolerance
