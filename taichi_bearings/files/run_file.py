@@ -56,7 +56,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     with h5py.File(temporary, "w") as file:
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in attributes.items():
-            file.attrs[key] = "" if value is None else value
+            file.attrs[key] = _storable(value)
         law_unit = "1" if scene.law == "coulomb" else "force*time/length"
         for axis in range(scene.lattice.dimension):
             name, values = AXES[axis], scene.coefficient[axis]
@@ -83,6 +83,13 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
             put(file, "snapshots/spin", spins, "1/time", "angular velocity in the laboratory frame at these times")
     os.replace(temporary, path)
+
+
+def _storable(value: Any) -> Any:
+    """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers."""
+    if isinstance(value, list) and None in value:
+        return [np.nan if item is None else item for item in value]
+    return "" if value is None else value
 
 
 @dataclass(frozen=True)

@@ -356,3 +356,11 @@ def test_info_knows_the_machine():
     report = json.loads(bearings("info", "--json").stdout)
     assert "cpu" in report["devices"]
     assert report["threads"] >= 1
+
+
+def test_several_viscous_seeds_are_written_though_no_contact_of_theirs_slips_apart(tmp_path):
+    done = bearings("run", "--shape", "4,4", "--law", "viscous", "--replicas", "2", "--out", tmp_path / "run", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["separation_decades"] == [None, None]
+    with h5py.File(tmp_path / "run" / "run.h5") as file:
+        assert np.isnan(file.attrs["separation_decades"]).all()
