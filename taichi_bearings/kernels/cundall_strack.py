@@ -52,13 +52,14 @@ class CundallStrackSteps(Team):
 
     def compile(self):
         """Compile the kernel that `run` will launch, on no sites at all."""
-        self.run(0 if self.workers else 1, Layout(0, (0, 0), block=1), (0.0,) * 6)
+        self.run(0 if self.workers else 1, Layout(0, (0, 0), block=1), (0.0,) * 8)
 
     @ti.func
-    def spring_block(self, first_site, x, y, reach, stiffness, damping, kinetic, static, compliance):
-        """Coulomb contacts of one block. reach: radius * time step; damping: A_t * radius; compliance: 1 / K_t.
+    def spring_block(self, first_site, x, y, reach, stiffness, damping, kinetic, static, compliance, memory):
+        """Coulomb contacts of one block. reach: radius * time step; damping: A_t * radius.
 
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
+        compliance, memory: elongation after a slip, from the force and from the elongation before.
         """
         first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
         for axis in ti.static(self.stencil.slipping_axes):
@@ -81,8 +82,8 @@ class CundallStrackSteps(Team):
                 for t in ti.static(range(moved.n)):
                     force = share * trial[t]
                     forces[t, m] = force
-                    # after a slip the spring alone carries the friction force (paper Eq. 9, with a unit vector)
-                    stretches[t, m] = ti.select(slips, force * compliance, stretch[t])
+                    left = force * compliance + memory * self.elongation[site][slot + t]
+                    stretches[t, m] = ti.select(slips, left, stretch[t])
             copy_out(forces, self.force, slot, first, self.stencil.block)
             copy_out(stretches, self.elongation, slot, first, self.stencil.block)
 
@@ -173,7 +174,9 @@ class CundallStrackSteps(Team):
                 copy_out(mean, self.integral, c, first, self.stencil.block)
 
     @ti.func
-    def contact_pass(self, low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static):
+    def contact_pass(
+        self, low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
+    ):
         """Forces of blocks low ... high - 1. kinetic, static: normal force, times mu_s / mu_k for `static`."""
         for b in range(low, high):
             first = margin + b * self.stencil.block
@@ -181,7 +184,7 @@ class CundallStrackSteps(Team):
                 self.work_block(first, stride_x, stride_y)
             if ti.static(self.coulomb):
                 self.spring_block(
-                    first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, 1.0 / stiffness
+                    first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
                 )
             else:
                 self.dashpot_block(first, stride_x, stride_y, damping)
@@ -207,11 +210,15 @@ class CundallStrackSteps(Team):
         damping: float,
         kinetic: float,
         static: float,
+        compliance: float,
+        memory: float,
         response: float,
     ):
         ti.loop_config(serialize=True)
         for _ in range(steps):
-            self.contact_pass(0, blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)
+            self.contact_pass(
+                0, blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
+            )
             self.sphere_pass(0, blocks, margin, stride_x, stride_y, response)
 
     @ti.kernel
@@ -227,6 +234,8 @@ class CundallStrackSteps(Team):
         damping: float,
         kinetic: float,
         static: float,
+        compliance: float,
+        memory: float,
         response: float,
     ):
         self.arrived[None] = 0
@@ -235,7 +244,20 @@ class CundallStrackSteps(Team):
                 worker = item // LEAST_CHUNK
                 low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
                 for step in range(steps):
-                    self.contact_pass(low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)
+                    self.contact_pass(
+                        low,
+                        high,
+                        margin,
+                        stride_x,
+                        stride_y,
+                        reach,
+                        stiffness,
+                        damping,
+                        kinetic,
+                        static,
+                        compliance,
+                        memory,
+                    )
                     self.meet((2 * step + 1) * self.workers)
                     self.sphere_pass(low, high, margin, stride_x, stride_y, response)
                     self.meet((2 * step + 2) * self.workers)
@@ -252,9 +274,13 @@ class CundallStrackSteps(Team):
         damping: float,
         kinetic: float,
         static: float,
+        compliance: float,
+        memory: float,
         response: float,
     ):
         for b in range(blocks):
-            self.contact_pass(b, b + 1, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static)
+            self.contact_pass(
+                b, b + 1, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
+            )
         for b in range(blocks):
             self.sphere_pass(b, b + 1, margin, stride_x, stride_y, response)

@@ -28,6 +28,7 @@ from taichi_bearings.solvers.gear import (
 
 DEFAULT_STEP = 0.8  # of the stability bound
 BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
+SLIPPING_SPRINGS = ("reset", "relax")
 REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
 
 
@@ -38,6 +39,8 @@ class CundallStrackOptions:
     stiffness : K_t, force / length. damping : A_t, force * time / length. mass : of a sphere.
     inertia : moment of inertia; default m R^2 / 2 (disc) or 2 m R^2 / 5 (sphere).
     static_ratio : mu_s / mu_k of every contact, 1 or more.
+    slipping_spring : while a contact slips its spring "reset", as in the paper, carries the friction alone; with "relax"
+    it comes to that through its damper, so that no spring jumps, and the course has a limit for short time steps.
     gear_order : derivatives kept by Gear's method, 2 to 5.
     time_step : default 0.8 of the computed stability bound; larger than the bound is refused.
     error_tolerance : implicit integrator without a fixed step: local error of a step, root mean square over the spins,
@@ -53,6 +56,7 @@ class CundallStrackOptions:
     mass: float = 1.0
     inertia: float | None = None
     static_ratio: float = 1.0
+    slipping_spring: str = "reset"
     gear_order: int = 2
     time_step: float | None = None
     error_tolerance: float = 1e-3
@@ -70,6 +74,18 @@ class CundallStrackOptions:
             raise InputError(f"static_ratio is {self.static_ratio}; it must be 1 or more")
         if self.gear_order not in CORRECTORS:
             raise InputError(f"gear_order is {self.gear_order}; allowed are {', '.join(map(str, CORRECTORS))}")
+        if self.slipping_spring not in SLIPPING_SPRINGS:
+            raise InputError(f"slipping_spring is {self.slipping_spring!r}; allowed are {', '.join(SLIPPING_SPRINGS)}")
+
+    def after_slip(self, span: float) -> tuple[float, float]:
+        """Elongation of a slipping contact after a time `span`: so much of its force, and of the elongation before.
+
+        reset : paper Eq. 9, with a unit vector. relax : A d(delta)/dt = F - K delta, by implicit Euler.
+        """
+        if self.slipping_spring == "reset":
+            return 1 / self.stiffness, 0.0
+        resistance = self.stiffness * span + self.damping
+        return span / resistance, self.damping / resistance
 
 
 class CundallStrack:
@@ -227,6 +243,7 @@ class CundallStrack:
             radius * (1.0 if viscous else options.damping),
             scene.normal_force,
             scene.normal_force * options.static_ratio,
+            *options.after_slip(self.time_step),
             self.time_step * radius / self.inertia,
         )
         self.steps.run(steps, self.fields.layout, numbers)

@@ -214,10 +214,12 @@ class ImplicitCundallStrack:
         end = self.stage.solve(friction, base, [stiffness * d for d in elongation], guess)
         if end is None:
             return None
-        damped = [
-            np.where(s, 0.0, damping * g.differences(end.spins)) for s, g in zip(end.slips, self.groups, strict=True)
+        stuck = [
+            (f - damping * g.differences(end.spins)) / stiffness for f, g in zip(end.force, self.groups, strict=True)
         ]
-        return end, [(f - d) / stiffness for f, d in zip(end.force, damped, strict=True)]
+        of_force, of_past = self.options.after_slip(self.inertia / friction.inertia)
+        slid = [of_force * f + of_past * d for f, d in zip(end.force, elongation, strict=True)]
+        return end, [np.where(s, a, b) for s, a, b in zip(end.slips, slid, stuck, strict=True)]
 
     def _bearable(self, friction: Friction, elongation: Groups) -> Groups:
         """Springs pull no harder than friction holds: one that has begun to slip is not stretched any further."""

@@ -176,6 +176,12 @@ class RunSettings:
     static_ratio: float = setting(
         1.0, Kind(_bounded(_real, 1), "1 or more", "NUMBER"), "cundall-strack: static over kinetic friction, mu_s/mu_k."
     )
+    slipping_spring: str = setting(
+        "reset",
+        _one_of("reset", "relax"),
+        "cundall-strack: while a contact slips its spring is reset to carry the friction alone, as in the paper, or "
+        "relaxes to that through its damper.",
+    )
     integrator: str = setting(
         "gear",
         _one_of("gear", "implicit"),

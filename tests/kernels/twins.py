@@ -62,7 +62,7 @@ def cundall_strack_step(gear, elongation, last_error, coefficient, law, constant
     gear : list of scaled derivatives of omega. elongation : {(lower, axis): vector}. last_error : the corrector's
     correction of the scaled first derivative in the step before, which also corrects the elongation it had predicted.
     """
-    stiffness, damping, normal_force, static_ratio, inertia, h = constants
+    stiffness, damping, normal_force, static_ratio, inertia, h, relaxes = constants
     shape, order = gear[0].shape[:-1], len(gear)
     mean = sum(g / (n + 1) for n, g in enumerate(gear)) + corrector[0] ** 2 * last_error
     taylor = [
@@ -81,7 +81,8 @@ def cundall_strack_step(gear, elongation, last_error, coefficient, law, constant
             force = -stiffness * delta - damping * v
             if np.linalg.norm(force) > static_ratio * mu * normal_force:
                 force *= mu * normal_force / np.linalg.norm(force)
-                delta = -force / stiffness
+                target, rate = -force / stiffness, h * stiffness / damping
+                delta = (elongation[lower, axis] + rate * target) / (1 + rate) if relaxes else target
             elongation[lower, axis] = delta
         forces[lower, axis] = force
         torque[upper] += np.cross(-arm(axis), force)
