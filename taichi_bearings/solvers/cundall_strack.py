@@ -39,7 +39,7 @@ class CundallStrackOptions:
     stiffness : K_t, force / length. damping : A_t, force * time / length. mass : of a sphere.
     inertia : moment of inertia; default m R^2 / 2 (disc) or 2 m R^2 / 5 (sphere).
     static_ratio : mu_s / mu_k of every contact, 1 or more.
-    slipping_spring : while a contact slips its spring "reset", as in the paper, carries the friction alone; with "relax"
+    slipping_spring : "reset", as in the paper: while a contact slips its spring alone carries the friction; "relax":
     it comes to that through its damper, so that no spring jumps, and the course has a limit for short time steps.
     gear_order : derivatives kept by Gear's method, 2 to 5.
     time_step : default 0.8 of the computed stability bound; larger than the bound is refused.
