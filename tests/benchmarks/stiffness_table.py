@@ -11,6 +11,7 @@ from taichi_bearings import runtime
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
 from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
@@ -34,8 +35,8 @@ def materials():
             yield replace(paper, **{name: factor * getattr(paper, name) for name in names})
 
 
-def table(shape, stop, start):
-    print(f"\n{'x'.join(map(str, shape))}, from {start} spins, to a proven {stop.tolerance:g}\n")
+def table(shape, stop, start, integrator):
+    print(f"\n{'x'.join(map(str, shape))}, from {start} spins, {integrator}, to a proven {stop.tolerance:g}\n")
     print("| K | A | F_n | P - P_min | proven gap | simulated time | steps | status | seconds |")
     print("|---|---|---|---|---|---|---|---|---|")
     scene = make_scene(shape, seeds=(0,))
@@ -44,7 +45,8 @@ def table(shape, stop, start):
     least = exact.power[0] / (scene.normal_force * unit)
     for material in materials():
         scene = make_scene(shape, seeds=(0,), normal_force=material.normal_force)
-        method = CundallStrack(CundallStrackOptions(stiffness=material.stiffness, damping=material.damping))
+        options = CundallStrackOptions(stiffness=material.stiffness, damping=material.damping)
+        method = CundallStrack(options) if integrator == "gear" else ImplicitCundallStrack(options)
         found = solve(scene, method, initial_spin(scene, start), stop)
         above = found.power[0] / (material.normal_force * unit) - least
         print(
@@ -61,6 +63,7 @@ def main():
     options.add_argument("--shapes", default="3x3x3,10x10x10")
     options.add_argument("--tolerance", type=float, default=1e-5)
     options.add_argument("--start", choices=STARTS, default="random")
+    options.add_argument("--integrator", choices=("gear", "implicit"), default="gear")
     options.add_argument("--time-limit", type=float, default=60.0, help="seconds for each run")
     given = options.parse_args()
     runtime.start(threads=1)  # a team could stop to compile another kernel, in the middle of a run
@@ -69,6 +72,7 @@ def main():
             tuple(int(n) for n in shape.split("x")),
             StopRule(given.tolerance, 100_000_000, given.time_limit),
             given.start,
+            given.integrator,
         )
 
 
