@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-KINDS = ("spins", "power", "history")
+KINDS = ("spins", "power", "history", "energy")
 
 
 @click.command()
@@ -20,6 +20,7 @@ def command(kind: str, run: str, replica: int, out: str | None, force: bool) -> 
     spins    the spins as colour; 3D: from outside and two cuts
     power    where the power is dissipated
     history  power, lower bound and gap as the run went on
+    energy   a dynamics: energy injected, dissipated, kinetic, in springs, and what the books miss
 
     \b
     Example:
@@ -27,6 +28,7 @@ def command(kind: str, run: str, replica: int, out: str | None, force: bool) -> 
     """
     from taichi_bearings.errors import FileError, InputError
     from taichi_bearings.files.run_file import read_run_file
+    from taichi_bearings.plots.energy import draw_energy
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.power import draw_power
     from taichi_bearings.plots.spins import draw_spins
@@ -44,6 +46,8 @@ def command(kind: str, run: str, replica: int, out: str | None, force: bool) -> 
         figure = draw_spins(stored, replica)
     elif kind == "power":
         figure = draw_power(stored, replica)
+    elif kind == "energy":
+        figure = draw_energy(stored, replica)
     else:
         figure = draw_history(stored)
     try:

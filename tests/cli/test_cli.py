@@ -364,3 +364,21 @@ def test_several_viscous_seeds_are_written_though_no_contact_of_theirs_slips_apa
     assert json.loads(done.stdout)["separation_decades"] == [None, None]
     with h5py.File(tmp_path / "run" / "run.h5") as file:
         assert np.isnan(file.attrs["separation_decades"]).all()
+
+
+def test_energy_books_are_drawn_and_missed_where_there_are_none(tmp_path, finished_run):
+    words = ("run", "--shape", "3,3,4", "--method", "rigid-limit", "--duration", "0.01", "--snapshots", "0,0.005")
+    done = bearings(*words, "--replicas", "2", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    done = bearings("plot", "energy", tmp_path / "run", "--replica", "1")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "energy.png").stat().st_size > 10_000
+    with h5py.File(tmp_path / "run" / "run.h5") as file:
+        assert file["snapshots/spin"].shape == (2, 2, 3, 3, 4, 3)
+        np.testing.assert_allclose(file["snapshots/time"][()], [[0, 0.005]] * 2, rtol=1e-12)
+        sets = []
+        file.visititems(lambda name, item: sets.append(item) if isinstance(item, h5py.Dataset) else None)
+        assert all(item.attrs["description"] and item.attrs["units"] for item in sets)
+    done = bearings("plot", "energy", finished_run[0])
+    assert done.returncode == 2
+    assert "keeps no energy books" in done.stderr
