@@ -22,16 +22,20 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
     """
     path = folder / NAME
     temporary = path.with_name(path.name + ".partial")
-    with h5py.File(temporary, "w") as file:
-        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
-        file.attrs["scene"] = scene
-        for name, text in versions.items():
-            file.attrs[name] = text
-        for name, values in arrays.items():
-            file.create_dataset(name, data=values)
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    try:
+        with h5py.File(temporary, "w") as file:
+            file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+            file.attrs["scene"] = scene
+            for name, text in versions.items():
+                file.attrs[name] = text
+            for name, values in arrays.items():
+                file.create_dataset(name, data=values)
+        with temporary.open("rb+") as written:
+            os.fsync(written.fileno())
+        os.replace(temporary, path)
+    except (OSError, RuntimeError) as error:  # h5py raises either on a full disk
+        temporary.unlink(missing_ok=True)
+        raise FileError(f"{path} cannot be written: {error}; an earlier checkpoint is still there") from None
 
 
 @dataclass(frozen=True)

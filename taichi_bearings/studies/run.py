@@ -273,17 +273,17 @@ def run(
     """
     job = prepare(settings)
     directory = RunDirectory(out or default_run_path(), force)
-    if settings.checkpoint_every is None:
-        return _solve_into(directory, job, monitors)
     try:
-        stored = _self_contained(job, directory.partial, checkpointed=True)
+        if settings.checkpoint_every is None:
+            return _written(directory, job, solve_job(job, monitors))
+        stored = _self_contained(job, directory.partial)
         (directory.partial / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         directory.publish()
     except BaseException:
         directory.discard()
         raise
-    return _solve_into(RunDirectory(directory.path, force=True), job, monitors, stored)
+    return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
 
 
 CHANGEABLE = (
@@ -303,44 +303,38 @@ def resume(
     for key in changes:
         if key in RunSettings.keys() and key not in CHANGEABLE:
             raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
-    stored = parse_toml(checkpoint.scene, path)
-    settings = RunSettings.from_mapping(stored | changes, "the options")
-    job = prepare(settings)
-    directory = RunDirectory(path, force=True)
-    return _solve_into(directory, job, monitors, _self_contained(job, directory.partial, True), checkpoint.arrays)
+    stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+    job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
+    return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
 
 
-def _solve_into(
-    directory: RunDirectory,
-    job: Job,
-    monitors: Sequence[Any],
-    stored: RunSettings | None = None,
-    arrays: Mapping[str, np.ndarray] | None = None,
+def _solve_with_checkpoints(
+    path: Path, job: Job, stored: RunSettings, arrays: Mapping[str, np.ndarray] | None, monitors: Sequence[Any]
 ) -> tuple[Solution, dict[str, Any]]:
-    """Solve a job and publish the run directory.
+    """Solve in a run directory that is there already, and complete it.
 
-    stored, arrays : self-contained settings of a run with checkpoints, and the checkpoint to go on from.
+    stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
     """
     from taichi_bearings.solvers.drive import Checkpoints
 
-    checkpoints = None
-    if stored is not None:
-        assert job.settings.checkpoint_every is not None
-        text = stored.to_toml()
+    def write(state: Mapping[str, np.ndarray]) -> None:
+        write_checkpoint(path, stored.to_toml(), versions(), state)
 
-        def write(state: Mapping[str, np.ndarray]) -> None:
-            write_checkpoint(directory.path, text, versions(), state)
-
-        checkpoints = Checkpoints(job.settings.checkpoint_every, write, arrays)
+    assert stored.checkpoint_every is not None
+    solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
+    directory = RunDirectory(path, force=True)
     try:
-        solution = solve_job(job, monitors, checkpoints)
-        summary = write_run(directory.partial, directory.path, job, solution)
-        if stored is not None:
-            shutil.copy2(directory.path / CHECKPOINT, directory.partial / CHECKPOINT)
-        directory.publish()
+        shutil.copy2(path / CHECKPOINT, directory.partial / CHECKPOINT)
+        return _written(directory, job, solution)
     except BaseException:
         directory.discard()
         raise
+
+
+def _written(directory: RunDirectory, job: Job, solution: Solution) -> tuple[Solution, dict[str, Any]]:
+    """Write and publish the run directory."""
+    summary = write_run(directory.partial, directory.path, job, solution)
+    directory.publish()
     return solution, summary
 
 
@@ -360,7 +354,7 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
         "coefficients": job.settings.coefficients,
         "run": str(path),
     }
-    stored = _self_contained(job, folder, job.settings.checkpoint_every is not None)
+    stored = _self_contained(job, folder)
     attributes = summary | {"command": " ".join(["bearings", *sys.argv[1:]]), "scene": stored.to_toml(), **versions()}
     write_run_file(folder / "run.h5", solution, attributes)
     (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
@@ -375,13 +369,13 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     return summary
 
 
-def _self_contained(job: Job, folder: Path, checkpointed: bool) -> RunSettings:
+def _self_contained(job: Job, folder: Path) -> RunSettings:
     """Settings whose files lie in the run directory itself, so that it can be moved and run again.
 
-    checkpointed : it must be possible while there is no run.h5 yet.
+    With checkpoints that must be possible while there is no run.h5 yet.
     """
     settings = job.settings
-    if settings.coefficients is not None and not checkpointed:
+    if settings.coefficients is not None and settings.checkpoint_every is None:
         settings = replace(settings, coefficients="run.h5")
     elif settings.coefficients is not None:
         one = job.scene.replicas == 1

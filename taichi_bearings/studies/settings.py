@@ -267,8 +267,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(text, path)
 
 
-def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """Key-value pairs of a scene; names of files in it are taken relative to the folder of `path`, or to it."""
+def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
+    """Key-value pairs of a scene; names of files in it are taken relative to the folder of `path`, or to it if it is
+    one; without it they stay as they are."""
     import sys
 
     if sys.version_info >= (3, 11):
@@ -279,6 +280,8 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"scene file {path} is not valid TOML: {error}") from None
+    if path is None:
+        return values
     folder = path if path.is_dir() else path.parent
     for key in ("coefficients", "initial"):
         value = values.get(key)
