@@ -23,7 +23,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
 TIMES = (0.1, 0.3, 1.0, 3.0)  # relaxation times of the rigid limit
-STIFFENED = {"K and A": (True, True), "K alone": (True, False), "A alone": (False, True)}
+STIFFENED = {"K+A": (True, True), "K": (True, False), "A": (False, True)}
 FINE_EVENTS = (1e-8, 1e-7)  # error tolerances of the rigid limit where it is adapted
 RESOLVED = 3.0  # times its own error that a distance must be to count
 
@@ -90,20 +90,22 @@ class Comparison:
 
 
 def slope(factors, distances, counts):
-    """Exponent of the power law, and None where fewer than two distances count."""
-    if counts.sum() < 2:
+    """Exponent of the power law beyond the paper's own contacts; None where fewer than two distances count."""
+    factors = np.array(factors)
+    fitted = counts & (factors > 1)
+    if fitted.sum() < 2:
         return None
-    return float(np.polyfit(np.log(np.array(factors)[counts]), np.log(distances[counts]), 1)[0])
+    return float(np.polyfit(np.log(factors[fitted]), np.log(distances[fitted]), 1)[0])
 
 
-def measure(scene, start, factors, steps, share):
+def measure(scene, start, chosen, factors, steps, share):
     """One dict a choice of what is stiffened: distances and whether they count, (2, factors, T), and slopes (2, T)."""
     comparison = Comparison(scene, start)
     limit, rigid_error = comparison.rigid(steps)
-    for name, stiffened in STIFFENED.items():
+    for name in chosen:
         distances, errors = [], []
         for factor in factors:
-            finer, coarser = (comparison.soft(factor, stiffened, s) for s in (share / 4, share))
+            finer, coarser = (comparison.soft(factor, STIFFENED[name], s) for s in (share / 4, share))
             distances.append(finer.distance(limit))
             errors.append(rigid_error + finer.distance(coarser) / 3)
         distance, counts = (
@@ -145,6 +147,7 @@ def main():
     options.add_argument("--shape", default="4x5,3x3x3,5x5x5")
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--start", default="random,minimum-cut", help=f"of {', '.join(STARTS)}")
+    options.add_argument("--stiffened", default=",".join(STIFFENED), help="what grows")
     options.add_argument("--factors", default="1,10,100,1000")
     options.add_argument(
         "--steps", type=int, default=40, help="of the rigid limit until a tenth of its relaxation time"
@@ -160,7 +163,7 @@ def main():
     for shape in given.shape.split(","):
         scene = make_scene(tuple(int(n) for n in shape.split("x")), seeds=(given.seed,))
         for start in given.start.split(","):
-            for found in measure(scene, start, factors, given.steps, given.share):
+            for found in measure(scene, start, given.stiffened.split(","), factors, given.steps, given.share):
                 print(json.dumps(found) if given.json else "\n".join(rows(found)), flush=True)
 
 
