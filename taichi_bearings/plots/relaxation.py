@@ -14,13 +14,15 @@ from matplotlib.patches import FancyArrowPatch
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
 
 COLOURS = "coolwarm"
+HUES = ((BLUE, "#0b2545"), (ORANGE, "#6b2d00"))  # of a start: with springs, rigid
 DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
 VIEW = np.array([[0.866, 0.5, 0.0], [-0.17, 0.294, 0.94], [0.47, -0.814, 0.342]])  # right, up, towards the reader
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """One start: its name, time (T,) and power (T,), and the spins (nx, ny, nz, 3) at its beginning and its end.
+    """One start: its name, time (T,) and power (T,), the same of rigid friction at times of its own, and the spins
+    (nx, ny, nz, 3) at its beginning and its end.
 
     Spins are staggered, in units of the larger imposed one, and less the mean of each free layer about the height: that
     part makes no contact slip and never changes, so ends can only be compared without it.
@@ -29,6 +31,8 @@ class Relaxation:
     name: str
     time: np.ndarray
     power: np.ndarray
+    rigid_time: np.ndarray
+    rigid_power: np.ndarray
     first: np.ndarray
     last: np.ndarray
 
@@ -36,8 +40,8 @@ class Relaxation:
 def draw_relaxation(starts: Sequence[Relaxation], least_power: float, cut_power: float) -> Figure:
     """Above P/P_0, below its excess over the minimum, both against time; beside them the spins at both ends.
 
-    P_0 is the initial power of the first start; least_power is the certified minimum. An inset enlarges the end of the
-    first start around the power of the minimum cut.
+    P_0 is the initial power of the first start; least_power is the certified minimum. An inset enlarges the end of
+    both starts around the power of the minimum cut. The spins are those of the dynamics with springs.
     """
     figure = new_figure(9.6, 5.6)
     parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)
@@ -48,31 +52,32 @@ def draw_relaxation(starts: Sequence[Relaxation], least_power: float, cut_power:
 
 def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, cut_power: float) -> None:
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1))
-    inset = top.inset_axes((0.50, 0.42, 0.48, 0.27))
+    inset = top.inset_axes((0.57, 0.46, 0.42, 0.5))
     initial = starts[0].power[0]
-    lines = (
-        (cut_power, GREEN, "--", r"minimum cut, $P_{\mathrm{cut}}$"),
-        (least_power, GREY, ":", r"certified minimum, $P_{\min}$"),
-    )
-    for start, colour in zip(starts, (BLUE, ORANGE), strict=False):
-        later = start.time > 0
-        excess = start.power / least_power - 1
-        for axes in (top, inset):
-            axes.plot(
-                start.time[later], start.power[later] / initial, color=colour, lw=1.6, label=f"start: {start.name}"
-            )
-        shown = later & (excess > 0)
-        bottom.plot(start.time[shown], excess[shown], color=colour, lw=1.6)
-    for power, colour, style, name in lines:
-        for axes in (top, inset):
-            axes.axhline(power / initial, color=colour, ls=style, lw=1.2, label=f"{name} = {power / initial:.4f} $P_0$")
-    if cut_power > least_power:
-        bottom.axhline(cut_power / least_power - 1, color=GREEN, ls="--", lw=1.2)
-    low, high = least_power / initial, max(cut_power, 1.02 * least_power) / initial
-    inset.set(xscale="log", xlim=(1e-3, starts[0].time[-1]), ylim=(1.2 * low - 0.2 * high, 2 * high - low))
+    for start, (colour, dark) in zip(starts, HUES, strict=False):
+        for time, power, look, dynamics in (
+            (start.time, start.power, {"color": colour, "lw": 1.8}, "Cundall-Strack"),
+            (start.rigid_time, start.rigid_power, {"color": dark, "lw": 1.1, "ls": (0, (4, 1.5))}, "rigid friction"),
+        ):
+            later, excess = time > 0, power / least_power - 1
+            for axes in (top, inset):
+                axes.plot(time[later], power[later] / initial, label=f"from {start.name}, {dynamics}", **look)
+            shown = later & (excess > 0)
+            bottom.plot(time[shown], excess[shown], **look)
+    cut, least = cut_power / initial, least_power / initial
+    for axes in (top, inset):
+        axes.axhline(cut, color=GREEN, ls="-.", lw=1.2, label=rf"$P_{{\mathrm{{cut}}}} = {cut:.4f}\,P_0$, minimum cut")
+        axes.axhline(least, color=GREY, ls=":", lw=1.2, label=rf"$P_{{\min}} = {least:.4f}\,P_0$, certified")
+    if cut > least:
+        bottom.axhline(cut / least - 1, color=GREEN, ls="-.", lw=1.2)
+    columns = [*top.lines[0::2], *top.lines[1::2]]
+    figure.legend(handles=columns, fontsize=8, loc="outside upper center", ncols=2)
+    last = max(float(start.time[-1]) for start in starts)
+    high = max(cut, 1.02 * least)
+    inset.set(xscale="log", xlim=(last / 1e3, last), ylim=(1.2 * least - 0.2 * high, 2 * high - least))
     inset.tick_params(labelsize=7.5)
-    top.set(xscale="log", ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
-    top.legend(fontsize=8, loc="upper right")
+    first = min(float(start.time[start.time > 0][0]) for start in starts)
+    top.set(xscale="log", xlim=(first / 2, 2 * last), ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
     bottom.set(xscale="log", yscale="log", xlabel=r"time, $\omega_T\, t$", ylabel=r"$P\,/\,P_{\min} - 1$")
     bottom.set_ylim(1e-8, 10)
     for axes, letter in ((top, "a"), (bottom, "b")):

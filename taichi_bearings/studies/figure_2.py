@@ -1,6 +1,10 @@
-"""Figure 2 of the paper: a 3x3x3 Coulomb bearing relaxes to a power below that of the minimum cut."""
+"""Figure 2 of the paper: a 3x3x3 Coulomb bearing relaxes to a power below that of the minimum cut.
+
+Followed by the paper's Cundall-Strack dynamics and, with the same inertia, under rigid friction without springs.
+"""
 
 import csv
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +23,19 @@ from taichi_bearings.studies.relaxation import (
     intermediate_spheres,
     minima_of,
     relax,
+    relax_rigidly,
     without_idle_spin,
 )
 
 SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
 STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
-RUNS = 5  # samples that are followed in time
+RUNS, RIGID_RUNS = 5, 3  # samples that are followed in time, by Cundall-Strack dynamics and without springs
 LARGER_SAMPLES = 20
 RISE = {"random": 0.01, "minimum-cut": 0.05}  # of P_0 that creep may cost; from the minimum cut all springs are slack
 STIFFER = 10.0  # factor of the damping at which the creep must be a fifth, or below STIFF_RISE
 STIFF_RISE = 1e-3
+ROUND_OFF = 1e-12  # of P_0: what a power that cannot rise may rise by
+RIGID_SAME = 1e-9  # relative excess over the proven bound at which a rigid run has reached the minimum
 STIFFER_STEPS = 30_000  # all loads have been taken up by then
 
 
@@ -39,32 +46,49 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     scene = draw_scene(SHAPE, effort.seed, runs_of)
     runs = [relax(scene, start) for start in STARTS]
     stiffer = [relax(scene, start, STIFFER * CundallStrackOptions().damping, STIFFER_STEPS) for start in STARTS]
+    rigid_scene = draw_scene(SHAPE, effort.seed, min(RIGID_RUNS, effort.samples))
+    rigid = [relax_rigidly(rigid_scene, start) for start in STARTS]
     minima = minima_of(draw_scene(SHAPE, effort.seed, effort.samples))
     larger = minima_of(draw_scene(LARGER, effort.seed, min(LARGER_SAMPLES, effort.samples)))
-    write_csv(folder / "fig2.csv", scene, runs, minima)
+    write_csv(folder / "fig2.csv", scene, {"cundall-strack": runs, "rigid-limit": rigid}, minima)
     largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
-    shown = shown_sample(minima, runs_of)
+    shown = shown_sample(minima, rigid_scene.replicas)
     drawn = [
         Relaxation(
             name=STARTS[run.start],
             time=run.time,
             power=run.power[:, shown],
+            rigid_time=without_springs.time,
+            rigid_power=without_springs.power[:, shown],
             first=np.moveaxis(without_idle_spin(run.first)[:, shown], 0, -1) / largest,
             last=np.moveaxis(without_idle_spin(run.last)[:, shown], 0, -1) / largest,
         )
-        for run in runs
+        for run, without_springs in zip(runs, rigid, strict=True)
     ]
     figure = draw_relaxation(drawn, float(minima.power[shown]), float(minima.cut_power[shown]))
     for ending in ("png", "pdf"):
         save(figure, folder / f"fig2.{ending}")
     return [
-        *(_falls(scene, run, other) for run, other in zip(runs, stiffer, strict=True)),
+        _falls_rigidly(rigid_scene, rigid),
+        *(_falls(scene, *three) for three in zip(runs, stiffer, rigid, strict=True)),
         _same_end(scene, runs, minima),
-        _below_cut(minima, scene),
+        _same_rigid_end(rigid_scene, rigid, minima),
+        _below_cut(minima, scene, shown),
         _leaves_cut(scene, runs[1], minima),
         _intermediate_states(scene, minima),
         _larger_systems(larger),
     ]
+
+
+def distance_of_power(run: Run, rigid: Run) -> np.ndarray:
+    """Largest difference (R,) of the power over P_0, at the times of the rigid run that both have, linear between the
+    times of the other one. R : samples of the rigid run."""
+    both = rigid.time <= run.time[-1]
+    apart = [
+        np.abs(np.interp(rigid.time[both], run.time, p) - q[both]).max() / q[0]
+        for p, q in zip(run.power.T, rigid.power.T, strict=False)
+    ]
+    return np.array(apart)
 
 
 def shown_sample(minima: Minima, runs: int) -> int:
@@ -72,34 +96,52 @@ def shown_sample(minima: Minima, runs: int) -> int:
     return int(np.argmax(minima.below_cut[:runs]))
 
 
-def write_csv(path: Path, scene: Scene, runs: list[Run], minima: Minima) -> None:
-    """The curves: start, seed, time, power, power over the initial one, power over the certified minimum."""
+def write_csv(path: Path, scene: Scene, runs: Mapping[str, Sequence[Run]], minima: Minima) -> None:
+    """The curves: dynamics, start, seed, time, power, power over the initial one, power over the certified minimum."""
     partial = path.with_name(f".partial-{path.name}")
     with partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["start", "seed", "time", "power", "power_over_initial", "power_over_minimum"])
-        for run in runs:
-            for n, seed in enumerate(scene.seeds):
-                for time, power in zip(run.time, run.power[:, n], strict=True):
-                    numbers = (time, power, power / run.power[0, n], power / minima.power[n])
-                    writer.writerow([run.start, seed, *(repr(float(value)) for value in numbers)])
+        writer.writerow(["dynamics", "start", "seed", "time", "power", "power_over_initial", "power_over_minimum"])
+        for dynamics, run in ((name, run) for name, both in runs.items() for run in both):
+            for n, power_of in enumerate(run.power.T):
+                for time, power in zip(run.time, power_of, strict=True):
+                    numbers = (time, power, power / power_of[0], power / minima.power[n])
+                    words = (dynamics, run.start, scene.seeds[n])
+                    writer.writerow([*words, *(repr(float(value)) for value in numbers)])
     partial.replace(path)
 
 
-def _falls(scene: Scene, run: Run, stiffer: Run) -> Claim:
+def _falls_rigidly(scene: Scene, runs: Sequence[Run]) -> Claim:
+    rise = {run.start: run.largest_rise for run in runs}
+    worst = max(float(values.max()) for values in rise.values())
+    falls = "; ".join(f"from {STARTS[run.start]} to {_range(run.power[-1] / run.power[0])} of P_0" for run in runs)
+    return Claim(
+        "3x3x3: under rigid friction P(t) falls monotonically, from both starts.",
+        f"Without springs P falls {falls}. In {scene.replicas} {_samples(scene)} and "
+        f"{' and '.join(str(len(run.time) - 1) for run in runs)} time steps it never rises above an earlier value by "
+        f"more than {worst:.1e} P_0 (limit {ROUND_OFF:g}, round-off).",
+        worst <= ROUND_OFF,
+        {"seeds": list(scene.seeds)} | {f"largest_rise_from_{name}": values.tolist() for name, values in rise.items()},
+    )
+
+
+def _falls(scene: Scene, run: Run, stiffer: Run, rigid: Run) -> Claim:
     rise, less, limit = run.largest_rise, stiffer.largest_rise, RISE[run.start]
     stiff_limit = max(float(rise.max()) / 5, STIFF_RISE)
+    apart = distance_of_power(run, rigid)
     return Claim(
         f"3x3x3: from {STARTS[run.start]} the power decreases monotonically, but for the creep of soft contacts.",
         f"P falls to {_range(run.power[-1] / run.power[0])} of P_0. It never rises above an earlier value by more than "
-        f"{rise.max():.1e} P_0 in {len(rise)} samples (limit {limit:g}), which is the creep of contacts that take up "
-        f"load: with {STIFFER:g} times the damping A_t it is {less.max():.1e} (limit {stiff_limit:.1e}).",
+        f"{rise.max():.1e} P_0 in {len(rise)} {_samples(scene)} (limit {limit:g}); the rigid curve, which P follows "
+        f"within {apart.max():.1e} P_0, rises by {rigid.largest_rise.max():.1e} P_0. So it is the creep of contacts "
+        f"that take up load: with {STIFFER:g} times the damping A_t it is {less.max():.1e} (limit {stiff_limit:.1e}).",
         bool(rise.max() <= limit and less.max() <= stiff_limit),
         {
             "seeds": list(scene.seeds),
             "largest_rise_over_initial": rise.tolist(),
             "largest_rise_with_more_damping": less.tolist(),
             "damping_factor": STIFFER,
+            "largest_distance_from_rigid_over_initial": apart.tolist(),
         },
     )
 
@@ -111,17 +153,28 @@ def _same_end(scene: Scene, runs: list[Run], minima: Minima) -> Claim:
     return Claim(
         "The stationary state is that of least dissipation, whatever the initial one.",
         f"From random spins and from the minimum cut P ends at most {worst:.1e} above the proven lower bound of all "
-        f"spins (limit {SAME:g}) in {scene.replicas} samples. The spins at both ends differ by up to {apart:.1e} of "
-        "the jump, but for what is free: the mean of the layer about the height.",
+        f"spins (limit {SAME:g}) in {scene.replicas} {_samples(scene)}. The spins at both ends differ by up to "
+        f"{apart:.1e} of the jump, but for what is free: the mean of the layer about the height.",
         worst <= SAME,
         {"seeds": list(scene.seeds), "largest_difference_of_spins": float(apart)}
         | {f"excess_from_{name}": values.tolist() for name, values in excess.items()},
     )
 
 
-def _below_cut(minima: Minima, scene: Scene) -> Claim:
+def _same_rigid_end(scene: Scene, runs: Sequence[Run], minima: Minima) -> Claim:
+    excess = {run.start: run.power[-1] / minima.lower_bound[: scene.replicas] - 1 for run in runs}
+    worst = max(float(values.max()) for values in excess.values())
+    return Claim(
+        "Rigid friction ends at the certified minimum too, from both starts.",
+        f"P ends at most {worst:.1e} above the proven lower bound of all spins (limit {RIGID_SAME:g}) in "
+        f"{scene.replicas} {_samples(scene)}.",
+        worst <= RIGID_SAME,
+        {"seeds": list(scene.seeds)} | {f"excess_from_{name}": values.tolist() for name, values in excess.items()},
+    )
+
+
+def _below_cut(minima: Minima, scene: Scene, shown: int) -> Claim:
     ratio, below, equal = minima.power / minima.cut_power, int(minima.below_cut.sum()), int(minima.cut_is_minimum.sum())
-    shown = shown_sample(minima, scene.replicas)
     return Claim(
         "3x3x3: the stationary power is generally below that of the minimum cut.",
         f"P_min < P_cut is proven for {below} of {len(ratio)} samples (limit: more than half); in {equal} the minimum "
@@ -177,6 +230,10 @@ def _larger_systems(minima: Minima) -> Claim:
         10 * below >= 9 * len(ratio),
         {"shape": list(LARGER), "samples": len(ratio), "below": below, "minimum_over_cut": ratio.tolist()},
     )
+
+
+def _samples(scene: Scene) -> str:
+    return "sample" if scene.replicas == 1 else "samples"
 
 
 def _range(values: np.ndarray) -> str:

@@ -1,8 +1,8 @@
-"""Samples followed in time by the dynamics of Cundall and Strack, and the certified minima they should end at.
+"""Samples followed in time by two dynamics, and the certified minima they should end at.
 
-The power is F_n sum mu |v|, what the spins would dissipate under rigid friction: a contact that holds by its spring and
-damper creeps at up to mu F_n / A_t, so a power that rigid friction could only lower can rise by as much as this creep
-is worth.
+Rigid friction, without springs, is a steepest descent of the power F_n sum mu |v|. With the contacts of Cundall and
+Strack it is not: one that holds by its spring and damper creeps at up to mu F_n / A_t, so a power that rigid friction
+could only lower can rise by as much as this creep is worth.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,14 @@ from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.interior_point import InteriorPoint
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recording
+from taichi_bearings.solvers.rigid_limit import RigidLimit
 from taichi_bearings.solvers.stopping import StopRule
 
 STEPS = 1_000_000  # limit; most samples of 3x3x3 are certified within 100 000
 END = 1e-8  # proven gap at which a relaxation has ended
+RIGID_END = 1e-10  # the same without springs
 TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # at which the power is written down
 SAME = 1e-6  # relative difference up to which two powers count as the same
 
@@ -71,11 +74,18 @@ def draw_scene(shape: tuple[int, ...], seed: int, samples: int) -> Scene:
 
 
 def relax(scene: Scene, start: str, damping: float = 1e3, steps: int = STEPS) -> Run:
-    """Follow the dynamics until every sample is certified to END, or for `steps` time steps."""
-    axes = scene.lattice.all_spin_axes
-    spin = initial_spin(scene, start)
+    """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps."""
     method = CundallStrack(CundallStrackOptions(damping=damping))
-    rule, recording = StopRule(END, steps), Recording(history=TIMES)
+    return _followed(scene, start, method, StopRule(END, steps), Recording(history=TIMES))
+
+
+def relax_rigidly(scene: Scene, start: str) -> Run:
+    """Follow the rigid limit until every sample is certified to RIGID_END; the power is written down at every step."""
+    return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
+
+
+def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recording: Recording) -> Run:
+    axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
     solution = _uninterrupted(solve(scene, method, spin, rule, recording=recording))
     return Run(
         start=start,

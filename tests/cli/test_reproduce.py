@@ -1,6 +1,7 @@
 """`bearings reproduce` as scripts use it."""
 
 import csv
+import itertools
 import json
 
 import pytest
@@ -24,7 +25,7 @@ def test_json_is_one_object_and_the_files_are_there(reproduced):
     report = json.loads(done.stdout)
     figure = report["figures"]["fig2"]
     assert report["refuted"] == 0
-    assert report["confirmed"] == len(figure["claims"]) == 7
+    assert report["confirmed"] == len(figure["claims"]) == 9
     assert all(claim["verdict"] == "confirmed" and claim["finding"] for claim in figure["claims"])
     assert figure["files"] == [str(folder / f"fig2.{ending}") for ending in ("png", "pdf", "csv")]
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -36,7 +37,7 @@ def test_json_is_one_object_and_the_files_are_there(reproduced):
     ]
     assert json.loads((folder / "report.json").read_text(encoding="utf-8")) == report
     text = (folder / "report.md").read_text(encoding="utf-8")
-    assert text.count("**confirmed**") == 7
+    assert text.count("**confirmed**") == 9
 
 
 def test_nothing_is_overwritten(reproduced):
@@ -52,8 +53,8 @@ def test_the_curves_are_in_the_csv(reproduced):
     folder, _ = reproduced
     with (folder / "fig2.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    for start in ("random", "minimum-cut"):
-        curve = [row for row in rows if row["start"] == start]
+    for dynamics, start in itertools.product(("cundall-strack", "rigid-limit"), ("random", "minimum-cut")):
+        curve = [row for row in rows if (row["dynamics"], row["start"]) == (dynamics, start)]
         assert {row["seed"] for row in curve} == {"0"}
         time = [float(row["time"]) for row in curve]
         assert time[0] == 0

@@ -15,6 +15,7 @@ from taichi_bearings.studies.relaxation import (
     intermediate_spheres,
     minima_of,
     relax,
+    relax_rigidly,
     without_idle_spin,
 )
 
@@ -38,17 +39,26 @@ def test_the_largest_rise_is_measured_from_the_lowest_power_before():
 def test_verdicts_follow_the_numbers():
     scene = draw_scene((3, 3, 3), 0, 1)
     falls, rises, creeps = run_of(10, 4, 3, 1), run_of(10, 4, 4.2, 1), run_of(10, 4, 4.05, 1)
-    assert figure_2._falls(scene, falls, falls).confirmed
-    assert figure_2._falls(scene, creeps, falls).confirmed
-    assert not figure_2._falls(scene, creeps, creeps).confirmed  # creep must be less where contacts are stiffer
-    assert not figure_2._falls(scene, rises, falls).confirmed
+    assert figure_2._falls(scene, falls, falls, falls).confirmed
+    assert figure_2._falls(scene, creeps, falls, falls).confirmed
+    assert not figure_2._falls(scene, creeps, creeps, falls).confirmed  # creep must be less where contacts are stiffer
+    assert not figure_2._falls(scene, rises, falls, falls).confirmed
+    assert figure_2._falls_rigidly(scene, [falls, run_of(10, 5, 5 + 1e-12, 1)]).confirmed
+    assert not figure_2._falls_rigidly(scene, [falls, run_of(10, 5, 5 + 1e-10, 1)]).confirmed
+    assert figure_2._same_rigid_end(scene, [falls, falls], minima_like(1.0, 2.0)).confirmed
+    assert not figure_2._same_rigid_end(scene, [falls, run_of(10, 1 + 1e-8)], minima_like(1.0, 2.0)).confirmed
     assert figure_2._same_end(scene, [falls, falls], minima_like(1.0, 2.0)).confirmed
     assert not figure_2._same_end(scene, [falls, falls], minima_like(0.9999, 2.0)).confirmed
-    assert figure_2._below_cut(minima_like(1.0, 1.1), scene).confirmed
-    assert not figure_2._below_cut(minima_like(1.1, 1.1), scene).confirmed
+    assert figure_2._below_cut(minima_like(1.0, 1.1), scene, 0).confirmed
+    assert not figure_2._below_cut(minima_like(1.1, 1.1), scene, 0).confirmed
     assert figure_2._leaves_cut(scene, run_of(2, 1), minima_like(1.0, 2.0)).confirmed
     assert not figure_2._leaves_cut(scene, run_of(2, 2), minima_like(1.0, 2.0)).confirmed
     assert not figure_2._larger_systems(minima_like(1.1, 1.1)).confirmed
+
+
+def test_powers_are_compared_at_equal_times_as_long_as_both_runs_last():
+    rigid = replace(run_of(10, 6, 0), time=np.array([0.0, 1.5, 9.0]))
+    assert figure_2.distance_of_power(run_of(10, 8, 5), rigid) == pytest.approx([0.05])  # 6.5 and 6 at 1.5
 
 
 def test_a_minimum_is_below_its_cut_or_is_the_cut(needs_f64):
@@ -84,16 +94,35 @@ def test_a_relaxation_is_seen_from_its_first_step_to_its_certified_end(needs_f64
     assert (run.last[..., [0, -1]] == run.first[..., [0, -1]]).all()
 
 
+@pytest.mark.parametrize("start", ["random", "minimum-cut"])
+def test_rigid_friction_lowers_the_power_in_every_step_to_the_same_end(start, needs_f64):
+    scene = draw_scene((3, 3, 3), 0, 1)
+    run, minima = relax_rigidly(scene, start), minima_of(scene)
+    assert len(run.time) > 30  # steps
+    assert run.largest_rise[0] < 1e-14
+    assert run.power[-1] == pytest.approx(minima.power, rel=1e-9)
+    assert run.power[-1] < 0.96 * minima.cut_power
+    assert (run.last[..., [0, -1]] == run.first[..., [0, -1]]).all()
+
+
 def test_the_figure_shows_the_numbers():
     time, power = np.array([0.0, 1.0, 10.0]), np.array([8.0, 4.0, 2.0])
+    rigid_time, rigid_power = np.array([0.0, 0.5, 2.0, 3.0]), np.array([8.0, 6.0, 3.0, 2.0])
     spins = np.random.default_rng(5).uniform(-1, 1, (2, 3, 2, 3))
-    start = Relaxation("random spins", time, power, spins, spins)
+    start = Relaxation("random spins", time, power, rigid_time, rigid_power, spins, spins)
     figure = draw_relaxation([start, replace(start, name="minimum cut", power=power / 2)], 1.0, 1.5)
     curves = figure.subfigs[0].axes[0].lines
     assert (curves[0].get_xdata() == time[1:]).all()
     assert (curves[0].get_ydata() == power[1:] / 8).all()
-    assert (curves[1].get_ydata() == power[1:] / 16).all()
-    assert [line.get_ydata()[0] for line in curves[2:]] == [1.5 / 8, 1.0 / 8]
+    assert (curves[1].get_xdata() == rigid_time[1:]).all()
+    assert (curves[1].get_ydata() == rigid_power[1:] / 8).all()
+    assert (curves[2].get_ydata() == power[1:] / 16).all()
+    assert [line.get_ydata()[0] for line in curves[4:]] == [1.5 / 8, 1.0 / 8]
+    [legend] = figure.subfigs[0].legends
+    assert [text.get_text().split(",")[0] for text in legend.get_texts()[:2]] == [
+        "from random spins",
+        "from minimum cut",
+    ]
     snapshots = [axes for axes in figure.subfigs[1].axes if axes.images]
     assert len(snapshots) == 4
     assert all(len(axes.images) == 2 * 3 * 2 for axes in snapshots)
