@@ -24,7 +24,6 @@ from tests.scenes import make_scene
 
 TIMES = (0.1, 0.3, 1.0, 3.0)  # relaxation times of the rigid limit
 STIFFENED = {"K+A": (True, True), "K": (True, False), "A": (False, True)}
-FINE_EVENTS = (1e-8, 1e-7)  # error tolerances of the rigid limit where it is adapted
 RESOLVED = 3.0  # times its own error that a distance must be to count
 
 
@@ -61,14 +60,18 @@ class Comparison:
         spins = [self.scene.staggered_spin(spin, self.axes)[..., free] for spin in solution.snapshots.spin]
         return Course(np.array(spins) / self.largest, solution.history["power"][: len(self.times), 0])
 
-    def rigid(self, steps):
-        """The rigid limit and (2, T) its error. steps : of the finest of the fixed lengths, until the first time.
+    def rigid(self, steps, tolerance=1e-8):
+        """The rigid limit and (2, T) its error.
+
+        steps : of the finest of the fixed lengths, until the first time. tolerance : of the error of an adapted step.
 
         With one component the motion is piecewise linear, and a step exact until a contact begins or ceases to slip:
         there the step is adapted. With more it is smooth most of the time, and two fixed lengths extrapolate to none.
         """
         if len(self.axes) == 1:
-            fine, coarse = (self.course(RigidLimit(RigidLimitOptions(error_tolerance=e))) for e in FINE_EVENTS)
+            fine, coarse = (
+                self.course(RigidLimit(RigidLimitOptions(error_tolerance=e))) for e in (tolerance, 10 * tolerance)
+            )
             return fine, fine.distance(coarse)
         coarse, middle, fine = (
             self.course(RigidLimit(RigidLimitOptions(time_step=self.times[0] / n)))

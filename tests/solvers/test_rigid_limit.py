@@ -1,5 +1,7 @@
 """The rigid limit against motion worked out by hand, a conic solver, linear algebra, and its own claims."""
 
+from dataclasses import replace
+
 import clarabel
 import numpy as np
 import pytest
@@ -286,6 +288,15 @@ def test_a_state_that_is_wanted_at_a_time_is_met_exactly_and_the_steps_go_on_as_
     method.advance(1)
     assert method.time == wanted
     assert method.length == length
+
+
+def test_neither_rest_nor_a_stall_ends_a_run_of_given_duration():
+    scene = make_scene((3, 4))
+    method = begun(scene, initial_spin(scene, "minimum-cut"))
+    progress = replace(method.progress(), at_rest=True, exhausted=True)
+    bound = np.zeros(1)
+    assert StopRule(1e-12).judge(scene, progress, progress.power, bound, 0.0, stalled=True) is Status.STATIONARY
+    assert StopRule(1e-12, duration=1.0).judge(scene, progress, progress.power, bound, 0.0, stalled=True) is None
 
 
 @pytest.mark.parametrize("spin_bottom", [0.0, 1.0])
