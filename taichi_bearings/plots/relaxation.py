@@ -57,7 +57,7 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
     for start, (colour, dark) in zip(starts, HUES, strict=False):
         for time, power, look, dynamics in (
             (start.time, start.power, {"color": colour, "lw": 1.8}, "Cundall-Strack"),
-            (start.rigid_time, start.rigid_power, {"color": dark, "lw": 1.1, "ls": (0, (4, 1.5))}, "rigid friction"),
+            (start.rigid_time, start.rigid_power, {"color": dark, "lw": 1.1, "ls": (0, (4, 1.5))}, "rigid"),
         ):
             later, excess = time > 0, power / least_power - 1
             for axes in (top, inset):
@@ -71,7 +71,7 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
     if cut > least:
         bottom.axhline(cut / least - 1, color=GREEN, ls="-.", lw=1.2)
     columns = [*top.lines[0::2], *top.lines[1::2]]
-    figure.legend(handles=columns, fontsize=8, loc="outside upper center", ncols=2)
+    figure.legend(handles=columns, fontsize=8, loc="outside upper center", ncols=2, columnspacing=1.2)
     last = max(float(start.time[-1]) for start in starts)
     high = max(cut, 1.02 * least)
     inset.set(xscale="log", xlim=(last / 1e3, last), ylim=(1.2 * least - 0.2 * high, 2 * high - least))
