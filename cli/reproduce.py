@@ -32,7 +32,8 @@ def command(
     """Figures of the paper and a verdict for each of its claims about them. FIGURE is fig2; without one, all.
 
     \b
-    fig2  P(t) of a 3x3x3 Coulomb bearing from random spins and from the minimum cut, and the spins at both ends
+    fig2  P(t) of a 3x3x3 Coulomb bearing from random spins and from the minimum cut, with springs (Cundall-Strack) and
+          without (rigid limit), and the spins at both ends
 
     Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, report.json and report.md. Exit code 0 if every claim is confirmed, 1 if
     one is refuted.
