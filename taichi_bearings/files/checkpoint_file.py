@@ -1,6 +1,5 @@
 """checkpoint.h5: what a dynamics needs to go on with the same bits, beside the scene it belongs to."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.files.whole_file import write_hdf5
 
 SCHEMA = "taichi_bearings.checkpoint"
 SCHEMA_VERSION = 1
@@ -20,22 +20,16 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
 
     scene : the settings as TOML. arrays : none before the first step.
     """
-    path = folder / NAME
-    temporary = path.with_name(path.name + ".partial")
-    try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
-            file.attrs["scene"] = scene
-            for name, text in versions.items():
-                file.attrs[name] = text
-            for name, values in arrays.items():
-                file.create_dataset(name, data=values)
-        with temporary.open("rb+") as written:
-            os.fsync(written.fileno())
-        os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:  # h5py raises either on a full disk
-        temporary.unlink(missing_ok=True)
-        raise FileError(f"{path} cannot be written: {error}; an earlier checkpoint is still there") from None
+
+    def fill(file: h5py.File) -> None:
+        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["scene"] = scene
+        for name, text in versions.items():
+            file.attrs[name] = text
+        for name, values in arrays.items():
+            file.create_dataset(name, data=values)
+
+    write_hdf5(folder / NAME, fill)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
+from taichi_bearings.files.whole_file import write_hdf5
 from taichi_bearings.scene import Solution
 
 SCHEMA = "taichi_bearings.run"
@@ -40,10 +40,9 @@ HISTORY_UNITS = {
 
 
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
-    """Write run.h5 under a temporary name and rename it. With one replica the replica axis is left out."""
+    """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
     scene = solution.scene
     one = scene.replicas == 1
-    temporary = path.with_name(path.name + ".partial")
 
     def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
         packed = {"compression": "gzip", "shuffle": True} if values.dtype == np.uint8 else {}
@@ -53,7 +52,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     def strip(values: np.ndarray) -> np.ndarray:
         return values[0] if one else values
 
-    with h5py.File(temporary, "w") as file:
+    def fill(file: h5py.File) -> None:
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in attributes.items():
             file.attrs[key] = _storable(value)
@@ -82,7 +81,8 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
                 times, spins = np.tile(times, (scene.replicas, 1)), np.moveaxis(spins, 1, 0)
             put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
             put(file, "snapshots/spin", spins, "1/time", "angular velocity in the laboratory frame at these times")
-    os.replace(temporary, path)
+
+    write_hdf5(path, fill)
 
 
 def _storable(value: Any) -> Any:

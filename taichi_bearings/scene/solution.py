@@ -70,7 +70,7 @@ class Progress:
     resolution : slip speed below which the method cannot tell slip from rest, length/time.
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
-    exhausted : a minimisation can get no closer in its precision.
+    exhausted : a minimisation can get no closer in its precision. halted : a dynamics cannot make another step.
     state : contact states (R, *contacts) an axis that the method itself has established, else None.
     settled : (R,), True where these are final. resolved : (R,), True where they are proven to be those of a minimum.
     unsettled : going on would settle more contact states, whatever the gap.
@@ -90,6 +90,7 @@ class Progress:
     slipping: np.ndarray | None = None
     at_rest: bool = False
     exhausted: bool = False
+    halted: bool = False
     state: tuple[np.ndarray, ...] | None = None
     settled: np.ndarray | None = None
     resolved: np.ndarray | None = None

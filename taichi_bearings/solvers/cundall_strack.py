@@ -212,8 +212,7 @@ class CundallStrack:
         return self.rest_check + 100 + self.rest_check // 16
 
     def state(self) -> dict[str, np.ndarray]:
-        fixed = ("is_free", "coefficient")
-        fields = {name: self.fields.read(name) for name, _ in self.spec if name not in fixed}
+        fields = {name: self.fields.read(name) for name in self._changing_fields()}
         counters = [self.iteration, self.rest_check, self.quiet_checks, self.last_slipping]
         return fields | {
             "counters": np.array(counters, dtype=np.int64),
@@ -221,15 +220,17 @@ class CundallStrack:
             "time_step": np.array(self.time_step),
         }
 
+    def _changing_fields(self) -> list[str]:
+        return [name for name, _ in self.spec if name not in ("is_free", "coefficient")]
+
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:
             raise InputError(
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
                 "it was made by another version or library"
             )
-        for name, values in state.items():
-            if name in dict(self.spec):
-                self.fields.load(name, values)
+        for name in self._changing_fields():
+            self.fields.load(name, state[name])
         self.iteration, self.rest_check, self.quiet_checks, self.last_slipping = map(int, state["counters"])
         self.last_power = np.array(state["last_power"])
 

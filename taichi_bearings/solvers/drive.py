@@ -11,6 +11,7 @@ import numpy as np
 
 from taichi_bearings.certificate import relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
+from taichi_bearings.errors import FileError
 from taichi_bearings.fields import borrow
 from taichi_bearings.fields.workspace import make_layout
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -32,6 +33,7 @@ class Report:
 
 
 Monitor = Callable[[Report], None]
+IMPATIENCE = 5.0  # seconds
 STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 
 
@@ -96,12 +98,16 @@ class _Course:
         self.began = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
         if resume is not None and is_dynamics(method):
-            method.restore(resume)
-            self.recorder.restore(resume)
-            self.best.bound = np.array(resume["lower_bound"])
-            self.began -= float(resume["elapsed"])
+            try:
+                method.restore(resume)
+                self.recorder.restore(resume)
+                self.best.bound = np.array(resume["lower_bound"])
+                self.began = time.perf_counter() - float(resume["elapsed"])
+                looked = bool(resume["looked"])
+            except (KeyError, ValueError, IndexError, TypeError) as error:
+                raise FileError(f"the checkpoint is incomplete or of another scene: {error}") from None
             self.target = method.iteration
-            if not resume["looked"]:
+            if not looked:
                 self._aim(method.iteration)
 
     @property
@@ -164,10 +170,13 @@ class _Course:
 
 
 class _Interrupt:
-    """Hears Ctrl-C or a batch queue's SIGTERM without being torn out of a step; a second one ends the process."""
+    """Hears Ctrl-C or a batch queue's SIGTERM without being torn out of a step.
+
+    A second one ends the process, unless it comes so soon that the step cannot have ended.
+    """
 
     def __init__(self) -> None:
-        self.heard = False
+        self.heard, self._first = False, 0.0
         self._main = threading.current_thread() is threading.main_thread()
 
     def __enter__(self) -> "_Interrupt":
@@ -181,9 +190,10 @@ class _Interrupt:
                 signal.signal(number, handler)
 
     def _hear(self, *_: object) -> None:
-        if self.heard:
+        if self.heard and time.monotonic() - self._first > IMPATIENCE:
             raise KeyboardInterrupt
-        self.heard = True
+        if not self.heard:
+            self.heard, self._first = True, time.monotonic()
 
 
 class _Pace:

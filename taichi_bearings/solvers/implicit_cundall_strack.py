@@ -36,6 +36,7 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
 SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
+REJECTED = 0.5  # change of a step whose error is too large, at most: in an event it may hardly fall with the step
 RETREAT, MOST_RETREATS = 0.25, 40  # change of a step whose Newton iteration fails, and how often in a row
 SPAN = 1e6  # a free step stretches no spring by more than so many times what friction holds: rounding of the forces
 SAME_FORCE = 1e-9  # relative: a contact this close to all the friction it can bear slips
@@ -87,7 +88,10 @@ class ImplicitCundallStrack:
         free = np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
         self.samples = [self._sample_at(replica, spins.copy()) for replica, spins in enumerate(free)]
         self.energy_at_start = np.array([self._kinetic_energy(sample) for sample in self.samples])
-        self.time, self.iteration = 0.0, 0
+        self.time, self.iteration, self.halted = 0.0, 0, False
+        longest = self._longest_step()
+        if options.time_step is not None and options.time_step > longest:
+            raise InputError(f"time_step is {options.time_step:g}; rounding allows at most {longest:.3g} in this scene")
         self.time_step = options.time_step or self._first_step()
         self.quiet_checks, self.rest_check, self.rest_time = 0, 0, 0.0
         self.last_power, self.last_slipping = np.full(scene.replicas, np.inf), -1
@@ -159,6 +163,8 @@ class ImplicitCundallStrack:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
                 self._step()
+                if self.halted:
+                    return
                 self.iteration += 1
 
     def _step(self) -> None:
@@ -177,9 +183,10 @@ class ImplicitCundallStrack:
             factor = float(np.clip(SAFETY / np.sqrt(max(error, 1e-300)), SHRINK, most))
             if fixed or not error > 1:
                 break
-            planned, most = factor * span, 1.0
+            planned, most = min(factor, REJECTED) * span, 1.0
         else:
-            raise ArithmeticError(f"no time step from {self.time_step:g} down to {planned:g} can be solved")
+            self.halted = True
+            return
         self.samples = [new for new, _ in found]
         self.time = self.aim if arrives else self.time + span
         if not fixed:
@@ -282,6 +289,7 @@ class ImplicitCundallStrack:
             energy=self._energy(),
             slipping=slipping,
             at_rest=self.quiet_checks >= REST_CHECKS,
+            halted=self.halted,
         )
 
     def _slipping(self) -> np.ndarray:

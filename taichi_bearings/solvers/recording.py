@@ -93,7 +93,7 @@ class Recorder:
         }
         if progress.time is not None:
             row["time"] = progress.time
-        if progress.slipping is not None:
+        if progress.slipping is not None and self._scene.law == "coulomb":
             row["slipping"] = progress.slipping
         if progress.energy is not None:
             energy = progress.energy
@@ -108,18 +108,16 @@ class Recorder:
         return {name: np.asarray(values) for name, values in self._columns.items()}
 
     def snapshots(self) -> Snapshots | None:
-        """The snapshots so far; None if none were asked for."""
-        if len(self.recording.snapshots) == 0:
+        """The snapshots so far; None if there are none."""
+        if not self._snapshot_spins:
             return None
-        empty = np.zeros((0, *self._scene.laboratory_spin(*_nothing(self._scene)).shape))
-        spins = np.stack(self._snapshot_spins) if self._snapshot_spins else empty
-        return Snapshots(np.array(self._snapshot_times), spins)
+        return Snapshots(np.array(self._snapshot_times), np.stack(self._snapshot_spins))
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything written down so far, for a checkpoint."""
         found = {f"history/{name}": values for name, values in self.history().items()}
         snapshots = self.snapshots()
-        if snapshots is not None and len(snapshots.time):
+        if snapshots is not None:
             found |= {"snapshots/time": snapshots.time, "snapshots/spin": snapshots.spin}
         return found | {"last_time": np.array(self._last_time)}
 
@@ -129,9 +127,3 @@ class Recorder:
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
         self._last_time = float(state["last_time"])
-
-
-def _nothing(scene: Scene) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Staggered spins of zero, and the component they are."""
-    axes = scene.minimum_spin_axes
-    return np.zeros((len(axes), scene.replicas, *scene.lattice.shape)), axes

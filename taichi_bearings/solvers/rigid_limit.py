@@ -32,10 +32,8 @@ LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
 GROWTH, SHRINKAGE = 3.0, 0.2  # of the step from one to the next, at most
 SAFETY = 0.8
 ACCEPTED = 2.0  # error over tolerance up to which a step counts
-DEAD = 1e-7  # of the unit of spin: a component that varies by less is at rest,
-UNFELT = (
-    1e-14  # provided that stopping it changes the kinetic energy by no more than this fraction of that at the start
-)
+DEAD = 1e-7  # of the unit of spin: a component that varies by less is stopped,
+UNFELT = 1e-14  # if that changes the kinetic energy by no more than this fraction of that at the start
 RESOLVED = 1e-12  # of the unit of spin: slips at the start
 BELIEVED = 1e-9  # proven gap from which a state whose power no longer falls is believed to be at rest
 REST, STUCK = 2, 20  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
@@ -239,6 +237,7 @@ class RigidLimit:
         power = scene.power(self.staggered, self.spin_axes)
         bound = lower_bound(scene, self.force, self.spin_axes)
         believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
+        at_rest = self.still >= REST and believed
         return Progress(
             iteration=self.iteration,
             staggered=self.staggered.copy(),
@@ -257,9 +256,12 @@ class RigidLimit:
                 at_start=self.energy_at_start,
             ),
             slipping=self.slipping,
-            at_rest=self.still >= REST and believed,
+            at_rest=at_rest,
             exhausted=self.still >= STUCK and not believed,
-            findings={"rest_time": self.rest_time, "newton_steps": np.full(scene.replicas, self.newton_steps)},
+            findings={
+                "rest_time": np.where(at_rest, self.rest_time, np.nan),
+                "newton_steps": np.full(scene.replicas, self.newton_steps),
+            },
         )
 
     def state(self) -> dict[str, np.ndarray]:

@@ -60,7 +60,7 @@ class StopRule:
             return Status.FINISHED
         if progress.at_rest and not in_time:
             return Status.STATIONARY
-        if stalled and not in_time:
+        if progress.halted or (stalled and not in_time):
             return Status.STALLED
         if progress.iteration >= self.iterations:
             return Status.STEP_LIMIT

@@ -55,6 +55,7 @@ def reproduce(
     standing = [path for path in paths if path.exists()]
     if standing and not force:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         claims = {}
@@ -66,6 +67,10 @@ def reproduce(
         _write(folder / "report.md", table(claims, effort))
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
+    except KeyboardInterrupt:
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
     return report
 
 

@@ -1,7 +1,7 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
 import json
-import shutil
+import logging
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -12,8 +12,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
-from taichi_bearings.errors import InputError
-from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import read_checkpoint, write_checkpoint
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
@@ -21,7 +20,7 @@ from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.studies.run_directory import RunDirectory, default_run_path
+from taichi_bearings.studies.run_directory import RunDirectory, default_run_path, in_use, undisturbed
 from taichi_bearings.studies.settings import RunSettings, parse_toml
 
 
@@ -275,7 +274,11 @@ def run(
     directory = RunDirectory(out or default_run_path(), force)
     try:
         if settings.checkpoint_every is None:
-            return _written(directory, job, solve_job(job, monitors))
+            solution = solve_job(job, monitors)
+            with undisturbed():
+                summary = write_run(directory.partial, directory.path, job, solution)
+                directory.publish()
+            return solution, summary
         stored = _self_contained(job, directory.partial)
         (directory.partial / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
@@ -298,12 +301,17 @@ def resume(
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
     """
-    checkpoint = read_checkpoint(path)
-    changes = dict(changes or {})
+    path = (path.parent if path.name == "run.h5" else path).resolve()
+    checkpoint, changes = read_checkpoint(path), dict(changes or {})
     for key in changes:
         if key in RunSettings.keys() and key not in CHANGEABLE:
             raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
     stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+    reached = float((checkpoint.arrays or {}).get("last_time", 0.0))
+    if stored.duration is not None and stored.duration < reached * (1 - 1e-9):
+        raise InputError(
+            f"duration is {stored.duration:g}, but {path} has already reached {reached:g}; it must be longer"
+        )
     job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
     return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
 
@@ -318,23 +326,22 @@ def _solve_with_checkpoints(
     from taichi_bearings.solvers.drive import Checkpoints
 
     def write(state: Mapping[str, np.ndarray]) -> None:
-        write_checkpoint(path, stored.to_toml(), versions(), state)
+        try:
+            write_checkpoint(path, stored.to_toml(), versions(), state)
+        except FileError as error:  # a full disk may have room again before the end
+            logging.getLogger(__name__).warning("bearings: %s; the run goes on", error)
 
     assert stored.checkpoint_every is not None
-    solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
-    directory = RunDirectory(path, force=True)
-    try:
-        shutil.copy2(path / CHECKPOINT, directory.partial / CHECKPOINT)
-        return _written(directory, job, solution)
-    except BaseException:
-        directory.discard()
-        raise
-
-
-def _written(directory: RunDirectory, job: Job, solution: Solution) -> tuple[Solution, dict[str, Any]]:
-    """Write and publish the run directory."""
-    summary = write_run(directory.partial, directory.path, job, solution)
-    directory.publish()
+    with in_use(path):
+        solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
+        with undisturbed():
+            directory = RunDirectory(path, force=True)
+            try:
+                summary = write_run(directory.partial, path, job, solution)
+                directory.merge()
+            except BaseException:
+                directory.discard()
+                raise
     return solution, summary
 
 

@@ -1,10 +1,15 @@
 """The directory of a run: there in full under its name, or not at all."""
 
 import contextlib
+import errno
 import os
 import secrets
 import shutil
+import signal
+import sys
+import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,12 +57,65 @@ class RunDirectory:
         else:
             self.partial.rename(self.path)
 
+    def merge(self) -> None:
+        """Move the files into the directory, which stands already, one by one and run.h5 last; others there stay."""
+        for file in sorted(self.partial.iterdir(), key=lambda file: file.name == "run.h5"):
+            file.replace(self.path / file.name)
+        self.partial.rmdir()
+
     def discard(self) -> None:
         """Leave nothing behind, not even folders that were made for this run."""
         shutil.rmtree(self.partial, ignore_errors=True)
         for folder in self._made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+
+@contextlib.contextmanager
+def in_use(path: Path) -> Iterator[None]:
+    """Keep other processes from working in a run directory; FileError if one does. A lock ends with its process."""
+    lock = path / ".in-use"
+    try:
+        file = lock.open("a")
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+    with file:
+        try:
+            _lock(file.fileno())
+        except OSError as error:
+            if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+                raise FileError(f"{path} is in use by another process; stop that or wait for its end") from None
+            # this file system has no locks
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                lock.unlink()
+
+
+def _lock(descriptor: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait until what was computed is written."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def default_run_path(command: str = "run") -> Path:

@@ -73,7 +73,10 @@ def _text(value: Any) -> str:
 def _times(value: Any) -> str:
     from taichi_bearings.solvers.recording import parse_times
 
-    text = value if isinstance(value, str) else ",".join(repr(float(part)) for part in value)
+    if isinstance(value, bool) or (isinstance(value, list) and any(isinstance(part, bool) for part in value)):
+        raise ValueError
+    parts = [value] if isinstance(value, (int, float)) else value
+    text = parts if isinstance(parts, str) else ",".join(repr(float(part)) for part in parts)
     parse_times(text)
     return text
 
@@ -153,10 +156,12 @@ class RunSettings:
         None, POSITIVE, "dynamics: simulated time to go on for, whatever is reached. Default: until done."
     )
     record: str | None = setting(
-        None, TIMES, "dynamics: simulated times of the rows of the history. Default: at every check."
+        None,
+        TIMES,
+        "dynamics: simulated times of the rows of the history; the end gets one too. Default: at every check.",
     )
     snapshots: str | None = setting(None, TIMES, "dynamics: simulated times at which the spins are kept.")
-    energy: bool = setting(False, TRUTH, "cundall-strack with gear: keep energy books; steps take twice as long.")
+    energy: bool = setting(False, TRUTH, "cundall-strack with gear: keep energy books; a step takes a third longer.")
     checkpoint_every: float | None = setting(
         None, POSITIVE, "dynamics: seconds between checkpoints, from which `bearings run --resume RUN` goes on."
     )

@@ -61,8 +61,10 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path):
 def test_a_finished_run_can_go_on_for_longer(tmp_path):
     short = ("--duration", "1", "--checkpoint-every", "100")
     assert bearings("run", *SCENE, *short, "--out", tmp_path / "a").returncode == 0
-    done = bearings("run", "--resume", tmp_path / "a", "--duration", "2")
+    (tmp_path / "a" / "notes.txt").write_text("mine")
+    done = bearings("run", "--resume", tmp_path / "a" / "run.h5", "--duration", "2")
     assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a" / "notes.txt").read_text() == "mine"
     assert bearings("run", *SCENE, "--duration", "2", "--out", tmp_path / "b").returncode == 0
     np.testing.assert_array_equal(arrays_of(tmp_path / "a")["spin"], arrays_of(tmp_path / "b")["spin"])
 
@@ -83,6 +85,12 @@ def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
     assert "is not a dynamics" in refused("--shape", "3,3,4", "--checkpoint-every", "5")
     assert "is not a dynamics" in refused("--shape", "3,3,4", "--duration", "5")
     assert "record is 'soon'" in refused(*SCENE, "--record", "soon")
+    longer = ("--iterations", "1000000", "--duration")
+    assert bearings("run", "--resume", "run", *longer, "0.5", cwd=tmp_path).returncode == 0
+    assert "already reached 0.5" in refused("--resume", "run", "--duration", "0.1")
+    with h5py.File(tmp_path / "run" / "checkpoint.h5", "a") as file:
+        del file["gear_0"]
+    assert "incomplete" in refused("--resume", "run", "--duration", "1")
     (tmp_path / "run" / "checkpoint.h5").write_bytes(b"damaged")
     assert "cannot be read as a checkpoint" in refused("--resume", "run")
 
@@ -111,3 +119,35 @@ def test_coefficients_and_spins_from_files_are_kept_for_the_resumed_run(tmp_path
     done = bearings("run", "--resume", tmp_path / "c", "--iterations", "1000000")
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal(arrays_of(tmp_path / "a")["spin"], arrays_of(tmp_path / "c")["spin"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs limits and locks of POSIX")
+def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path):
+    import resource
+
+    def small_files():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+
+    words = (*SCENE, "--duration", "1", "--checkpoint-every", "0.001", "--snapshots", "linear:0,1,200")
+    done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files)
+    assert done.returncode == 2
+    assert "the run goes on" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["checkpoint.h5", "scene.toml"]
+    assert len(list(tmp_path.iterdir())) == 1
+    done = bearings("run", "--resume", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 200
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs limits and locks of POSIX")
+def test_a_run_in_use_is_not_resumed(tmp_path):
+    import fcntl
+
+    words = (*SCENE, "--duration", "0.1", "--checkpoint-every", "9", "--out", tmp_path / "run")
+    assert bearings("run", *words).returncode == 0
+    with (tmp_path / "run" / ".in-use").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        done = bearings("run", "--resume", tmp_path / "run", "--duration", "1")
+    assert done.returncode == 2
+    assert "in use by another process" in done.stderr
