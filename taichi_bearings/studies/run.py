@@ -301,7 +301,8 @@ def resume(
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
     """
-    path = (path.parent if path.name == "run.h5" else path).resolve()
+    path = path.parent if path.name == "run.h5" else path
+    path = path if path.name and not path.is_symlink() else path.resolve()
     checkpoint, changes = read_checkpoint(path), dict(changes or {})
     for key in changes:
         if key in RunSettings.keys() and key not in CHANGEABLE:
