@@ -19,6 +19,7 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.dynamics import default_inertia, kinetic_energy, moving_spin_axes, replica_sum
 from taichi_bearings.solvers.gear import (
     CORRECTORS,
     largest_laplacian_eigenvalue,
@@ -155,7 +156,7 @@ class CundallStrack:
             self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
             self.fields.clear("work")
             self.fields.clear("impulse")
-            self.energy_at_start = self._kinetic_energy(staggered)
+            self.energy_at_start = kinetic_energy(self.scene, staggered, self.inertia)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
 
@@ -289,17 +290,10 @@ class CundallStrack:
                 total += slips.reshape(scene.replicas, -1).sum(axis=1)
         return total
 
-    def _total(self, values: np.ndarray) -> np.ndarray:
-        """(R,) from (T, R, ...)."""
-        return values.sum(axis=0).reshape(self.scene.replicas, -1).sum(axis=1)
-
-    def _kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
-        return self.inertia / 2 * self._total(staggered[..., ~self.scene.lattice.is_driven] ** 2)
-
     def _contact_power(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""
         differences = contact_differences(staggered, self.scene.lattice, self.spin_axes)
-        return np.sum([self._total(f * d) for f, d in zip(force, differences, strict=True)], axis=0)
+        return np.sum([replica_sum(f * d) for f, d in zip(force, differences, strict=True)], axis=0)
 
     def _energy(self, staggered: np.ndarray, force: tuple[np.ndarray, ...], springs: tuple[np.ndarray, ...]) -> Energy:
         """The books at the end of the last step. springs : forces of the springs alone, stiffness * elongation.
@@ -309,15 +303,15 @@ class CundallStrack:
         """
         scene, spring = self.scene, np.zeros(self.scene.replicas)
         if scene.law == "coulomb":
-            spring = np.sum([self._total(f**2) for f in springs], axis=0) / (2 * self.options.stiffness)
+            spring = np.sum([replica_sum(f**2) for f in springs], axis=0) / (2 * self.options.stiffness)
         reach = scene.lattice.radius * self.time_step
         ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
-        work = reach * (self._total(self.fields.read("work")) + ends)
+        work = reach * (replica_sum(self.fields.read("work")) + ends)
         pull = self.fields.read("impulse") + (self.pull_at_start - torques(force, scene.lattice, self.spin_axes)) / 2
         return Energy(
-            kinetic=self._kinetic_energy(staggered),
+            kinetic=kinetic_energy(self.scene, staggered, self.inertia),
             spring=spring,
-            injected=-reach * self._total(pull * staggered * scene.lattice.is_driven),
+            injected=-reach * replica_sum(pull * staggered * scene.lattice.is_driven),
             dissipated=work - spring,
             at_start=self.energy_at_start,
         )
@@ -356,22 +350,6 @@ class CundallStrack:
         strongest = max(float(c.max(initial=0.0)) for c in scene.acting_coefficient) * self.options.static_ratio
         speed = scene.lattice.radius * scene.jump
         return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
-
-
-def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-    """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
-    unlike the driven planes."""
-    needed = scene.minimum_spin_axes
-    if scene.lattice.dimension == 2:
-        return needed
-    full = scene.staggered_spin(spin, scene.lattice.all_spin_axes)
-    bottom, _ = scene.driven_values(scene.lattice.all_spin_axes)
-    return tuple(k for k in scene.lattice.all_spin_axes if k in needed or (full[k] != bottom[k]).any())
-
-
-def default_inertia(scene: Scene, mass: float) -> float:
-    """m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
-    return mass * scene.lattice.radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
 
 
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrackOptions) -> float:

@@ -28,9 +28,8 @@ from taichi_bearings.solvers.cundall_strack import (
     BELIEVED,
     REST_CHECKS,
     CundallStrackOptions,
-    default_inertia,
-    moving_spin_axes,
 )
+from taichi_bearings.solvers.dynamics import default_inertia, moving_spin_axes
 from taichi_bearings.solvers.friction_stage import Friction, FrictionStage, Groups, StageEnd
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
@@ -93,7 +92,7 @@ class ImplicitCundallStrack:
         if options.time_step is not None and options.time_step > longest:
             raise InputError(f"time_step is {options.time_step:g}; rounding allows at most {longest:.3g} in this scene")
         self.time_step = options.time_step or self._first_step()
-        self.quiet_checks, self.rest_check, self.rest_time = 0, 0, 0.0
+        self.quiet_checks, self.rest_check, self.rest_check_time = 0, 0, 0.0
         self.last_power, self.last_slipping = np.full(scene.replicas, np.inf), -1
         with one_thread():  # once for all, so that the kernels are compiled before the clock starts
             self.stage.matrix.factorise(
@@ -305,7 +304,7 @@ class ImplicitCundallStrack:
     def _check_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> None:
         """Count the checks in a row, each a sixteenth of the simulated time apart, at which power, slipping contacts
         and torque balance have been stationary and the certificate agrees."""
-        if self.time < self.rest_time * (1 + LATER):
+        if self.time < self.rest_check_time * (1 + LATER):
             return
         scene, tolerance = self.scene, self.options.rest_tolerance
         largest = max(float(vector_length(f).max(initial=0.0)) for sample in self.samples for f in sample.force)
@@ -314,14 +313,14 @@ class ImplicitCundallStrack:
         believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
         quiet = believed and still and balanced and slipping == self.last_slipping
         self.quiet_checks = self.quiet_checks + 1 if quiet else 0
-        self.last_power, self.last_slipping, self.rest_time = power, slipping, self.time
+        self.last_power, self.last_slipping, self.rest_check_time = power, slipping, self.time
 
     def state(self) -> dict[str, np.ndarray]:
         state = {
             "spins": np.stack([sample.spins for sample in self.samples]),
             "books": np.array([[sample.work, sample.injected] for sample in self.samples]),
             "energy_at_start": self.energy_at_start,
-            "clock": np.array([self.time, self.time_step, self.rest_time]),
+            "clock": np.array([self.time, self.time_step, self.rest_check_time]),
             "counters": np.array([self.iteration, self.rest_check, self.quiet_checks, self.last_slipping]),
             "last_power": self.last_power,
             "spin_scale": np.array(self.stage.spin_scale),
@@ -342,7 +341,7 @@ class ImplicitCundallStrack:
             for replica in range(self.scene.replicas)
         ]
         self.energy_at_start, self.last_power = np.array(state["energy_at_start"]), np.array(state["last_power"])
-        self.time, self.time_step, self.rest_time = map(float, state["clock"])
+        self.time, self.time_step, self.rest_check_time = map(float, state["clock"])
         self.iteration, self.rest_check, self.quiet_checks, self.last_slipping = map(int, state["counters"])
         self._set_stage(float(state["spin_scale"]))
 

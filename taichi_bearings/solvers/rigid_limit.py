@@ -24,7 +24,7 @@ from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.cundall_strack import default_inertia, moving_spin_axes
+from taichi_bearings.solvers.dynamics import default_inertia, kinetic_energy, moving_spin_axes, replica_sum
 from taichi_bearings.solvers.proximal import ProximalSteps, Step
 
 FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
@@ -93,13 +93,11 @@ class RigidLimit:
         self.length = self.options.time_step or FIRST_STEP * self.options.error_tolerance * self.relaxation_time
         self.last_length = self.length
         self.injected, self.dissipated = np.zeros(scene.replicas), np.zeros(scene.replicas)
-        self.energy_at_start = self._kinetic_energy()
+        self.energy_at_start = kinetic_energy(self.scene, self.staggered, self.inertia)
         self.rest_time = np.zeros(scene.replicas)
         self.creep = RESOLVED * self.unit
-        self.slipping = sum(
-            (slip > scene.lattice.radius * self.creep).reshape(scene.replicas, -1).sum(axis=1)
-            for slip in scene.slips(self.staggered, self.spin_axes)
-        )
+        slips = scene.slips(self.staggered, self.spin_axes)
+        self.slipping = np.sum([replica_sum((s > scene.lattice.radius * self.creep)[None]) for s in slips], axis=0)
 
     def _prepare(self) -> None:
         """Set up the steps of the components that move."""
@@ -199,11 +197,9 @@ class RigidLimit:
         scene = self.scene
         reach, mean = duration * scene.lattice.radius, (before + self.staggered) / 2
         for force, slip in zip(self.force, contact_differences(mean, scene.lattice, self.spin_axes), strict=True):
-            self.dissipated = self.dissipated + reach * (force * slip).sum(axis=0).reshape(scene.replicas, -1).sum(
-                axis=1
-            )
+            self.dissipated = self.dissipated + reach * replica_sum(force * slip)
         work = torques(self.force, scene.lattice, self.spin_axes) * mean * scene.lattice.is_driven
-        self.injected = self.injected - reach * work.sum(axis=0).reshape(scene.replicas, -1).sum(axis=1)
+        self.injected = self.injected - reach * replica_sum(work)
 
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
@@ -218,7 +214,7 @@ class RigidLimit:
             elif bottom != top:
                 moving.append(component)
                 continue
-            energy = self.inertia / 2 * (free**2 - rest**2).reshape(scene.replicas, -1).sum(axis=1)
+            energy = self.inertia / 2 * replica_sum((free**2 - rest**2)[None])
             unfelt = bool((np.abs(energy) <= UNFELT * self.energy_at_start).all())
             if unfelt and np.abs(free - rest).max() <= DEAD * self.unit:
                 free[...] = rest
@@ -228,16 +224,11 @@ class RigidLimit:
             self.moving = tuple(moving)
             self._prepare()
 
-    def _kinetic_energy(self) -> np.ndarray:
-        squares = (self.staggered[..., ~self.scene.lattice.is_driven] ** 2).sum(axis=0)
-        return self.inertia / 2 * squares.reshape(self.scene.replicas, -1).sum(axis=1)
-
     def progress(self) -> Progress:
         scene = self.scene
         power = scene.power(self.staggered, self.spin_axes)
         bound = lower_bound(scene, self.force, self.spin_axes)
         believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
-        at_rest = self.still >= REST and believed
         return Progress(
             iteration=self.iteration,
             staggered=self.staggered.copy(),
@@ -249,17 +240,17 @@ class RigidLimit:
             unbalanced_torque=largest_unbalanced_torque(scene, self.force, self.spin_axes),
             time=self.time,
             energy=Energy(
-                kinetic=self._kinetic_energy(),
+                kinetic=kinetic_energy(self.scene, self.staggered, self.inertia),
                 spring=np.zeros(scene.replicas),
                 injected=self.injected,
                 dissipated=self.dissipated,
                 at_start=self.energy_at_start,
             ),
             slipping=self.slipping,
-            at_rest=at_rest,
+            at_rest=self.still >= REST and believed,
             exhausted=self.still >= STUCK and not believed,
             findings={
-                "rest_time": np.where(at_rest, self.rest_time, np.nan),
+                "rest_time": np.where(believed, self.rest_time, np.nan),
                 "newton_steps": np.full(scene.replicas, self.newton_steps),
             },
         )
