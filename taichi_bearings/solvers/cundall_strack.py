@@ -19,7 +19,7 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import default_inertia, kinetic_energy, moving_spin_axes, replica_sum
+from taichi_bearings.solvers.dynamics import Saturation, default_inertia, kinetic_energy, moving_spin_axes, replica_sum
 from taichi_bearings.solvers.gear import (
     CORRECTORS,
     largest_laplacian_eigenvalue,
@@ -29,6 +29,7 @@ from taichi_bearings.solvers.gear import (
 
 DEFAULT_STEP = 0.8  # of the stability bound
 BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
+SAME_FORCE = 1e-12  # relative: a contact this close to all the friction it can bear slips
 SLIPPING_SPRINGS = ("reset", "relax")
 REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
 
@@ -261,10 +262,10 @@ class CundallStrack:
         power = scene.power(staggered, self.spin_axes)
         bound = lower_bound(scene, springs, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
-        slipping = self._slipping(force)
+        saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            self._check_rest(power, bound, force, left_over, int(slipping.sum()))
+            self._check_rest(power, bound, force, left_over, int(saturation.slipping.sum()))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -272,23 +273,13 @@ class CundallStrack:
             force=force,
             power=power,
             lower_bound=bound,
-            resolution=1e-6 * scene.lattice.radius * scene.jump,
+            resolution=saturation.creep,
             unbalanced_torque=left_over,
             time=self.time,
             energy=self._energy(staggered, force, springs) if self.options.keep_energy else None,
-            slipping=slipping,
+            slipping=saturation.slipping,
             at_rest=self.quiet_checks >= REST_CHECKS,
         )
-
-    def _slipping(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
-        """(R,) contacts that bear all the friction they can, and so slip."""
-        scene, total = self.scene, np.zeros(self.scene.replicas, dtype=np.int64)
-        if scene.law == "coulomb":
-            for axis, values in enumerate(force):
-                limit = scene.normal_force * scene.acting_coefficient[axis]
-                slips = (vector_length(values) >= (1 - 1e-12) * limit) & (limit > 0)
-                total += slips.reshape(scene.replicas, -1).sum(axis=1)
-        return total
 
     def _contact_power(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""

@@ -1,8 +1,13 @@
 """What the dynamics have in common: which spins move, their inertia, their energy."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from taichi_bearings.scene import Scene
+from taichi_bearings.scene.scene import vector_length
+
+COARSEST = 1e-6  # of the imposed jump
 
 
 def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
@@ -29,3 +34,29 @@ def replica_sum(values: np.ndarray) -> np.ndarray:
 def kinetic_energy(scene: Scene, staggered: np.ndarray, inertia: float) -> np.ndarray:
     """(R,) of the free spheres with staggered spins (C, R, *N), energy."""
     return inertia / 2 * replica_sum(staggered[..., 1:-1] ** 2)
+
+
+@dataclass(frozen=True)
+class Saturation:
+    """Contacts of a Coulomb scene that bear all the friction they can, to a relative `tolerance`, and so slip.
+
+    slipping : (R,). creep : largest slip speed of a contact that holds, length/time: by less a contact is not known to
+    slip; at most COARSEST of the imposed jump, so that contacts which slip plainly are told from the first step on.
+    """
+
+    slipping: np.ndarray
+    creep: float
+
+    @classmethod
+    def of(
+        cls, scene: Scene, force: tuple[np.ndarray, ...], slip: tuple[np.ndarray, ...], tolerance: float
+    ) -> "Saturation":
+        """force : one array (T, R, *contacts) an axis. slip : (R, *contacts) an axis."""
+        slipping, creep = np.zeros(scene.replicas, dtype=np.int64), 0.0
+        if scene.law == "coulomb":
+            for values, speed, coefficient in zip(force, slip, scene.acting_coefficient, strict=True):
+                limit = scene.normal_force * coefficient
+                slips = vector_length(values) >= (1 - tolerance) * limit
+                slipping += replica_sum((slips & (limit > 0))[None])
+                creep = max(creep, float(speed[~slips].max(initial=0.0)))
+        return cls(slipping, min(creep, COARSEST * scene.lattice.radius * scene.jump))

@@ -29,7 +29,7 @@ from taichi_bearings.solvers.cundall_strack import (
     REST_CHECKS,
     CundallStrackOptions,
 )
-from taichi_bearings.solvers.dynamics import default_inertia, moving_spin_axes
+from taichi_bearings.solvers.dynamics import Saturation, default_inertia, moving_spin_axes
 from taichi_bearings.solvers.friction_stage import Friction, FrictionStage, Groups, StageEnd
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
@@ -271,10 +271,10 @@ class ImplicitCundallStrack:
         power = scene.power(staggered, self.spin_axes)
         bound = lower_bound(scene, springs if scene.law == "coulomb" else force, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
-        slipping = self._slipping()
+        saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            self._check_rest(power, bound, left_over, int(slipping.sum()))
+            self._check_rest(power, bound, left_over, int(saturation.slipping.sum()))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -282,24 +282,14 @@ class ImplicitCundallStrack:
             force=force,
             power=power,
             lower_bound=bound,
-            resolution=1e-6 * scene.lattice.radius * scene.jump,
+            resolution=saturation.creep,
             unbalanced_torque=left_over,
             time=self.time,
             energy=self._energy(),
-            slipping=slipping,
+            slipping=saturation.slipping,
             at_rest=self.quiet_checks >= REST_CHECKS,
             halted=self.halted,
         )
-
-    def _slipping(self) -> np.ndarray:
-        """(R,) contacts that bear all the friction they can, and so slip."""
-        if self.scene.law == "viscous":
-            return np.zeros(self.scene.replicas, dtype=np.int64)
-        found = [
-            sum(int((vector_length(f) >= (1 - SAME_FORCE) * m).sum()) for f, m in zip(sample.force, limit, strict=True))
-            for sample, limit in zip(self.samples, self.strength, strict=True)
-        ]
-        return np.array(found, dtype=np.int64)
 
     def _check_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> None:
         """Count the checks in a row, each a sixteenth of the simulated time apart, at which power, slipping contacts
