@@ -11,9 +11,10 @@ KINDS = ("spins", "power", "history", "energy")
 @click.argument("kind", type=click.Choice(KINDS), metavar="|".join(KINDS))
 @click.argument("run", metavar="RUN")
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
+@click.option("--time", type=float, default=None, help="spins: the snapshot nearest to this simulated time.")
 @click.option("--out", metavar="FILE", default=None, help="PNG, PDF or SVG. [default: KIND.png in the run directory]")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
-def command(kind: str, run: str, replica: int, out: str | None, force: bool) -> None:
+def command(kind: str, run: str, replica: int, time: float | None, out: str | None, force: bool) -> None:
     """Draw one figure from RUN, a run directory or its run.h5.
 
     \b
@@ -43,7 +44,7 @@ def command(kind: str, run: str, replica: int, out: str | None, force: bool) -> 
     if path.exists() and not (force or out is None):
         raise FileError(f"{path} already exists; choose another --out or add --force")
     if kind == "spins":
-        figure = draw_spins(stored, replica)
+        figure = draw_spins(stored if time is None else stored.at_time(time), replica)
     elif kind == "power":
         figure = draw_power(stored, replica)
     elif kind == "energy":

@@ -379,6 +379,9 @@ def test_energy_books_are_drawn_and_missed_where_there_are_none(tmp_path, finish
         sets = []
         file.visititems(lambda name, item: sets.append(item) if isinstance(item, h5py.Dataset) else None)
         assert all(item.attrs["description"] and item.attrs["units"] for item in sets)
+    done = bearings("plot", "spins", tmp_path / "run", "--time", "0", "--out", tmp_path / "start.png")
+    assert done.returncode == 0, done.stderr
+    assert "holds no snapshots" in bearings("plot", "spins", finished_run[0], "--time", "1").stderr
     done = bearings("plot", "energy", finished_run[0])
     assert done.returncode == 2
     assert "keeps no energy books" in done.stderr
