@@ -1,6 +1,7 @@
 """Runs that are killed and go on: the same bits, no half-written file, clear words for what cannot be resumed."""
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -13,7 +14,16 @@ import pytest
 from tests.cli.test_cli import bearings
 
 SCENE = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
-COURSE = ("--duration", "30", "--record", "linear:0,30,31", "--snapshots", "0,1,30", "--checkpoint-every", "0.05")
+COURSE = (
+    "--duration",
+    "30",
+    "--record",
+    "linear:0,30,31",
+    "--snapshots",
+    "0,1,30",
+    "--checkpoint-every",
+    "0.001",
+)  # one a row
 
 
 def arrays_of(run):
@@ -44,7 +54,7 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path):
     killed, draw = tmp_path / "killed", random.Random(7)
     words = ["run", *SCENE, *COURSE, "--out", killed]
     for _ in range(5):
-        assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 8)), "the run ended before it was killed"
+        assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 4)), "the run ended before it was killed"
         assert not (killed / "run.h5").exists()
         words = ["run", "--resume", killed]
     done = bearings("run", "--resume", killed, "--json")
@@ -122,14 +132,16 @@ def test_coefficients_and_spins_from_files_are_kept_for_the_resumed_run(tmp_path
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits and locks of POSIX")
-def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path):
+def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     import resource
+
+    elsewhere = os.environ | {"XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}  # no kernel is cut short
 
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 
     words = (*SCENE, "--duration", "1", "--checkpoint-every", "0.001", "--snapshots", "linear:0,1,200")
-    done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files)
+    done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files, env=elsewhere)
     assert done.returncode == 2
     assert "the run goes on" in done.stderr
     assert "Traceback" not in done.stderr
