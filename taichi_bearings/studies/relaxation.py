@@ -9,9 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
 from taichi_bearings.solvers.drive import solve
@@ -20,6 +18,8 @@ from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.rigid_limit import RigidLimit
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.studies.run import build_scene
+from taichi_bearings.studies.settings import RunSettings
 
 STEPS = 1_000_000  # limit; most samples of 3x3x3 are certified within 100 000
 END = 1e-8  # proven gap at which a relaxation has ended
@@ -67,10 +67,7 @@ class Minima:
 
 def draw_scene(shape: tuple[int, ...], seed: int, samples: int) -> Scene:
     """The paper's Coulomb scene with the bottom at rest, seeds seed ... seed + samples - 1."""
-    lattice, seeds = Lattice(shape), tuple(range(seed, seed + samples))
-    drawn = [draw_coefficients(lattice, Distribution.parse("uniform:0.1,1.0"), number) for number in seeds]
-    coefficient = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
-    return Scene(lattice, "coulomb", coefficient, seeds=seeds)
+    return build_scene(RunSettings(shape=shape, seed=seed, replicas=samples))
 
 
 def relax(scene: Scene, start: str, damping: float = 1e3, steps: int = STEPS) -> Run:
