@@ -19,7 +19,14 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import Saturation, default_inertia, kinetic_energy, moving_spin_axes, replica_sum
+from taichi_bearings.solvers.dynamics import (
+    RestWatch,
+    Saturation,
+    default_inertia,
+    kinetic_energy,
+    moving_spin_axes,
+    replica_sum,
+)
 from taichi_bearings.solvers.gear import (
     CORRECTORS,
     largest_laplacian_eigenvalue,
@@ -31,7 +38,6 @@ DEFAULT_STEP = 0.8  # of the stability bound
 BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
 SAME_FORCE = 1e-12  # relative: a contact this close to all the friction it can bear slips
 SLIPPING_SPRINGS = ("reset", "relax")
-REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
 
 
 @dataclass(frozen=True)
@@ -134,9 +140,8 @@ class CundallStrack:
             CundallStrackSteps, self.stencil, workers, scene.law, corrector, options.keep_energy
         )
         self.steps.compile()
-        self.iteration = self.quiet_checks = self.rest_check = 0
-        self.last_power = np.full(scene.replicas, np.inf)
-        self.last_slipping = -1
+        self.iteration = self.rest_check = 0
+        self.rest = RestWatch(np.full(scene.replicas, np.inf))
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
@@ -215,10 +220,10 @@ class CundallStrack:
 
     def state(self) -> dict[str, np.ndarray]:
         fields = {name: self.fields.read(name) for name in self._changing_fields()}
-        counters = [self.iteration, self.rest_check, self.quiet_checks, self.last_slipping]
+        counters = [self.iteration, self.rest_check, self.rest.quiet_checks, self.rest.last_slipping]
         return fields | {
             "counters": np.array(counters, dtype=np.int64),
-            "last_power": self.last_power,
+            "last_power": self.rest.last_power,
             "time_step": np.array(self.time_step),
         }
 
@@ -233,8 +238,8 @@ class CundallStrack:
             )
         for name in self._changing_fields():
             self.fields.load(name, state[name])
-        self.iteration, self.rest_check, self.quiet_checks, self.last_slipping = map(int, state["counters"])
-        self.last_power = np.array(state["last_power"])
+        self.iteration, self.rest_check, quiet_checks, last_slipping = map(int, state["counters"])
+        self.rest = RestWatch(np.array(state["last_power"]), last_slipping, quiet_checks)
 
     def advance(self, steps: int) -> None:
         scene, options = self.scene, self.options
@@ -265,7 +270,8 @@ class CundallStrack:
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            self._check_rest(power, bound, force, left_over, int(saturation.slipping.sum()))
+            believed, slipping = self._is_believed(power, bound), int(saturation.slipping.sum())
+            self.rest.look(scene, power, slipping, force, left_over, self.options.rest_tolerance, believed)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -278,7 +284,7 @@ class CundallStrack:
             time=self.time,
             energy=self._energy(staggered, force, springs) if self.options.keep_energy else None,
             slipping=saturation.slipping,
-            at_rest=self.quiet_checks >= REST_CHECKS,
+            at_rest=self.rest.at_rest,
         )
 
     def _contact_power(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> np.ndarray:
@@ -310,30 +316,12 @@ class CundallStrack:
     def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
         return self.stencil.forces_by_axis(self.fields.read(name), self.fields.layout)
 
-    def _check_rest(
-        self,
-        power: np.ndarray,
-        bound: np.ndarray,
-        force: tuple[np.ndarray, ...],
-        left_over: np.ndarray,
-        slipping: int,
-    ) -> None:
-        """Count the checks in a row at which power, slipping contacts and torque balance have been stationary.
-
-        Springs that have not loaded yet look stationary too. So rest is believed only if the certificate agrees; with
-        mu_s > mu_k, where it need not, only after the driven planes could have stretched the springs to slipping.
-        """
-        scene, tolerance = self.scene, self.options.rest_tolerance
-        typical_torque = scene.lattice.radius * max(float(vector_length(f).max(initial=0.0)) for f in force)
-        still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
-        balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
+    def _is_believed(self, power: np.ndarray, bound: np.ndarray) -> bool:
+        """Rest is believed only if the certificate agrees; with mu_s > mu_k, where it need not, only after the driven
+        planes could have stretched the springs to slipping."""
         if self.options.static_ratio > 1:
-            believed = self.time >= self._loading_time()
-        else:
-            believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
-        quiet = believed and still and balanced and slipping == self.last_slipping
-        self.quiet_checks = self.quiet_checks + 1 if quiet else 0
-        self.last_power, self.last_slipping = power, slipping
+            return self.time >= self._loading_time()
+        return bool((relative_gap(self.scene, power, bound) <= BELIEVED).all())
 
     def _loading_time(self) -> float:
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""

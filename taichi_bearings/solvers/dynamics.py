@@ -8,6 +8,7 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.scene import vector_length
 
 COARSEST = 1e-6  # of the imposed jump
+REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
 
 
 def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
@@ -60,3 +61,41 @@ class Saturation:
                 slipping += replica_sum((slips & (limit > 0))[None])
                 creep = max(creep, float(speed[~slips].max(initial=0.0)))
         return cls(slipping, min(creep, COARSEST * scene.lattice.radius * scene.jump))
+
+
+@dataclass
+class RestWatch:
+    """Counts the checks in a row at which a dynamics has been stationary.
+
+    last_power : (R,), at the last check. last_slipping : slipping contacts then, of all replicas.
+    """
+
+    last_power: np.ndarray
+    last_slipping: int = -1
+    quiet_checks: int = 0
+
+    @property
+    def at_rest(self) -> bool:
+        return self.quiet_checks >= REST_CHECKS
+
+    def look(
+        self,
+        scene: Scene,
+        power: np.ndarray,
+        slipping: int,
+        force: tuple[np.ndarray, ...],
+        left_over: np.ndarray,
+        tolerance: float,
+        believed: bool,
+    ) -> None:
+        """A check: power (R,), contact forces (T, R, *contacts) an axis, and the largest torque (R,) they leave.
+
+        tolerance : change of the power, relative; a thousand times as much of the typical friction torque may be left.
+        believed : springs that have not loaded yet look stationary too; True once that can be ruled out.
+        """
+        typical_torque = scene.lattice.radius * max(float(vector_length(f).max(initial=0.0)) for f in force)
+        still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
+        balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
+        quiet = believed and still and balanced and slipping == self.last_slipping
+        self.quiet_checks = self.quiet_checks + 1 if quiet else 0
+        self.last_power, self.last_slipping = power, slipping

@@ -22,14 +22,12 @@ from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Workspace
 from taichi_bearings.fields.workspace import FieldSpec
 from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
 from taichi_bearings.solvers.cundall_strack import (
     BELIEVED,
-    REST_CHECKS,
     CundallStrackOptions,
 )
-from taichi_bearings.solvers.dynamics import Saturation, default_inertia, moving_spin_axes
+from taichi_bearings.solvers.dynamics import RestWatch, Saturation, default_inertia, moving_spin_axes
 from taichi_bearings.solvers.friction_stage import Friction, FrictionStage, Groups, StageEnd
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
@@ -92,8 +90,8 @@ class ImplicitCundallStrack:
         if options.time_step is not None and options.time_step > longest:
             raise InputError(f"time_step is {options.time_step:g}; rounding allows at most {longest:.3g} in this scene")
         self.time_step = options.time_step or self._first_step()
-        self.quiet_checks, self.rest_check, self.rest_check_time = 0, 0, 0.0
-        self.last_power, self.last_slipping = np.full(scene.replicas, np.inf), -1
+        self.rest_check, self.rest_check_time = 0, 0.0
+        self.rest = RestWatch(np.full(scene.replicas, np.inf))
         with one_thread():  # once for all, so that the kernels are compiled before the clock starts
             self.stage.matrix.factorise(
                 [np.eye(len(g.below))[:, :, None] * np.ones(len(g.acting)) for g in self.groups], 1.0
@@ -274,7 +272,11 @@ class ImplicitCundallStrack:
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            self._check_rest(power, bound, left_over, int(saturation.slipping.sum()))
+            if self.time >= self.rest_check_time * (1 + LATER):
+                self.rest_check_time = self.time
+                believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
+                slipping = int(saturation.slipping.sum())
+                self.rest.look(scene, power, slipping, force, left_over, self.options.rest_tolerance, believed)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -287,23 +289,9 @@ class ImplicitCundallStrack:
             time=self.time,
             energy=self._energy(),
             slipping=saturation.slipping,
-            at_rest=self.quiet_checks >= REST_CHECKS,
+            at_rest=self.rest.at_rest,
             halted=self.halted,
         )
-
-    def _check_rest(self, power: np.ndarray, bound: np.ndarray, left_over: np.ndarray, slipping: int) -> None:
-        """Count the checks in a row, each a sixteenth of the simulated time apart, at which power, slipping contacts
-        and torque balance have been stationary and the certificate agrees."""
-        if self.time < self.rest_check_time * (1 + LATER):
-            return
-        scene, tolerance = self.scene, self.options.rest_tolerance
-        largest = max(float(vector_length(f).max(initial=0.0)) for sample in self.samples for f in sample.force)
-        still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
-        balanced = bool((left_over <= 1e3 * tolerance * scene.lattice.radius * largest).all())
-        believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
-        quiet = believed and still and balanced and slipping == self.last_slipping
-        self.quiet_checks = self.quiet_checks + 1 if quiet else 0
-        self.last_power, self.last_slipping, self.rest_check_time = power, slipping, self.time
 
     def state(self) -> dict[str, np.ndarray]:
         state = {
@@ -311,8 +299,8 @@ class ImplicitCundallStrack:
             "books": np.array([[sample.work, sample.injected] for sample in self.samples]),
             "energy_at_start": self.energy_at_start,
             "clock": np.array([self.time, self.time_step, self.rest_check_time]),
-            "counters": np.array([self.iteration, self.rest_check, self.quiet_checks, self.last_slipping]),
-            "last_power": self.last_power,
+            "counters": np.array([self.iteration, self.rest_check, self.rest.quiet_checks, self.rest.last_slipping]),
+            "last_power": self.rest.last_power,
             "spin_scale": np.array(self.stage.spin_scale),
         }
         for n, group in enumerate(self.groups):
@@ -330,9 +318,10 @@ class ImplicitCundallStrack:
             )
             for replica in range(self.scene.replicas)
         ]
-        self.energy_at_start, self.last_power = np.array(state["energy_at_start"]), np.array(state["last_power"])
+        self.energy_at_start = np.array(state["energy_at_start"])
         self.time, self.time_step, self.rest_check_time = map(float, state["clock"])
-        self.iteration, self.rest_check, self.quiet_checks, self.last_slipping = map(int, state["counters"])
+        self.iteration, self.rest_check, quiet_checks, last_slipping = map(int, state["counters"])
+        self.rest = RestWatch(np.array(state["last_power"]), last_slipping, quiet_checks)
         self._set_stage(float(state["spin_scale"]))
 
 
