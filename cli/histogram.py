@@ -8,66 +8,57 @@ from taichi_bearings_cli.options import json_option
 
 
 @click.command()
-@click.argument("runs", nargs=-1, required=True, metavar="RUN...")
-@click.option("--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True, help="Width of the bins.")
+@click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...")
+@click.option(
+    "--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True,
+    help="Width of the bins; with a scan 1, 2, 4, 5, 10 or 20.",
+)  # fmt: skip
+@click.option(
+    "--normalise", type=click.Choice(["none", "unit", "mean"]), default="none", show_default=True,
+    help="Count power in F_n R omega_T (unit), or in the mean power of the contacts of each sample (mean).",
+)  # fmt: skip
+@click.option(
+    "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
+)
 @click.option(
     "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-histogram-<id>]"
 )
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @json_option
-def command(runs: tuple[str, ...], bins_per_decade: int, out: str | None, force: bool, as_json: bool) -> None:
-    """Distribution of the power per contact, pooled over RUN..., as CSV, HDF5 and PNG.
+def command(
+    runs: tuple[str, ...],
+    bins_per_decade: int,
+    normalise: str,
+    by: str | None,
+    out: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Distribution of the power per contact, pooled over all samples of runs and scans, as CSV, HDF5 and PNG.
 
-    Only slipping contacts are binned; slipless and undecided ones are counted in the header.
+    Only slipping contacts are binned; slipless and undecided ones are counted in the header. Errors are standard errors
+    over the samples, or the roots of the counts where there is but one sample. docs/histograms.md says more.
 
     \b
-    Example:
+    Examples:
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --out outputs --force
+      bearings histogram outputs/my-scan --by spin_bottom --normalise unit
     """
-    from taichi_bearings.analysis.histogram import power_histogram, write_csv, write_hdf5
-    from taichi_bearings.errors import FileError, InputError
-    from taichi_bearings.files.run_file import read_run_file
-    from taichi_bearings.plots.histogram import draw_histogram
-    from taichi_bearings.plots.style import save
-    from taichi_bearings.studies.run_directory import default_run_path
+    from taichi_bearings.studies.histogram import histogram
 
-    stored = [read_run_file(Path(run)) for run in runs]
-    if len({run.path.resolve() for run in stored}) < len(stored):
-        raise InputError(f"the runs {', '.join(runs)} name the same run twice")
-    laws = sorted({str(run.attributes["law"]) for run in stored})
-    if len(laws) > 1:
-        raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law")
-    folder = Path(out) if out else default_run_path("histogram")
-    paths = {ending: folder / f"power_histogram.{ending}" for ending in ("csv", "h5", "png")}
-    standing = [path for path in paths.values() if path.exists()]
-    if standing and not force:
-        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-    histogram = power_histogram(
-        [values for run in stored for values in run.power],
-        [values for run in stored for values in run.state],
-        max(float(run.attributes["slip_threshold"]) for run in stored),
-        bins_per_decade,
-        samples=sum(len(run.spin) for run in stored),
-    )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_csv(histogram, paths["csv"])
-        write_hdf5(histogram, paths["h5"])
-        save(draw_histogram(histogram), paths["png"])
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
-    report = {
-        "slipping": histogram.slipping,
-        "slipless": histogram.slipless,
-        "undecided": histogram.undecided,
-        "samples": histogram.samples,
-        "smallest_power": float(histogram.edges[0]) if histogram.slipping else None,
-        "largest_power": float(histogram.edges[-1]) if histogram.slipping else None,
-        "files": [str(path) for path in paths.values()],
-    }
+    paths = [Path(run) for run in runs]
+    report = histogram(paths, Path(out) if out else None, force, bins_per_decade, normalise, by)
     if as_json:
-        click.echo(json.dumps(report))
+        click.echo(json.dumps(report, allow_nan=False))
         return
-    span = f" from {histogram.edges[0]:.2e} to {histogram.edges[-1]:.2e}" if histogram.slipping else ""
-    click.echo(f"{histogram.slipping:,} slipping contacts{span}, {histogram.slipless:,} slipless")
+    for part in report.get("groups", [report]):
+        name = f"{by} {part[by]}: " if by else ""
+        undecided = f", {part['undecided']:,} undecided" if part["undecided"] else ""
+        click.echo(
+            f"{name}{part['slipping']:,} slipping contacts, {part['slipless']:,} slipless{undecided}, "
+            f"{part['samples']:,} sample{'s' if part['samples'] > 1 else ''}"
+        )
+    if report["slipping"]:
+        units = "" if normalise == "none" else f" in units of {report['units']}"
+        click.echo(f"power from {report['smallest_power']:.2e} to {report['largest_power']:.2e}{units}")
     click.echo("\n".join(report["files"]))

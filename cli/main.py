@@ -10,8 +10,10 @@ from taichi_bearings.errors import BearingsError
 
 COMMANDS = {  # name -> (module, one line for --help)
     "run": "Solve one scene, or a block of seeds, and write a run directory.",
-    "histogram": "Distribution of the power per contact of one or more runs.",
-    "plot": "One figure from a run.",
+    "scan": "A parameter scan over many scenes, resumable, on all processors.",
+    "analyse": "Minimum cut, slipless network, rigid domains, bottlenecks and forces of a run.",
+    "histogram": "Distribution of the power per contact of runs and scans.",
+    "plot": "One figure from a run or a scan.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed, as ratios within one run.",
     "info": "Versions, devices, precision and cache.",

@@ -29,14 +29,22 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Figures of the paper and a verdict for each of its claims about them. FIGURE is fig2; without one, all.
+    """Figures of the paper and a verdict for each of its claims about them. FIGURE is one of these; without
+    one, all of them.
 
     \b
+    fig1  stationary states of 10x10 discs, viscous and Coulomb, and how often the interface of the two bearing states
+          is the minimum cut; the latter of five times as many samples as --samples says
     fig2  P(t) of a 3x3x3 Coulomb bearing from random spins and from the minimum cut, with springs (Cundall-Strack) and
           without (rigid limit), and the spins at both ends
+    fig3  a 10x10x10 Coulomb bearing whose slipless contacts join bottom and top: spheres, network, a path, its spins
+    fig4  the same cut along the planes that hold most of the path
+    network
+          the claims about Figs. 3 and 4 over samples from 3x3x3 to 32x32x32 (8 minutes): P_min / P_cut, slipless
+          network, rigid domains, what slip thresholds make of them, and other bearing states
 
-    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, report.json and report.md. Exit code 0 if every claim is confirmed, 1 if
-    one is refuted.
+    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, report.json and report.md. Exit code 0 if every claim is confirmed,
+    some of them refined, 1 if one is refuted.
 
     \b
     Example:

@@ -21,6 +21,8 @@ from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = tuple[np.ndarray, ...]
 ROUNDING = 32 * np.finfo(np.float64).eps
+BALANCED = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
+PROVEN, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -36,6 +38,50 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
         candidates = [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
     return np.maximum(best, 0.0)
+
+
+def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray) -> Forces:
+    """Forces near the given ones that certify by themselves, one array (T, R, *contacts) an axis.
+
+    They leave no torque on any free sphere but rounding, and none is longer than its friction disc (Coulomb): the work
+    of the driven planes against them is a lower bound on the least power (viscous: twice the work less the sum of
+    |f|^2 / eta is one). :func:`lower_bound` may instead pay for leftover torques.
+
+    bound : (R,), lower bound on the power that these forces should prove.
+
+    Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
+    forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
+    It ends once the balanced forces, divided by their worst saturation, prove `bound` or need no division, or after
+    MOST_PROJECTIONS.
+    """
+    force = _finite(scene, force)
+    largest = np.max([np.abs(f).max(axis=(0, *range(2, f.ndim)), initial=0.0) for f in force], axis=0)
+    left_over = largest_unbalanced_torque(scene, force, spin_axes) / scene.lattice.radius
+    in_balance = left_over <= BALANCED * largest
+    if not in_balance.all():
+        force = _where(in_balance, force, balance(scene, force, spin_axes))
+    if scene.law == "viscous":
+        return force
+    best = scaled(scene, force)
+    reached = dual_value(scene, best, spin_axes)
+    done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
+    for _ in range(MOST_PROJECTIONS):
+        done |= (reached >= bound * (1 - PROVEN)) | (_worst_saturation(scene, force) <= 1 + PROVEN)
+        if done.all():
+            break
+        shortened = (f + 1.5 * (c - f) for f, c in zip(force, capped(scene, force), strict=True))
+        force = _where(done, force, balance(scene, tuple(shortened), spin_axes))
+        trial = scaled(scene, force)
+        work = dual_value(scene, trial, spin_axes)
+        best = _where(~done & (work > reached), trial, best)
+        reached = np.where(done, reached, np.maximum(work, reached))
+    return best
+
+
+def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
+    """`force` in the chosen (R,) replicas and `other` in the rest."""
+    pick = chosen.reshape(1, -1, *(1,) * len(force))
+    return tuple(np.where(pick, a, b) for a, b in zip(force, other, strict=True))
 
 
 def slip_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...], power: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -151,9 +197,15 @@ def capped(scene: Scene, force: Forces) -> Forces:
 
 def scaled(scene: Scene, force: Forces) -> Forces:
     """All forces of a replica divided by the worst saturation, which keeps their torque balance."""
-    worst = np.max([ratio.reshape(scene.replicas, -1).max(axis=1) for ratio in saturation(scene, force)], axis=0)
-    factor = (1.0 / np.maximum(worst, 1.0)).reshape(-1, *(1,) * scene.lattice.dimension)
+    factor = (1.0 / np.maximum(_worst_saturation(scene, force), 1.0)).reshape(-1, *(1,) * scene.lattice.dimension)
     return tuple(f * factor for f in force)
+
+
+def _worst_saturation(scene: Scene, force: Forces) -> np.ndarray:
+    """Largest saturation of each replica, (R,)."""
+    return np.asarray(
+        np.max([ratio.reshape(scene.replicas, -1).max(axis=1) for ratio in saturation(scene, force)], axis=0)
+    )
 
 
 def saturation(scene: Scene, force: Forces) -> tuple[np.ndarray, ...]:
@@ -223,6 +275,7 @@ def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
 __all__ = [
     "balance",
     "capped",
+    "certifying_forces",
     "dual_value",
     "largest_unbalanced_torque",
     "lower_bound",

@@ -4,20 +4,26 @@ If every sphere turns either with the bottom or with the top, the contacts betwe
 jump d without its component along the contact n, all others not at all. The power of such a state is the weight of a
 cut, and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
 contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar.py cuts exactly. Any
-other cubic lattice takes a largest flow.
+other cubic lattice takes a largest flow, by OR-tools where it is installed, else by SciPy.
 
 Weights are rounded down to multiples of a unit, 2^-51 to 2^-52 of the lightest level cut, so a flow is a number of
 units below 2^53 and exact. A largest flow of rounded weights is a flow of the true ones, hence a proven lower bound,
 and the cut it leaves weighs at most one unit a contact more.
+
+What a largest flow leaves open shows how many lightest cuts there are: a cut is heavier than the lightest one by the
+capacity that is left from its lower to its upper side. So a sphere that the bottom reaches through contacts with more
+than some weight left is below every cut that is heavier by no more than this weight, and likewise from the top (Picard
+and Queyranne, Math. Program. Study 13, 1980).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from taichi_bearings.planar import minimum_cuts
+from taichi_bearings.planar import TIE, minimum_cuts
 
 BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
 
@@ -26,13 +32,24 @@ BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three t
 class MinimumCut:
     """Minimum cuts of R lattices N.
 
-    above : (R, *N), True on the top side; the contacts whose ends differ are the cut.
+    above : (R, *N), True on the top side; the contacts whose ends differ are the cut, the lowest one where some tie.
+    between : (R, *N), True for the spheres that are not proven to lie on the same side of all cuts as light as this
+        one, to 1e-12 of its weight and the rounding of the weights: what lies between cuts that tie.
     weight : (R,), of this cut. lower_bound : (R,), no cut is lighter; proven, and good to about 1e-15 a contact.
+    next_weight : (R,), of the lightest other cut that leaves either side in one piece, good to the same; NaN where it
+        takes more than this cut to know (see :func:`next_cut`).
     """
 
     above: np.ndarray
+    between: np.ndarray
     weight: np.ndarray
     lower_bound: np.ndarray
+    next_weight: np.ndarray
+
+    @property
+    def unique(self) -> np.ndarray:
+        """True where every other cut is proven to be heavier by more than 1e-12, (R,)."""
+        return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
 def jump_weights(
@@ -56,17 +73,48 @@ def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
     *sideways, upward = weight
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
     if not (upward > 0).all() or (len(sideways) == 2 and idle is None):
-        cuts = [_cut_lattice(tuple(values[replica] for values in weight)) for replica in range(len(upward))]
-        above, bound = (np.stack(parts) for parts in zip(*cuts, strict=True))
-    elif len(sideways) == 1:
-        above, bound = _cut_planes(sideways[0][:, None], upward[:, None])
-        above = above[:, 0]
+        return flow_cut(weight)
+    if len(sideways) == 1:
+        above, between, bound, following = _cut_planes(sideways[0][:, None], upward[:, None])
+        above, between = above[:, 0], between[:, 0]
     else:
         assert idle is not None
-        above, bound = _cut_planes(*(np.moveaxis(values, 1 + idle, 1) for values in (sideways[1 - idle], upward)))
-        above = np.moveaxis(above, 1, 1 + idle)
+        stacks = (np.moveaxis(values, 1 + idle, 1) for values in (sideways[1 - idle], upward))
+        above, between, bound, following = _cut_planes(*stacks)
+        above, between = (np.moveaxis(spheres, 1, 1 + idle) for spheres in (above, between))
     found = weight_of_cut(above, weight)
-    return MinimumCut(above, found, np.minimum(bound, found))
+    return MinimumCut(above, between, found, np.minimum(bound, found), following)
+
+
+def flow_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
+    """The same as :func:`minimum_cut` by a largest flow whatever the lattice, but for the next weight.
+
+    For planar grids slower, but it shares no code with the shortest paths.
+    """
+    cuts = [_cut_lattice(tuple(values[replica] for values in weight)) for replica in range(len(weight[-1]))]
+    above, between, bound = (np.stack(parts) for parts in zip(*cuts, strict=True))
+    found = weight_of_cut(above, weight)
+    return MinimumCut(above, between, found, np.minimum(bound, found), np.full(len(found), np.nan))
+
+
+def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
+    """Sides (R, *N) and weight (R,) of the lightest cut other than `cut`, of all that leave either side in one piece.
+
+    weight, cut : what :func:`minimum_cut` was given, and its answer. Such a cut cannot hold all contacts of another
+    one, so the lightest other one is the lightest of those that spare some contact of `cut`: a flow for each of them,
+    so for small lattices.
+    """
+    sides = np.empty_like(cut.above)
+    for replica in range(len(sides)):
+        sample = tuple(values[[replica]] for values in weight)
+        others = []
+        for axis, values in enumerate(sample):
+            for contact in np.argwhere(np.diff(cut.above[replica], axis=axis) & (values[0] > 0)):
+                spared = tuple(part[0].copy() for part in sample)
+                spared[axis][tuple(contact)] = np.inf
+                others.append(_cut_lattice(spared)[0])
+        sides[replica] = min(others, key=lambda above: float(weight_of_cut(above[None], sample)[0]))
+    return sides, weight_of_cut(sides, weight)
 
 
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -76,66 +124,145 @@ def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarr
     return np.sum(list(parts), axis=0)
 
 
-def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sides (R, planes, w, h) and proven weight (R,) of stacks of planar grids that nothing joins."""
+def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Stacks of planar grids that nothing joins: sides and what lies between ties (R, planes, w, h), proven weight
+    and weight of the next cut (R,)."""
     replicas, planes, columns, gaps = upward.shape
-    above, bound = np.empty((replicas * planes, columns, gaps + 1), dtype=bool), np.empty(replicas * planes)
+    above, between = (np.zeros((replicas * planes, columns, gaps + 1), dtype=bool) for _ in range(2))
+    bound, further = np.empty((2, replicas * planes))
     grids = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
     for part, cuts in minimum_cuts(*grids):
-        above[part], bound[part] = cuts.above, cuts.weight
-    return above.reshape(replicas, planes, columns, gaps + 1), bound.reshape(replicas, planes).sum(axis=1)
+        above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
+        for grid in np.flatnonzero(~cuts.unique):
+            between[part][grid] = _between((cuts.sideways_shared[grid], cuts.upward_shared[grid]))
+    stack = (replicas, planes, columns, gaps + 1)
+    bound, further = (values.reshape(replicas, planes) for values in (bound, further))
+    weight = bound.sum(axis=1)
+    return above.reshape(stack), between.reshape(stack), weight, weight + further.min(axis=1)
 
 
-def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, float]:
-    """Sides N and proven weight of one lattice; weight : one array of its contacts an axis."""
-    *sides, gaps = weight[-1].shape
-    free = (*sides, gaps - 1)
-    node = np.zeros((*sides, gaps + 1), dtype=np.int32)  # the bottom plane is node 0, the top plane the last one
+def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Sides N, what lies between ties N, and proven weight of one lattice; weight : one array of contacts an axis."""
+    node, ends = _network(weight[-1].shape)
+    levels = weight[-1].reshape(-1, weight[-1].shape[-1])
+    lightest = levels.sum(axis=0).argmin()
+    at_most = levels[:, lightest].sum()
+    unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
+    capacity = np.floor(np.minimum(_edges(weight), 2 * at_most) / unit).astype(np.int64)
+    level_cut = int(np.floor(levels[:, lightest] / unit).sum())
+    flow = largest_flow(ends, capacity, level_cut)
+    left_over = np.stack([capacity - flow, capacity + flow])
+    above = ~_reached(ends, left_over, 0)
+    cut = above[ends[0]] != above[ends[1]]
+    units = int(capacity[cut].sum())
+    tie = int(TIE * units) + int(cut.sum())
+    from_bottom, from_top = _reached(ends, left_over, 0, tie), _reached(ends, left_over[::-1], node.max(), tie)
+    return above[node], ~(from_bottom | from_top)[node], units * unit
+
+
+def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Spheres N that neither the bottom nor the top reaches through other contacts than these; one mask an axis."""
+    node, ends = _network(apart[-1].shape)
+    left_over = np.tile(~_edges(apart), (2, 1))
+    return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
+
+
+def _network(gaps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The graph of a lattice whose driven planes are one node each, the first and the last one; gaps : shape of the
+    contacts along the height.
+
+    returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
+    """
+    *sides, height = gaps
+    free = (*sides, height - 1)
+    node = np.zeros((*sides, height + 1), dtype=np.int32)
     node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
     node[..., -1] = np.prod(free) + 1
-    ends, heavy = [], []
-    for axis, values in enumerate(weight):
-        inside = slice(1, -1) if axis < len(sides) else slice(None)
-        joined = node[..., inside]
+    ends = []
+    for axis in range(len(gaps)):
+        joined = node if axis == len(sides) else node[..., 1:-1]
         ends.append(np.stack([np.delete(joined, end, axis).ravel() for end in (-1, 0)]))
-        heavy.append(values[..., inside].ravel())
-    at_most = weight[-1].reshape(-1, gaps).sum(axis=0).min()
-    unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
-    capacity = np.floor(np.minimum(np.concatenate(heavy), 2 * at_most) / unit).astype(np.int64)
-    above, flow = largest_flow(np.concatenate(ends, axis=1), capacity)
-    return above[node], flow * unit
+    return node, np.concatenate(ends, axis=1)
 
 
-def largest_flow(ends: np.ndarray, capacity: np.ndarray) -> tuple[np.ndarray, int]:
-    """A largest flow from the first to the last node of an undirected graph, and the cut that it leaves.
+def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Values of the contacts that take part, axis by axis; values : one array of contacts an axis."""
+    *sideways, upward = values
+    return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])
 
-    ends : (2, edges) nodes, no pair twice; capacity : (edges,) int64, those of a least cut below 2^62 together.
-    returns : True for the nodes beyond the cut; the flow, which equals the capacity of the cut.
+
+def _reached(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
+    """True for the nodes that `start` reaches along edges with more than `least` left over.
+
+    ends : (2, edges) nodes. left_over : (2, edges), capacity from the lower to the upper end and back.
+    """
+    nodes = int(ends.max()) + 1
+    row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
+    graph = csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(nodes, nodes))
+    reached = np.zeros(nodes, dtype=bool)
+    reached[breadth_first_order(graph, start, return_predecessors=False)] = True
+    return reached
+
+
+def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
+    """A largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper end.
+
+    ends : (2, edges) nodes, lower and upper, no pair twice; capacity : (edges,) int64 below 2^62. at_most : no flow is
+    larger; below 2^62. By OR-tools where it is installed, else by SciPy. The flow is not unique; the nodes that it
+    leaves within reach of the first node are (Ford and Fulkerson).
+    """
+    return flow_finder()(ends, capacity, at_most)
+
+
+def flow_finder() -> Callable[[np.ndarray, np.ndarray, int], np.ndarray]:
+    """The fastest installed way to find a largest flow."""
+    try:
+        import ortools.graph.python.max_flow  # noqa: F401
+    except ImportError:
+        return flow_by_scipy
+    return flow_by_ortools
+
+
+def flow_by_ortools(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
+    """See :func:`largest_flow`; push-relabel with 64 bits.
+
+    An extra source sends `at_most` into the first node, so that no sum of capacities can overflow.
+    """
+    from ortools.graph.python.max_flow import SimpleMaxFlow
+
+    last = int(ends.max())
+    network = SimpleMaxFlow()
+    lower, upper = ends.astype(np.int32)
+    edges = [network.add_arcs_with_capacity(*ways, capacity) for ways in ((lower, upper), (upper, lower))]
+    network.add_arc_with_capacity(last + 1, 0, at_most)
+    status = network.solve(last + 1, last)
+    if status != network.OPTIMAL:
+        raise RuntimeError(f"OR-tools ended with {status}")
+    there, back = (network.flows(arcs) for arcs in edges)
+    return there - back
+
+
+def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
+    """See :func:`largest_flow`; Dinic's method.
 
     SciPy's flows have 32 bits, so the leading bits go first. What capacity is left then carries no more than the cut
     found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System Sci.
-    31, 1985). Edges that no flow can fill are cut down to a little more than it. A library with 64-bit flows would
-    replace this one function.
+    31, 1985). Edges that no flow can fill are cut down to a little more than it.
     """
     nodes = int(ends.max()) + 1
-    row, column = np.concatenate([ends, ends[::-1]], axis=1)
+    row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
     left_over = np.tile(capacity, 2)  # of both directions
-    total, at_most = 0, int(min(capacity[(ends == end).any(axis=0)].sum() for end in (0, nodes - 1)))
     while True:
         shift = max(at_most.bit_length() - BITS, 0)
         graph = (np.minimum(left_over, 2 * at_most + 1) >> shift).astype(np.int32)
         result = maximum_flow(csr_array((graph, (row, column)), shape=(nodes, nodes)), 0, nodes - 1)
         sent = np.asarray(result.flow[row, column]).ravel().astype(np.int64)
         left_over -= sent << shift
-        total += int(result.flow_value) << shift
-        open_ones = graph > sent
-        reached = csr_array((open_ones[open_ones], (row[open_ones], column[open_ones])), shape=(nodes, nodes))
-        above = np.ones(nodes, dtype=bool)
-        above[breadth_first_order(reached, 0, return_predecessors=False)] = False
         if shift == 0:
-            return above, total
-        cut = int(left_over[~above[row] & above[column]].sum())
+            return capacity - left_over[: len(capacity)]
+        below = _reached(ends, graph - sent, 0)
+        cut = int(left_over[below[row] & ~below[column]].sum())
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
 
 
-__all__ = ["MinimumCut", "jump_weights", "largest_flow", "minimum_cut", "weight_of_cut"]
+__all__ = ["MinimumCut", "flow_cut", "jump_weights", "largest_flow", "minimum_cut", "next_cut", "weight_of_cut"]

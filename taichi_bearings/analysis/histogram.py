@@ -1,29 +1,59 @@
-"""Distribution of the power over the slipping contacts, in logarithmic bins."""
+"""Distribution of the power over the slipping contacts, in logarithmic bins, pooled over samples, with its errors."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from taichi_bearings.contact_state import ContactState
 
+ENERGY_PER_TIME = "energy/time"
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """Slipping contacts of S samples in B bins.
+
+    first, bins_per_decade, anchor : bin b is [10^((first + b) / bins_per_decade), ... of the next) / anchor.
+    count : (S, B). slipless, undecided : (S,) contacts that are in no bin.
+    """
+
+    first: int
+    bins_per_decade: int
+    anchor: float
+    count: np.ndarray
+    slipless: np.ndarray
+    undecided: np.ndarray
+
+    def of(self, samples: np.ndarray) -> "SampleCounts":
+        """Some of the samples, by number, in the same bins."""
+        parts = (self.count[samples], self.slipless[samples], self.undecided[samples])
+        return SampleCounts(self.first, self.bins_per_decade, self.anchor, *parts)
+
 
 @dataclass(frozen=True)
 class PowerHistogram:
-    """edges : (B + 1,) power, energy/time, evenly spaced in the logarithm. count : (B,) slipping contacts a bin.
+    """Contacts pooled over samples.
 
-    slipless, undecided : contacts left out of the bins. slip_threshold : length/time, of the coarsest run. samples :
-    replicas pooled.
+    edges : (B + 1,) power in `units`, evenly spaced in the logarithm. count : (B,) slipping contacts in each bin.
+    standard_error : (B,) of the count. density, density_error : (B,) share of the slipping contacts per decade of
+    power, and its standard error. slipless, undecided : contacts left out of the bins. slip_threshold : length/time, of
+    the coarsest run. samples : pooled.
+
+    With several samples the errors are those of sums and of ratios of sums over independent samples, so contacts of one
+    sample may depend on each other. With one sample they are those of contacts that slip independently (Poisson).
     """
 
     edges: np.ndarray
     count: np.ndarray
+    standard_error: np.ndarray
+    density: np.ndarray
+    density_error: np.ndarray
     slipless: int
     undecided: int
     slip_threshold: float
     samples: int
+    units: str = ENERGY_PER_TIME
 
     @property
     def slipping(self) -> int:
@@ -31,59 +61,92 @@ class PowerHistogram:
 
 
 def power_histogram(
+    power: Sequence[np.ndarray], state: Sequence[np.ndarray], slip_threshold: float, bins_per_decade: int = 5
+) -> PowerHistogram:
+    """Histogram of the power of slipping contacts. power, state : (R, *contacts), one array an axis."""
+    return pool(count_powers(power, state, bins_per_decade), slip_threshold)
+
+
+def count_powers(
     power: Sequence[np.ndarray],
     state: Sequence[np.ndarray],
-    slip_threshold: float,
     bins_per_decade: int = 5,
-    samples: int = 1,
-) -> PowerHistogram:
-    """Histogram of the power of slipping contacts.
+    unit: np.ndarray | None = None,
+    anchor: float = 1.0,
+) -> SampleCounts:
+    """Contacts of R replicas in bins. power, state : (R, *contacts), one array an axis.
 
-    power, state : arrays of equal shapes, one an axis (and a run, if several are pooled). samples : for the record.
+    unit : (R,) power that counts as 1 in each replica, default 1. anchor : as in SampleCounts.
     """
-    powers = np.concatenate([p.ravel() for p in power])
-    states = np.concatenate([s.ravel() for s in state])
-    chosen = powers[(states == ContactState.SLIPPING) & (powers > 0)]
-    if len(chosen):
-        low = np.floor(np.log10(chosen.min()) * bins_per_decade)
-        high = np.floor(np.log10(chosen.max()) * bins_per_decade) + 1
-        edges = 10.0 ** (np.arange(low, high + 1) / bins_per_decade)
-        edges[0], edges[-1] = min(edges[0], chosen.min()), max(edges[-1], chosen.max())
+    powers, states = (np.concatenate([v.reshape(len(v), -1) for v in sets], axis=1) for sets in (power, state))
+    replica, contact = np.nonzero((states == ContactState.SLIPPING) & (powers > 0))
+    scale = np.ones(len(powers)) if unit is None else unit
+    number = np.floor(
+        bins_per_decade * np.log10(powers[replica, contact] / scale[replica] * anchor)  # 1/1*x is x to the last bit
+    ).astype(int)
+    first, bins = (int(number.min()), int(np.ptp(number)) + 1) if len(number) else (0, 0)
+    count = np.bincount(replica * bins + number - first, minlength=len(powers) * bins).reshape(len(powers), bins)
+    outside = ((states == which).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.UNDECIDED))
+    return SampleCounts(first, bins_per_decade, anchor, count, *outside)
+
+
+def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor: float = 1.0) -> SampleCounts:
+    """Counts whose powers are lost, in other bins: powers in multiples of `unit`, (S,), and fewer bins a decade.
+
+    Every sample's bins move by whole bins, to the nearest: by half a fine bin too much or too little at worst, by
+    nothing where unit = anchor. InputError is up to the caller: `bins_per_decade` must divide that of `fine`.
+    """
+    merged = fine.bins_per_decade // bins_per_decade
+    move = np.rint(fine.bins_per_decade * np.log10(anchor / (unit * fine.anchor))).astype(int)
+    number = (fine.first + move[:, None] + np.arange(fine.count.shape[1])) // merged
+    if not fine.count.any():
+        return SampleCounts(
+            0, bins_per_decade, anchor, np.zeros((len(fine.count), 0), dtype=int), fine.slipless, fine.undecided
+        )
+    used = number[fine.count > 0]
+    first, bins = int(used.min()), int(np.ptp(used)) + 1
+    count = np.zeros((len(fine.count), bins), dtype=int)
+    sample, column = np.nonzero(fine.count)
+    np.add.at(count, (sample, number[sample, column] - first), fine.count[sample, column])
+    return SampleCounts(first, bins_per_decade, anchor, count, fine.slipless, fine.undecided)
+
+
+def together(parts: Sequence[SampleCounts]) -> SampleCounts:
+    """Samples of several sources, of equal `bins_per_decade` and `anchor`, in bins that hold them all."""
+    filled = [part for part in parts if part.count.shape[1]]
+    first = min((part.first for part in filled), default=0)
+    bins = max((part.first + part.count.shape[1] for part in filled), default=0) - first
+    rows = []
+    for part in parts:
+        before = part.first - first if part.count.shape[1] else 0
+        rows.append(np.pad(part.count, ((0, 0), (before, bins - before - part.count.shape[1]))))
+    outside = (np.concatenate([getattr(part, name) for part in parts]) for name in ("slipless", "undecided"))
+    return SampleCounts(first, parts[0].bins_per_decade, parts[0].anchor, np.vstack(rows), *outside)
+
+
+def pool(counts: SampleCounts, slip_threshold: float, units: str = ENERGY_PER_TIME) -> PowerHistogram:
+    """One histogram of all samples. units : what the power is counted in, for the record."""
+    samples, bins = counts.count.shape
+    edges = 10.0 ** ((counts.first + np.arange(bins + 1)) / counts.bins_per_decade) / counts.anchor
+    count = counts.count.sum(axis=0)
+    total = max(int(count.sum()), 1)
+    share = count / total
+    if samples > 1:
+        spread = samples / (samples - 1)
+        error = np.sqrt(spread * ((counts.count - count / samples) ** 2).sum(axis=0))
+        slipping = counts.count.sum(axis=1, keepdims=True)
+        share_error = np.sqrt(spread * ((counts.count - share * slipping) ** 2).sum(axis=0)) / total
     else:
-        edges = np.zeros(0)
+        error, share_error = np.sqrt(count), np.sqrt(count) / total
     return PowerHistogram(
-        edges=edges,
-        count=np.histogram(chosen, edges)[0] if len(chosen) else np.zeros(0, dtype=int),
-        slipless=int((states == ContactState.SLIPLESS).sum()),
-        undecided=int((states == ContactState.UNDECIDED).sum()),
+        edges=edges if bins else np.zeros(0),
+        count=count,
+        standard_error=error,
+        density=share * counts.bins_per_decade,
+        density_error=share_error * counts.bins_per_decade,
+        slipless=int(counts.slipless.sum()),
+        undecided=int(counts.undecided.sum()),
         slip_threshold=slip_threshold,
         samples=samples,
+        units=units,
     )
-
-
-def write_csv(histogram: PowerHistogram, path: Path) -> None:
-    """``power_low,power_high,count``; contacts that are in no bin are counted in the header."""
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("w", newline="", encoding="utf-8") as file:
-        file.write(f"# slipping {histogram.slipping}, slipless {histogram.slipless}, undecided {histogram.undecided}\n")
-        file.write(f"# slip_threshold {histogram.slip_threshold!r}, samples {histogram.samples}\n")
-        writer = csv.writer(file)
-        writer.writerow(["power_low", "power_high", "count"])
-        for low, high, number in zip(histogram.edges[:-1], histogram.edges[1:], histogram.count, strict=True):
-            writer.writerow([repr(float(low)), repr(float(high)), int(number)])
-    partial.replace(path)
-
-
-def write_hdf5(histogram: PowerHistogram, path: Path) -> None:
-    """Data sets `edges` and `count`; everything else as attributes."""
-    import h5py
-
-    partial = path.with_name(path.name + ".partial")
-    with h5py.File(partial, "w") as file:
-        edges = file.create_dataset("edges", data=histogram.edges)
-        edges.attrs["units"], edges.attrs["description"] = "energy/time", "edges of the power bins"
-        count = file.create_dataset("count", data=histogram.count)
-        count.attrs["units"], count.attrs["description"] = "1", "slipping contacts in each bin"
-        for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
-            file.attrs[name] = getattr(histogram, name)
-    partial.replace(path)

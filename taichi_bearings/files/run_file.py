@@ -40,13 +40,22 @@ HISTORY_UNITS = {
 }
 
 
+FRICTION = {  # dimension -> description
+    2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts; "
+    "in balance and within the friction limits, so it proves a lower bound",
+    3: "friction on the upper sphere, laboratory frame; in balance and within the friction limits, so it proves a "
+    "lower bound",
+}
+
+
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
     """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
     scene = solution.scene
     one = scene.replicas == 1
 
     def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
-        packed = {"compression": "gzip", "shuffle": True} if values.dtype == np.uint8 else {}
+        sparse = values.dtype == np.uint8 or (name.endswith("/friction") and scene.lattice.dimension == 3)
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
         stored = file.create_dataset(name, data=values, dtype=values.dtype, **packed)
         stored.attrs["units"], stored.attrs["description"] = unit, text
 
@@ -56,7 +65,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     def fill(file: h5py.File) -> None:
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in attributes.items():
-            file.attrs[key] = _storable(value)
+            file.attrs[key] = storable(value)
         law_unit = "1" if scene.law == "coulomb" else "force*time/length"
         for axis in range(scene.lattice.dimension):
             name, values = AXES[axis], scene.coefficient[axis]
@@ -64,6 +73,8 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             put(file, f"coefficient/{name}", strip(values), law_unit, f"{kind} coefficient of the {name}-contacts")
             for key, (attribute, unit, text) in CONTACT_SETS.items():
                 put(file, f"contact/{name}/{key}", strip(getattr(solution, attribute)[axis]), unit, text)
+            text = FRICTION[scene.lattice.dimension]
+            put(file, f"contact/{name}/friction", strip(solution.friction[axis]), "force", text)
             if solution.slip_bound:
                 text = "largest slip speed that any minimum can have at this contact, proven"
                 put(file, f"contact/{name}/slip_bound", strip(solution.slip_bound[axis]), "length/time", text)
@@ -86,7 +97,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     write_hdf5(path, fill)
 
 
-def _storable(value: Any) -> Any:
+def storable(value: Any) -> Any:
     """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers."""
     if isinstance(value, list) and None in value:
         return [np.nan if item is None else item for item in value]
@@ -95,7 +106,10 @@ def _storable(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as read back. Arrays always have the replica axis (history too); contact sets are one array an axis."""
+    """A run as read back. Arrays always have the replica axis (history too); contact sets are one array an axis.
+
+    friction : as in :class:`Solution`; None in files from before it was stored.
+    """
 
     path: Path
     attributes: dict[str, Any]
@@ -107,10 +121,17 @@ class StoredRun:
     state: tuple[np.ndarray, ...]
     history: dict[str, np.ndarray]
     snapshots: dict[str, np.ndarray]
+    friction: tuple[np.ndarray, ...] | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
         return tuple(int(n) for n in self.attributes["shape"])
+
+    def attribute(self, name: str) -> Any:
+        """An attribute of the file; FileError if it is missing."""
+        if name not in self.attributes:
+            raise FileError(f"{self.path} lacks the attribute {name!r}; it is damaged or was changed")
+        return self.attributes[name]
 
     def at_time(self, time: float) -> "StoredRun":
         """The run with the spins of the snapshot nearest to `time`, of which no contact states are known."""
@@ -144,6 +165,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
     axes = AXES[: len(attributes["shape"])]
     one = file["coefficient/x"].ndim == len(axes)
+    has_friction = all(f"contact/{axis}/friction" in file for axis in axes)
 
     def get(name: str) -> np.ndarray:
         values = file[name][()]
@@ -157,5 +179,6 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         spin=get("spin"),
         history={key: get(f"history/{key}") for key in file["history"]},
         snapshots={key: get(f"snapshots/{key}") for key in file.get("snapshots", ())},
+        friction=tuple(get(f"contact/{axis}/friction") for axis in axes) if has_friction else None,
         **sets,
     )

@@ -1,14 +1,55 @@
-"""HDF5 files that are there in full or not at all."""
+"""Files that are there in full or not at all: HDF5, text and tables."""
 
 import contextlib
+import csv
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 
 from taichi_bearings.errors import FileError
+
+Buffer = bytes | memoryview
+
+
+def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
+    """Replace `path` by a file with this content in one move; FileError if that cannot be done.
+
+    ending : of the name that the file has meanwhile; processes that may write it at the same time need different ones.
+    """
+    path = path.resolve()  # a link stays one
+    temporary = path.with_name(path.name + ending)
+    try:
+        with temporary.open("wb") as written:
+            written.write(content)
+            written.flush()
+            os.fsync(written.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Text in UTF-8, line ends as they are."""
+    replace_file(path, text.encode())
+
+
+def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], notes: Sequence[str] = ()) -> None:
+    """A line of names and the rows below it, floating-point numbers with all their digits.
+
+    notes : lines that go before, each after "# ".
+    """
+    text = io.StringIO()
+    text.writelines(f"# {line}\n" for line in notes)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
@@ -17,16 +58,21 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
     The file is built in memory first: on a full disk HDF5 itself fails in ways that cannot be caught.
     """
     whole = io.BytesIO()
-    with h5py.File(whole, "w") as file:
+    with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         fill(file)
-    temporary = path.with_name(path.name + ".partial")
-    try:
-        with temporary.open("wb") as written:
-            written.write(whole.getbuffer())
-            written.flush()
-            os.fsync(written.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+    replace_file(path, whole.getbuffer())
+
+
+def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
+    """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
+
+    def copy(whole: h5py.File) -> None:
+        with h5py.File(path, "r") as old:
+            for key, value in old.attrs.items():
+                whole.attrs[key] = value
+            for key in old:
+                if key != name:
+                    old.copy(key, whole)
+        fill(whole.create_group(name))
+
+    write_hdf5(path, copy)

@@ -123,6 +123,53 @@ def torques(force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[in
     return _gather(force, lattice, spin_axes, upper_sign=-1.0)
 
 
+def laboratory_forces(
+    force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]
+) -> tuple[np.ndarray, ...]:
+    """Friction on the upper sphere of each contact in the laboratory frame, of forces along the spin difference.
+
+    force : one array (T, R, *contacts) an axis, f. The friction is -s f x n, with n the direction of the contact and s
+    the sign of its lower sphere: it opposes the slip of paper Eq. 2, s R Delta Omega x n.
+    returns : one array (R, *contacts, 3) an axis; in 2D (R, *contacts), the component along z x n, which is upwards at
+    contacts along x and to the left at contacts along y. The lower sphere feels the opposite force.
+    """
+    found = []
+    for axis, values in enumerate(force):
+        sign = lower(lattice.parity, axis, lattice.dimension)
+        if lattice.dimension == 2:
+            found.append(-sign * values[0])
+            continue
+        friction = np.zeros((*values.shape[1:], 3))
+        for part, slot in zip(values, tangential(axis, spin_axes), strict=True):
+            turned, turn = _turned(axis, spin_axes[slot])
+            friction[..., turned] = turn * sign * part
+        found.append(friction)
+    return tuple(found)
+
+
+def staggered_forces(
+    friction: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]
+) -> tuple[np.ndarray, ...]:
+    """Inverse of :func:`laboratory_forces` for the components that `spin_axes` names: (T, R, *contacts) an axis."""
+    found = []
+    for axis, values in enumerate(friction):
+        sign = lower(lattice.parity, axis, lattice.dimension)
+        if lattice.dimension == 2:
+            found.append(-sign * values[None])
+            continue
+        parts = np.empty((len(tangential(axis, spin_axes)), *values.shape[:-1]))
+        for part, slot in zip(parts, tangential(axis, spin_axes), strict=True):
+            turned, turn = _turned(axis, spin_axes[slot])
+            part[...] = turn * sign * values[..., turned]
+        found.append(parts)
+    return tuple(found)
+
+
+def _turned(axis: int, component: int) -> tuple[int, int]:
+    """Laboratory axis and sign of -e_component x e_axis."""
+    return 3 - axis - component, 1 if (component - axis) % 3 == 1 else -1
+
+
 def weights(coefficient: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Sum of the coefficients of the contacts that act on each spin component, (C, R, *N).
 

@@ -1,37 +1,78 @@
 """The distribution of dissipated power over the contacts."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.histogram import PowerHistogram
-from taichi_bearings.plots.style import BLUE, new_figure
+from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
+from taichi_bearings.plots.style import BLUE, new_figure, shades
+
+POWER = "power of a contact, $P_e$"
+MATHEMATICS = {"F_n R omega_T": r"$F_n R\,\omega_T$"}
+
+
+def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = None) -> Figure:
+    """One histogram as counts, or those of several values of a parameter as densities over each other."""
+    if by is None:
+        return draw_histogram(next(iter(histograms.values())))
+    return draw_overlay(histograms, by)
 
 
 def draw_histogram(histogram: PowerHistogram) -> Figure:
-    """Number of slipping contacts against their power, both logarithmic; empty bins are left out."""
+    """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
     figure = new_figure()
     axes = figure.add_subplot()
-    axes.set(xscale="log", yscale="log", xlabel="power of a contact, $P_e$", ylabel="slipping contacts per bin")
+    axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
     filled = histogram.count > 0
     if filled.any():
-        centre = np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
+        centre, count, error = _centre(histogram)[filled], histogram.count[filled], histogram.standard_error[filled]
         axes.bar(
             histogram.edges[:-1][filled],
-            histogram.count[filled],
+            count,
             np.diff(histogram.edges)[filled],
             align="edge",
             color=BLUE,
             alpha=0.25,
             linewidth=0,
         )
-        axes.plot(centre[filled], histogram.count[filled], "o", ms=3.5, color=BLUE)
+        axes.errorbar(centre, count, error, fmt="o", ms=3.5, color=BLUE, elinewidth=0.8)
         axes.set_ylim(0.5, 2 * histogram.count.max())
     else:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
-    left_out = f"{histogram.slipless:,} slipless" + (
-        f", {histogram.undecided:,} undecided" if histogram.undecided else ""
-    )
-    axes.set_title(
-        f"{histogram.slipping:,} slipping contacts ({left_out}; threshold {histogram.slip_threshold:.1e})", fontsize=9
-    )
+    whose = f" of {histogram.samples:,} samples\n" if histogram.samples > 1 else " "
+    outside = f"({_outside(histogram)}; threshold {histogram.slip_threshold:.1e})"
+    axes.set_title(f"{histogram.slipping:,} slipping contacts{whose}{outside}", fontsize=9)
     return figure
+
+
+def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
+    """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
+    figure = new_figure(7.0, 4.4)
+    axes = figure.add_subplot()
+    first = next(iter(histograms.values()))
+    axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")
+    for (value, found), colour in zip(histograms.items(), shades(len(histograms)), strict=True):
+        filled = found.count > 0
+        centre, density, error = (v[filled] for v in (_centre(found), found.density, found.density_error))
+        label = f"{value}: {found.slipping:,} slipping, {_outside(found)}; {found.samples:,} samples"
+        axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
+        low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
+        axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
+    figure.legend(title=by, loc="outside lower center", fontsize=8, ncols=1 if len(histograms) < 9 else 2)
+    return figure
+
+
+def _centre(histogram: PowerHistogram) -> np.ndarray:
+    return np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
+
+
+def _label(histogram: PowerHistogram) -> str:
+    if histogram.units == ENERGY_PER_TIME:
+        return POWER
+    return f"{POWER}, in units of {MATHEMATICS.get(histogram.units, histogram.units)}"
+
+
+def _outside(histogram: PowerHistogram) -> str:
+    return f"{histogram.slipless:,} slipless" + (f", {histogram.undecided:,} undecided" if histogram.undecided else "")

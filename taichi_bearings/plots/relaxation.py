@@ -11,9 +11,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
+from taichi_bearings.plots.lattice import COLOURS, box_edges, lit_sphere
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
 
-COLOURS = "coolwarm"
 HUES = ((BLUE, "#0b2545"), (ORANGE, "#6b2d00"))  # of a start: with springs, rigid
 DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
 VIEW = np.array([[0.866, 0.5, 0.0], [-0.17, 0.294, 0.94], [0.47, -0.814, 0.342]])  # right, up, towards the reader
@@ -107,7 +107,7 @@ def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
     nx, ny, nz = spin.shape[:-1]
     for height in (0, nz - 1):
         _draw_box(axes, (nx, ny), height)
-    light = _lit_sphere()
+    light = lit_sphere()
     for order, n in enumerate(np.argsort(centre[:, 2])):
         x, y = centre[n, :2]
         r = DRAWN_RADIUS
@@ -131,26 +131,11 @@ def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
     axes.set_axis_off()
 
 
-def _lit_sphere(pixels: int = 96) -> np.ndarray:
-    """Diffuse light, gloss and opacity of a unit sphere seen from the front, (pixels, pixels, 3)."""
-    x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
-    square = x**2 + y**2
-    z = np.sqrt(np.clip(1 - square, 0, None))
-    towards = np.array([-0.45, 0.55, 0.70])
-    cosine = np.clip((x * towards[0] + y * towards[1] + z * towards[2]) / np.linalg.norm(towards), 0, 1)
-    opacity = np.clip((1 - np.sqrt(square)) * pixels / 4, 0, 1)
-    return np.stack([0.55 + 0.5 * cosine, 0.35 * cosine**24, opacity], axis=-1)
-
-
 def _draw_box(axes: Any, sides: tuple[int, int], height: int) -> None:
     """The twelve edges of a box around a plane of spheres, as in the paper."""
-    corners = np.array([[x, y, z] for x in (-0.5, sides[0] - 0.5) for y in (-0.5, sides[1] - 0.5) for z in (-0.5, 0.5)])
-    corners[:, 2] += height
-    for first in range(8):
-        for bit in (1, 2, 4):
-            if not first & bit:
-                ends = corners[[first, first | bit]] @ VIEW.T
-                axes.plot(ends[:, 0], ends[:, 1], color=GREY, lw=0.7, zorder=1)
+    edges = box_edges((-0.5, -0.5, height - 0.5), (sides[0] - 0.5, sides[1] - 0.5, height + 0.5))
+    for ends in edges @ VIEW.T:
+        axes.plot(ends[:, 0], ends[:, 1], color=GREY, lw=0.7, zorder=1)
 
 
 __all__ = ["Relaxation", "draw_relaxation"]

@@ -1,5 +1,6 @@
 """One look for all figures."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import matplotlib
 matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
+
+from taichi_bearings.files.whole_file import replace_file
 
 RC: dict[Any, Any] = {
     "font.size": 10,
@@ -27,8 +30,13 @@ def new_figure(width: float = 5.5, height: float = 4.0) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def shades(number: int) -> list[Any]:
+    """Colours of curves in an order, dark to light."""
+    return [matplotlib.colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a PNG (or PDF, SVG by its ending) under a temporary name and rename it."""
-    partial = path.with_name(f".partial-{path.name}")
-    figure.savefig(partial)
-    partial.replace(path)
+    """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=path.suffix[1:])
+    replace_file(path, drawn.getbuffer())

@@ -36,13 +36,22 @@ def zero_spin(scene: Scene) -> np.ndarray:
 
 
 def cut_of(scene: Scene) -> MinimumCut:
-    """The lightest interface between spheres that turn with the bottom and spheres that turn with the top.
+    """The lightest interface between spheres that turn with the bottom and spheres that turn with the top."""
+    return minimum_cut(cut_weights(scene))
 
-    Its power is strength * R jump * weight (coulomb; PHYSICS 3.7) or (R jump)^2 * weight (viscous, whose contacts weigh
-    by the square of their slip).
+
+def cut_weights(scene: Scene) -> tuple[np.ndarray, ...]:
+    """Share of each contact in the power of such an interface, over :func:`cut_power_unit`; (R, *contacts) an axis.
+
+    Viscous contacts weigh by the square of their slip.
     """
-    exponent = 1.0 if scene.law == "coulomb" else 2.0
-    return minimum_cut(jump_weights(scene.coefficient, scene.axis_vector, exponent))
+    return jump_weights(scene.coefficient, scene.axis_vector, 1.0 if scene.law == "coulomb" else 2.0)
+
+
+def cut_power_unit(scene: Scene) -> float:
+    """Power of an interface over its weight: strength * R jump (coulomb; PHYSICS 3.7) or (R jump)^2 (viscous)."""
+    speed = scene.lattice.radius * scene.jump
+    return scene.strength * (speed if scene.law == "coulomb" else speed**2)
 
 
 def minimum_cut_spin(scene: Scene) -> np.ndarray:

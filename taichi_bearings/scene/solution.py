@@ -65,6 +65,7 @@ class Progress:
     staggered : (C, R, *N) spins that this check stands for, components as named by spin_axes.
     force : contact forces, one array (T, R, *contacts) an axis, along the spin difference of the contact.
     power, lower_bound : (R,), energy/time.
+    proof : forces like `force` from which lower_bound follows, where these are others.
     time : simulated time of a dynamics, else None.
     energy : energy books of a dynamics that keeps them. slipping : (R,), contacts of a dynamics that slip now.
     resolution : slip speed below which the method cannot tell slip from rest, length/time.
@@ -85,6 +86,7 @@ class Progress:
     lower_bound: np.ndarray
     resolution: float
     unbalanced_torque: np.ndarray
+    proof: tuple[np.ndarray, ...] | None = None
     time: float | None = None
     energy: Energy | None = None
     slipping: np.ndarray | None = None
@@ -104,6 +106,9 @@ class Solution:
 
     spin : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time.
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
+    friction : on the upper sphere of each contact, laboratory frame, (R, *contacts, 3) an axis; in 2D (R, *contacts),
+        the component along z x n (lattice.grid.laboratory_forces). In balance and within the friction discs, so that it
+        certifies (certificate.certifying_forces); made from the forces of the best bound, of a dynamics from the last.
     resolved : (R,), True where the contact states are proven to be those of a minimum.
     slip_bound : Coulomb, one array (R, *contacts) an axis: no minimiser slips faster there; proven. Else empty.
     power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
@@ -120,6 +125,7 @@ class Solution:
     slip: tuple[np.ndarray, ...]
     power_per_contact: tuple[np.ndarray, ...]
     force: tuple[np.ndarray, ...]
+    friction: tuple[np.ndarray, ...]
     state: tuple[np.ndarray, ...]
     slip_bound: tuple[np.ndarray, ...]
     resolved: np.ndarray

@@ -281,6 +281,7 @@ class CundallStrack:
             lower_bound=bound,
             resolution=saturation.creep,
             unbalanced_torque=left_over,
+            proof=springs,
             time=self.time,
             energy=self._energy(staggered, force, springs) if self.options.keep_energy else None,
             slipping=saturation.slipping,

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.certificate import relative_gap, slip_bound
+from taichi_bearings.certificate import Forces, certifying_forces, dual_value, relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.errors import FileError
 from taichi_bearings.fields import borrow
 from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
@@ -76,7 +77,10 @@ def solve(
         status, progress, seconds = course.follow(monitors)
         best, recorder = course.best, course.recorder
         final = replace(best.progress, iteration=progress.iteration)
-    return _collect(scene, method.name, status, final, best.bound, recorder, seconds, compiled - began, slip_threshold)
+        proof = best.proof
+    return _collect(
+        scene, method.name, status, final, best.bound, proof, recorder, seconds, compiled - began, slip_threshold
+    )
 
 
 class _Course:
@@ -218,11 +222,15 @@ class _Pace:
 
 
 class _Best:
-    """The state that counts, replica by replica, and the best lower bound seen."""
+    """The state that counts, replica by replica, and the best lower bound seen.
+
+    proof : forces (T, R, *contacts) an axis from which that bound follows; of a dynamics, those of its last state.
+    """
 
     def __init__(self, keeps_best: bool) -> None:
         self.keeps_best = keeps_best
         self.progress: Progress
+        self.proof: Forces
         self.bound = np.zeros(0)  # none yet
         self._gap, self._improved_at = np.inf, 0
 
@@ -239,6 +247,7 @@ class _Best:
 
     def take(self, new: Progress) -> None:
         first = len(self.bound) == 0
+        self._take_proof(new, first)
         self.bound = new.lower_bound if first else np.maximum(self.bound, new.lower_bound)
         if first or not self.keeps_best:
             self.progress = new
@@ -267,6 +276,14 @@ class _Best:
             resolution=new.resolution if better.any() else old.resolution,
         )
 
+    def _take_proof(self, new: Progress, first: bool) -> None:
+        proof = new.force if new.proof is None else new.proof
+        if first or not self.keeps_best:
+            self.proof = proof
+            return
+        pick = (new.lower_bound >= self.bound).reshape(1, -1, *(1,) * len(proof))
+        self.proof = tuple(np.where(pick, a, b) for a, b in zip(proof, self.proof, strict=True))
+
 
 def _states(scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float) -> tuple[np.ndarray, ...]:
     """Contact states as the method has established them, else by slip and friction; none slips below the threshold."""
@@ -284,6 +301,7 @@ def _collect(
     status: Status,
     final: Progress,
     bound: np.ndarray,
+    proof: Forces,
     recorder: Recorder,
     seconds: float,
     seconds_compile: float,
@@ -292,6 +310,8 @@ def _collect(
     slip = scene.slips(final.staggered, final.spin_axes)
     default = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump)
     threshold = default if slip_threshold is None else slip_threshold
+    friction = certifying_forces(scene, proof, final.spin_axes, bound)
+    bound = np.maximum(bound, dual_value(scene, friction, final.spin_axes))
     return Solution(
         scene=scene,
         method=method,
@@ -301,6 +321,7 @@ def _collect(
         slip=slip,
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
+        friction=laboratory_forces(friction, scene.lattice, final.spin_axes),
         state=_states(scene, slip, final, threshold),
         slip_bound=slip_bound(scene, final.force, final.spin_axes, final.power) if scene.law == "coulomb" else (),
         resolved=np.zeros(scene.replicas, dtype=bool) if final.resolved is None else final.resolved,

@@ -267,7 +267,8 @@ class ImplicitCundallStrack:
                 springs[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = stiffness * elongation
         scene.impose_driving(staggered, self.spin_axes)
         power = scene.power(staggered, self.spin_axes)
-        bound = lower_bound(scene, springs if scene.law == "coulomb" else force, self.spin_axes)
+        proof = tuple(springs) if scene.law == "coulomb" else force
+        bound = lower_bound(scene, proof, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
         if self.iteration >= self._next_rest_check():
@@ -286,6 +287,7 @@ class ImplicitCundallStrack:
             lower_bound=bound,
             resolution=saturation.creep,
             unbalanced_torque=left_over,
+            proof=proof,
             time=self.time,
             energy=self._energy(),
             slipping=saturation.slipping,

@@ -167,7 +167,8 @@ class OperatorSplitting:
         slips = scene.slips(staggered, axes)
         powers = [scene.power_of(slip, axis) for axis, slip in enumerate(slips)]
         power = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in powers], axis=0)
-        work, bound = work_and_bound(scene, self.balanced_force(), axes)
+        balanced = self.balanced_force()
+        work, bound = work_and_bound(scene, balanced, axes)
         self._steer(power, work, bound)
         trial, push = self._by_axis("trial"), self._by_axis("push")
         friction = tuple((v - g) / 2 for v, g in zip(trial, push, strict=True))
@@ -180,6 +181,7 @@ class OperatorSplitting:
             lower_bound=bound,
             resolution=self._resolution(slips, trial, push),
             unbalanced_torque=largest_unbalanced_torque(scene, friction, axes),
+            proof=balanced,
         )
 
     def balanced_force(self) -> tuple[np.ndarray, ...]:

@@ -1,6 +1,5 @@
 """The study of run time against error as files: CSV, Markdown, figure, and the numbers for `--json`."""
 
-import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.files.whole_file import write_csv, write_text
 from taichi_bearings.plots.accuracy import Curve, Panel, draw_accuracy
 from taichi_bearings.plots.style import save
 from taichi_bearings.studies.accuracy import Entry, SceneResult
@@ -34,46 +34,28 @@ class ReportFiles:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise self._cannot(error) from None
+            raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
 
     @property
     def paths(self) -> tuple[Path, Path, Path]:
         return self.csv, self.table, self.figure
 
     def write(self, results: Sequence[SceneResult]) -> None:
-        try:
-            write_csv(results, self.csv)
-            partial = self.table.with_name(f".partial-{self.table.name}")
-            partial.write_text(table(results), encoding="utf-8")
-            partial.replace(self.table)
-            save(draw_accuracy([panel(result) for result in results]), self.figure)
-        except OSError as error:
-            raise self._cannot(error) from None
-
-    def _cannot(self, error: OSError) -> FileError:
-        return FileError(f"{self.folder} cannot be written: {error.strerror or error}")
-
-
-def write_csv(results: Sequence[SceneResult], path: Path) -> None:
-    """One row a checkpoint with the columns COLUMNS; numbers with all their digits."""
-    partial = path.with_name(f".partial-{path.name}")
-    with partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for result in results:
-            for entry in result.entries:
-                writer.writerows(_rows(result, entry))
-    partial.replace(path)
+        rows = [row for result in results for entry in result.entries for row in _rows(result, entry)]
+        write_csv(self.csv, COLUMNS, rows)
+        write_text(self.table, table(results))
+        save(draw_accuracy([panel(result) for result in results]), self.figure)
 
 
 def _rows(result: SceneResult, entry: Entry) -> Iterable[tuple[Any, ...]]:
+    """One row a checkpoint, with the columns COLUMNS."""
     scene = result.scene
     shape, gaps, errors = "x".join(map(str, scene.lattice.shape)), result.gaps(entry), result.errors(entry.power)
     for n in range(len(entry.seconds)):
         numbers = (entry.seconds[n], entry.seconds_compile, entry.power[n], entry.lower_bound[n], gaps[n], errors[n])
         yield (
-            shape, scene.law, scene.seeds[0], entry.method, entry.settings[n], *(repr(float(x)) for x in numbers),
-            repr(result.reference_gap), int(entry.iterations[n]), entry.statuses[n],
+            shape, scene.law, scene.seeds[0], entry.method, entry.settings[n], *map(float, numbers),
+            result.reference_gap, int(entry.iterations[n]), entry.statuses[n],
         )  # fmt: skip
 
 

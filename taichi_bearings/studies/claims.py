@@ -7,16 +7,22 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Claim:
-    """text : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs."""
+    """text : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
+
+    confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
+    """
 
     text: str
     finding: str
     confirmed: bool
     numbers: Mapping[str, Any] = field(default_factory=dict)
+    refined: bool = False
 
     @property
     def verdict(self) -> str:
-        return "confirmed" if self.confirmed else "refuted"
+        if not self.confirmed:
+            return "refuted"
+        return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
         return {"claim": self.text, "verdict": self.verdict, "finding": self.finding, "numbers": dict(self.numbers)}

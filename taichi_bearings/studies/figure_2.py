@@ -3,13 +3,13 @@
 Followed by the paper's Cundall-Strack dynamics and, with the same inertia, under rigid friction without springs.
 """
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from taichi_bearings import runtime
+from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
 from taichi_bearings.plots.style import save
 from taichi_bearings.scene import Scene
@@ -50,7 +50,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     rigid = [relax_rigidly(rigid_scene, start) for start in STARTS]
     minima = minima_of(draw_scene(SHAPE, effort.seed, effort.samples))
     larger = minima_of(draw_scene(LARGER, effort.seed, min(LARGER_SAMPLES, effort.samples)))
-    write_csv(folder / "fig2.csv", scene, {"cundall-strack": runs, "rigid-limit": rigid}, minima)
+    write_curves(folder / "fig2.csv", scene, {"cundall-strack": runs, "rigid-limit": rigid}, minima)
     largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
     shown = shown_sample(minima, rigid_scene.replicas)
     drawn = [
@@ -96,19 +96,16 @@ def shown_sample(minima: Minima, runs: int) -> int:
     return int(np.argmax(minima.below_cut[:runs]))
 
 
-def write_csv(path: Path, scene: Scene, runs: Mapping[str, Sequence[Run]], minima: Minima) -> None:
+def write_curves(path: Path, scene: Scene, runs: Mapping[str, Sequence[Run]], minima: Minima) -> None:
     """The curves: dynamics, start, seed, time, power, power over the initial one, power over the certified minimum."""
-    partial = path.with_name(f".partial-{path.name}")
-    with partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["dynamics", "start", "seed", "time", "power", "power_over_initial", "power_over_minimum"])
-        for dynamics, run in ((name, run) for name, both in runs.items() for run in both):
-            for n, power_of in enumerate(run.power.T):
-                for time, power in zip(run.time, power_of, strict=True):
-                    numbers = (time, power, power / power_of[0], power / minima.power[n])
-                    words = (dynamics, run.start, scene.seeds[n])
-                    writer.writerow([*words, *(repr(float(value)) for value in numbers)])
-    partial.replace(path)
+    rows = []
+    for dynamics, run in ((name, run) for name, both in runs.items() for run in both):
+        for n, power_of in enumerate(run.power.T):
+            for time, power in zip(run.time, power_of, strict=True):
+                numbers = (time, power, power / power_of[0], power / minima.power[n])
+                rows.append([dynamics, run.start, scene.seeds[n], *map(float, numbers)])
+    names = ["dynamics", "start", "seed", "time", "power", "power_over_initial", "power_over_minimum"]
+    write_csv(path, names, rows)
 
 
 def _falls_rigidly(scene: Scene, runs: Sequence[Run]) -> Claim:

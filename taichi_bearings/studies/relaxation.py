@@ -83,7 +83,7 @@ def relax_rigidly(scene: Scene, start: str) -> Run:
 
 def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recording: Recording) -> Run:
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
-    solution = _uninterrupted(solve(scene, method, spin, rule, recording=recording))
+    solution = uninterrupted(solve(scene, method, spin, rule, recording=recording))
     return Run(
         start=start,
         time=solution.history["time"],
@@ -96,13 +96,14 @@ def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recordin
 def minima_of(scene: Scene) -> Minima:
     """Certified minima by the interior-point method, and the minimum cuts."""
     rule = StopRule(1e-10, settle=False)
-    solution = _uninterrupted(solve(scene, InteriorPoint(), initial_spin(scene, "linear"), rule))
+    solution = uninterrupted(solve(scene, InteriorPoint(), initial_spin(scene, "linear"), rule))
     cut = cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     return Minima(solution.power, solution.lower_bound, unit * cut.weight, unit * cut.lower_bound, solution.spin)
 
 
-def _uninterrupted(solution: Solution) -> Solution:
+def uninterrupted(solution: Solution) -> Solution:
+    """The same solution; KeyboardInterrupt if Ctrl-C ended it early."""
     if solution.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return solution

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.studies.claims import Claim, Effort
 
 
@@ -26,7 +27,19 @@ class PaperFigure:
 
 
 FIGURES = {
+    "fig1": PaperFigure(
+        "Stationary states of 10x10 discs", "figure_1", ("fig1.png", "fig1.pdf", "fig1.csv", "fig1-samples.csv")
+    ),
     "fig2": PaperFigure("Relaxation of a 3x3x3 Coulomb bearing", "figure_2", ("fig2.png", "fig2.pdf", "fig2.csv")),
+    "fig3": PaperFigure(
+        "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", ("fig3.png", "fig3.pdf", "fig3.csv")
+    ),
+    "fig4": PaperFigure("The planes that its path goes through", "figure_4", ("fig4.png", "fig4.pdf")),
+    "network": PaperFigure(
+        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32",
+        "network",
+        ("network.png", "network.pdf", "network.csv"),
+    ),
 }
 REPORTS = ("report.json", "report.md")
 
@@ -63,8 +76,8 @@ def reproduce(
             tell(f"{name}: {FIGURES[name].title} ...")
             claims[name] = FIGURES[name].reproduce(folder, effort)
         report = describe(claims, folder, effort)
-        _write(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
-        _write(folder / "report.md", table(claims, effort))
+        write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
+        write_text(folder / "report.md", table(claims, effort))
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
     except KeyboardInterrupt:
@@ -88,8 +101,9 @@ def describe(claims: dict[str, list[Claim]], folder: Path, effort: Effort) -> di
             }
             for name, found in claims.items()
         },
-        "confirmed": sum(claim.confirmed for claim in listed),
-        "refuted": sum(not claim.confirmed for claim in listed),
+        "confirmed": sum(claim.verdict == "confirmed" for claim in listed),
+        "refined": sum(claim.verdict == "refined" for claim in listed),
+        "refuted": sum(claim.verdict == "refuted" for claim in listed),
         "seed": effort.seed,
         "samples": effort.samples,
         "files": [str(folder / file) for file in REPORTS],
@@ -106,9 +120,3 @@ def table(claims: dict[str, list[Claim]], effort: Effort) -> str:
         head = f"## {name}: {FIGURES[name].title}"
         parts.append("\n".join([head, "", image, "", "| claim | verdict | finding |", "|---|---|---|", *rows]))
     return f"# Figures and claims, samples from seed {effort.seed}\n\n" + "\n\n".join(parts) + "\n"
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".partial-{path.name}")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)

@@ -14,6 +14,7 @@ from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import read_checkpoint, write_checkpoint
+from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.scene import Scene, Solution, Status
@@ -38,8 +39,13 @@ def build_scene(settings: RunSettings) -> Scene:
     else:
         stored = read_coefficients(Path(settings.coefficients), lattice.dimension)
         coefficient = tuple(_with_replicas(values, lattice.dimension, len(seeds)) for values in stored)
+    return scene_with(settings, coefficient, seeds)
+
+
+def scene_with(settings: RunSettings, coefficient: tuple[np.ndarray, ...], seeds: tuple[int, ...]) -> Scene:
+    """The scene of the settings with these coefficients, one array (R, *contacts) an axis, and seeds (R,)."""
     return Scene(
-        lattice=lattice,
+        lattice=Lattice(settings.shape, settings.radius),
         law=settings.law,
         coefficient=coefficient,
         spin_top=settings.spin_top,
@@ -48,6 +54,11 @@ def build_scene(settings: RunSettings) -> Scene:
         normal_force=settings.normal_force,
         seeds=seeds,
     )
+
+
+def settings_of(run: StoredRun) -> RunSettings:
+    """The settings of a stored run; FileError if they are missing."""
+    return RunSettings.from_mapping(parse_toml(str(run.attribute("scene"))), str(run.path))
 
 
 def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndarray:
@@ -348,11 +359,12 @@ def _solve_with_checkpoints(
 
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
     """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
-    from taichi_bearings.analysis.histogram import power_histogram, write_csv
+    from taichi_bearings.analysis.histogram import power_histogram
     from taichi_bearings.files.run_file import read_run_file, write_run_file
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
+    from taichi_bearings.studies.histogram import write_table
 
     running = runtime.current() if job.method.needs_taichi else runtime.HOST
     summary = summarise(solution, job.settings.tolerance) | {
@@ -366,10 +378,8 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     attributes = summary | {"command": " ".join(["bearings", *sys.argv[1:]]), "scene": stored.to_toml(), **versions()}
     write_run_file(folder / "run.h5", solution, attributes)
     (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
-    histogram = power_histogram(
-        solution.power_per_contact, solution.state, solution.slip_threshold, samples=job.scene.replicas
-    )
-    write_csv(histogram, folder / "power_histogram.csv")
+    histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
+    write_table(folder / "power_histogram.csv", {None: histogram})
     save(draw_histogram(histogram), folder / "power_histogram.png")
     save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
     full = summary | {"settings": asdict(job.settings), "versions": versions()}

@@ -72,9 +72,12 @@ class RunDirectory:
 
 
 @contextlib.contextmanager
-def in_use(path: Path) -> Iterator[None]:
-    """Keep other processes from working in a run directory; FileError if one does. A lock ends with its process."""
-    lock = path / ".in-use"
+def in_use(path: Path, part: str = "") -> Iterator[None]:
+    """Keep other processes from working in a run directory; FileError if one does. A lock ends with its process.
+
+    part : keeps others from that part of the work alone.
+    """
+    lock = path / (f".in-use-{part}" if part else ".in-use")
     try:
         file = lock.open("a")
     except OSError as error:
@@ -84,13 +87,32 @@ def in_use(path: Path) -> Iterator[None]:
             _lock(file.fileno())
         except OSError as error:
             if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
-                raise FileError(f"{path} is in use by another process; stop that or wait for its end") from None
+                what = f"{part} in {path}" if part else path
+                raise FileError(f"{what} is in use by another process; stop that or wait for its end") from None
             # this file system has no locks
         try:
             yield
         finally:
             with contextlib.suppress(OSError):
                 lock.unlink()
+
+
+@contextlib.contextmanager
+def writable_folder(path: Path, part: str = "") -> Iterator[None]:
+    """A folder that files can be written to, made if need be, kept from others meanwhile; FileError if it cannot be.
+
+    part : as in :func:`in_use`.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+    with in_use(path, part):
+        try:
+            yield
+        except OSError as error:
+            name = error.filename2 or error.filename or path
+            raise FileError(f"{name} cannot be written: {error.strerror or error}") from None
 
 
 def _lock(descriptor: int) -> None:

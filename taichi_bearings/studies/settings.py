@@ -241,18 +241,21 @@ class RunSettings:
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
-        lines = [f"{key} = {_toml(getattr(self, key))}" for key in self.keys() if getattr(self, key) is not None]
+        lines = [f"{key} = {toml_value(getattr(self, key))}" for key in self.keys() if getattr(self, key) is not None]
         return "\n".join(lines) + "\n"
 
 
-def _toml(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A text, number, truth value, list or (inline) table as it is written in TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         escaped = value.replace("\\", "\\\\").replace('"', '\\"')
         return f'"{escaped}"'
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_toml(part) for part in value) + "]"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(toml_value(part) for part in value) + "]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {toml_value(part)}" for key, part in value.items()) + " }"
     return repr(value)
 
 
@@ -270,6 +273,21 @@ def read_toml(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
     return parse_toml(text, path)
+
+
+def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:
+    """Key and value of ``key=value`` on the command line, the value as in TOML, other words as a text.
+
+    option, allowed : for the InputError, what it was given to and what it must be.
+    """
+    key, equals, word = text.partition("=")
+    key = key.strip().replace("-", "_")
+    if not equals or not key:
+        raise InputError(f"{option} is {text!r}; it must be {allowed}")
+    try:
+        return key, parse_toml(f"value = {word}")["value"]
+    except FileError:
+        return key, word.strip()
 
 
 def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:

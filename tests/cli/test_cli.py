@@ -38,7 +38,7 @@ def test_help_answers_at_once():
     assert min(times) < 0.5
 
 
-@pytest.mark.parametrize("command", ["run", "histogram", "plot", "reproduce", "info", "benchmark"])
+@pytest.mark.parametrize("command", ["run", "scan", "analyse", "histogram", "plot", "reproduce", "info", "benchmark"])
 def test_every_command_has_help_with_an_example(command):
     done = bearings(command, "--help")
     assert done.returncode == 0
@@ -167,7 +167,7 @@ def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path
     report = json.loads(done.stdout)
     assert report["slipping"] == 2 * summary["slipping"]
     lines = (tmp_path / "power_histogram.csv").read_text().splitlines()
-    assert lines[2] == "power_low,power_high,count"
+    assert lines[2].startswith("power_low,power_high,count,standard_error")
     rows = np.array([[float(word) for word in line.split(",")] for line in lines[3:]])
     assert rows[:, 2].sum() == report["slipping"]
     assert (rows[1:, 0] == rows[:-1, 1]).all()

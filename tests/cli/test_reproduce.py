@@ -66,7 +66,7 @@ def test_the_curves_are_in_the_csv(reproduced):
 def test_a_refuted_claim_is_exit_code_1(tmp_path, monkeypatch):
     claims = [Claim("Water runs uphill.", "It runs downhill.", False), Claim("It is wet.", "So it is.", True)]
     monkeypatch.setattr(reproduce.PaperFigure, "reproduce", lambda *_: claims)
-    done = CliRunner().invoke(command, ["--out", str(tmp_path / "a")])
+    done = CliRunner().invoke(command, ["fig2", "--out", str(tmp_path / "a")])
     assert done.exit_code == 1
     assert "refuted    Water runs uphill.\n           It runs downhill." in done.stdout
     report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
@@ -76,7 +76,11 @@ def test_a_refuted_claim_is_exit_code_1(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [(("fig9",), "'fig9'; allowed are fig2"), (("--samples", "0"), "0 is not in"), (("--seed", "-1"), "-1 is not in")],
+    [
+        (("fig9",), "'fig9'; allowed are fig1, fig2"),
+        (("--samples", "0"), "0 is not in"),
+        (("--seed", "-1"), "-1 is not in"),
+    ],
 )
 def test_bad_input_is_exit_code_2(words, expected, tmp_path):
     done = bearings("reproduce", *words, "--out", tmp_path / "a", cwd=tmp_path)

@@ -1,0 +1,174 @@
+"""bearings scan"""
+
+import json
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import click
+from taichi_bearings_cli.options import json_option
+
+from taichi_bearings.errors import InputError
+
+
+@click.command()
+@click.argument("scan", metavar="SCAN")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE",
+    help="Fix a key of run for all samples, or scan it with scan.KEY=LIST or RANGE; wins over the file. Repeatable.",
+)  # fmt: skip
+@click.option("--workers", type=click.IntRange(1), default=None, help="Processes at most. [default: processors]")
+@click.option(
+    "--scheduler", metavar="ADDRESS", default=None,
+    help="Solve on the workers of the Dask scheduler there, such as tcp://node:8786.",
+)  # fmt: skip
+@click.option(
+    "--cluster", type=click.Choice(["slurm", "pbs", "sge", "lsf", "local"]), default=None,
+    help="Start Dask workers, --workers of them, as jobs in a queue or on this machine, and solve there.",
+)  # fmt: skip
+@click.option(
+    "--cluster-option", "cluster_options", multiple=True, metavar="KEY=VALUE",
+    help="Option of the jobs, as for the cluster class of dask-jobqueue: queue, walltime, memory, ... Repeatable.",
+)  # fmt: skip
+@click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
+@click.option("--merge", is_flag=True, help="Solve nothing: write scan.h5 and scan.csv of all parts in the folder.")
+@click.option("--analyse", is_flag=True, help="Add the numbers of `bearings analyse` for every sample.")
+@click.option("--keep-states", is_flag=True, help="Keep full states too, as states/<sample>.h5, the layout of run.h5.")
+@click.option(
+    "--sample-timeout", type=click.FloatRange(0, min_open=True), default=None, metavar="SECONDS",
+    help="End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
+)  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Only print the number of samples, and the time and memory to expect.")
+@click.option(
+    "--heartbeat", type=click.FloatRange(0), default=None, metavar="SECONDS",
+    help="Time between two lines of progress on stderr, 0 for none. [default: 30 in a file, none in a pipe]",
+)  # fmt: skip
+@click.option(
+    "--out", metavar="DIR", default=None,
+    help="Folder of the scan; one that is there is completed. [default: outputs/<time>-scan-<id>]",
+)  # fmt: skip
+@json_option
+@click.pass_context
+def command(
+    context: click.Context,
+    scan: str,
+    overrides: tuple[str, ...],
+    workers: int | None,
+    scheduler: str | None,
+    cluster: str | None,
+    cluster_options: tuple[str, ...],
+    part: str | None,
+    merge: bool,
+    analyse: bool,
+    keep_states: bool,
+    sample_timeout: float | None,
+    dry_run: bool,
+    heartbeat: float | None,
+    out: str | None,
+    as_json: bool,
+) -> None:
+    """Solve many scenes: SCAN is a TOML file with keys of `run` and a table [scan] with a list or a range for each key
+    that varies; or the folder of a scan, which goes on there.
+
+    The folder gets scan.csv and scan.h5, one row a sample: the scanned keys, power, lower_bound, gap, status, ... and
+    the distribution of power. The same scan into the same folder again does only what is missing or has failed; a scan
+    that asks for more samples extends it. A sample that fails is tried twice, named, and costs nothing else.
+
+    \b
+    Exit codes: 0 all reached, 1 a sample failed or stopped short, 2 bad input, 130 interrupted (what is done is kept).
+
+    \b
+    Example of a file SCAN.toml:
+      shape = [10, 10]
+      [scan]
+      seed = { start = 0, stop = 1000 }
+      spin_bottom = [0.0, 0.1]
+
+    \b
+    Examples:
+      bearings scan SCAN.toml --dry-run
+      bearings scan SCAN.toml --out outputs/scan
+      bearings scan outputs/scan
+      bearings scan SCAN.toml --out outputs/scan --set "scan.seed={start=0, stop=2000}"
+      bearings scan SCAN.toml --cluster slurm --workers 64 --cluster-option walltime=04:00:00
+      bearings scan SCAN.toml --out outputs/scan --part 3/100; bearings scan outputs/scan --merge
+    """
+    from taichi_bearings_cli.progress import ScanDisplay
+
+    from taichi_bearings.studies import scan as study
+    from taichi_bearings.studies.run_directory import default_run_path
+    from taichi_bearings.studies.scan_parts import Part
+    from taichi_bearings.studies.scan_plan import read_plan
+
+    path, folder = Path(scan), Path(out) if out else None
+    if path.is_dir():  # the folder of a scan: go on there
+        path, folder = path / "scan.toml", folder or path
+    on_cluster = scheduler is not None or cluster is not None
+    if cluster_options and not on_cluster:
+        raise InputError("--cluster-option needs --cluster slurm, pbs, sge or lsf")
+    if merge and (part is not None or on_cluster):
+        raise InputError("--merge solves nothing; leave out --part, --scheduler and --cluster")
+    if folder is None and (merge or part is not None):
+        raise InputError("--part and --merge need --out DIR, the same for all parts")
+    only = None if part is None else Part.parse(part)
+    plan = read_plan(path, overrides)
+    if dry_run:
+        expected = study.estimate(plan, folder, workers or 0, analyse, keep_states, only)
+        click.echo(json.dumps(expected) if as_json else describe_estimate(expected))
+        return
+    if merge and folder is not None:
+        report = study.merge(plan, folder)
+    else:
+        folder = folder or default_run_path("scan")
+        with ScanDisplay(heartbeat) as display, _client(scheduler, cluster, workers, cluster_options) as client:
+            report = study.scan(
+                plan, folder, workers or 0, analyse, keep_states, sample_timeout, display, client=client, part=only
+            )
+    click.echo(json.dumps(report) if as_json else describe(report))
+    if report["interrupted"]:
+        context.exit(130)
+    context.exit(0 if report["reached"] == report["samples"] else 1)
+
+
+def _client(
+    scheduler: str | None, cluster: str | None, workers: int | None, options: Sequence[str]
+) -> AbstractContextManager[Any]:
+    """The client of the Dask cluster that was asked for, or None."""
+    if scheduler is None and cluster is None:
+        return nullcontext()
+    from taichi_bearings.studies.scan_cluster import connected
+
+    return connected(scheduler, cluster, workers, options)
+
+
+def describe_estimate(expected: dict[str, Any]) -> str:
+    """What a scan would do, for people."""
+    from taichi_bearings_cli.progress import duration
+
+    lines = [f"{expected['samples']:,} samples over {', '.join(expected['scanned']) or 'nothing'}"]
+    if expected["missing"] < expected["samples"]:
+        lines[0] += f", of which {expected['missing']:,} are missing"
+    time = "unknown" if expected["seconds"] is None else f"about {duration(expected['seconds'])}"
+    lines.append(f"time: {time} with {expected['workers']} workers (to a factor of three)")
+    lines.append(f"memory: about {expected['bytes'] / 1e9:.1f} GB")
+    return "\n".join(lines)
+
+
+def describe(report: dict[str, Any]) -> str:
+    """The report for people."""
+    now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < report["done"] else ""
+    lines = [f"{report['done']:,} of {report['samples']:,} samples have a result, {now}in {report['seconds']:.1f} s"]
+    short = report["done"] - report["reached"]
+    lines += [f"{short:,} samples stopped short of what was asked for: see the column status"] if short else []
+    lines += [f"{report['failed']:,} samples failed:"] if report["failed"] else []
+    lines += [f"  {item['sample']}: {item['error']}" for item in report["failures"][:10]]
+    lines += [f"  ... and {report['failed'] - 10:,} more: see the column error"] if report["failed"] > 10 else []
+    incomplete = report.get("incomplete_parts", [])
+    lines += [f"part {item['part']} lacks {item['missing']:,} samples" for item in incomplete[:20]]
+    lines += [f"... and {len(incomplete) - 20:,} more parts"] if len(incomplete) > 20 else []
+    if report["missing"]:
+        lines.append(f"{report['missing']:,} samples are missing")
+    if report["failed"] or report["missing"]:
+        lines.append(f"bearings scan {report['scan']} does what is missing or has failed")
+    return "\n".join([*lines, *report["files"]])

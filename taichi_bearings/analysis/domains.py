@@ -1,0 +1,112 @@
+"""Rigid domains: spheres that slipless contacts force to turn alike, component by component and as a whole.
+
+A slipless contact along an axis ties the components of the staggered spin perpendicular to it and leaves the one along
+it free. So there are domains of each component k: spheres that contacts tie in k, each driven plane being one body. A
+*rigid domain* is a common refinement: spheres that share their domain in every component that the driving needs. They
+have the same staggered spin, so they roll on each other as one bearing. In 2D, with its one component, the two notions
+agree.
+
+A domain is locked to a driven plane in component k if contacts tie it to that plane in k. At a minimum no domain is
+locked to both planes in a component that they drive differently; slip thresholds can make it look so.
+"""
+
+from dataclasses import dataclass
+from enum import IntFlag
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.analysis.network import SliplessNetwork
+
+
+class Lock(IntFlag):
+    """What a domain of one component is tied to."""
+
+    NEITHER = 0
+    BOTTOM = 1
+    TOP = 2
+    BOTH = 3
+
+
+@dataclass(frozen=True)
+class RigidDomains:
+    """Domains of one sample; C components as named by spin_axes, D rigid domains.
+
+    component_domain : (C, *N) label of the domain of each component.
+    domain : N, label of the rigid domain: 0, 1, ... by falling number of spheres.
+    spheres : (D,) spheres of each, driven ones included. staggered : (D, C) mean staggered spin, 1/time.
+    spread : largest distance of a sphere from the mean of its domain, over all components: 0 but for rounding.
+    lock : (D, C) values of Lock.
+    """
+
+    spin_axes: tuple[int, ...]
+    component_domain: np.ndarray
+    domain: np.ndarray
+    spheres: np.ndarray
+    staggered: np.ndarray
+    spread: float
+    lock: np.ndarray
+
+    @property
+    def number(self) -> int:
+        return len(self.spheres)
+
+    @cached_property
+    def kind(self) -> np.ndarray:
+        """(D,) index into KINDS: what each rigid domain is locked to in all its components."""
+        bottom, top = ((self.lock & lock > 0).all(axis=1) for lock in (Lock.BOTTOM, Lock.TOP))
+        held = self.lock != Lock.NEITHER
+        answers = [bottom & top, bottom, top, held.all(axis=1), held.any(axis=1)]
+        return np.select(answers, [KINDS.index(kind) for kind in ("both", "bottom", "top", "mixed", "partly")], 5)
+
+    def domains_of_kind(self) -> dict[str, int]:
+        """Number of rigid domains of each kind."""
+        return dict(zip(KINDS, np.bincount(self.kind, minlength=len(KINDS)).tolist(), strict=True))
+
+    def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
+        """Number of spheres of each kind among those where `counted` (shape N) is True."""
+        each = np.bincount(self.kind[self.domain[counted]], minlength=len(KINDS))
+        return dict(zip(KINDS, each.tolist(), strict=True))
+
+
+KINDS = ("bottom", "top", "both", "mixed", "partly", "neither")
+"""Rigid domains locked in every component to the bottom, to the top, to both, to the one or the other; in some
+components only, in none."""
+
+
+def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
+    """The domains of one sample.
+
+    staggered : (C, *N) spins, components as named by spin_axes, 1/time.
+    """
+    labels, locks = [], []
+    for component in spin_axes:
+        label = connected_components(network.graph(network.axis != component), directed=False)[1]
+        labels.append(label[network.body])
+        tied = Lock.BOTTOM * (label == label[0]) + Lock.TOP * (label == label[-1])
+        locks.append(tied[network.body])
+    of_sphere = _refine(labels)
+    spheres = np.bincount(of_sphere)
+    first = np.unique(of_sphere, return_index=True)[1]
+    flat = staggered.reshape(len(spin_axes), -1)
+    mean = np.stack([np.bincount(of_sphere, weights=values) / spheres for values in flat], axis=1)
+    shape = network.lattice.shape
+    return RigidDomains(
+        spin_axes=spin_axes,
+        component_domain=np.stack(labels).reshape(-1, *shape),
+        domain=of_sphere.reshape(shape),
+        spheres=spheres,
+        staggered=mean,
+        spread=float(np.abs(flat.T - mean[of_sphere]).max()),
+        lock=np.stack(locks, axis=1)[first],
+    )
+
+
+def _refine(labels: list[np.ndarray]) -> np.ndarray:
+    """Labels (sites,) of the classes of spheres that agree in all `labels`, the largest class first."""
+    together = np.unique(np.stack(labels), axis=1, return_inverse=True)[1].ravel()
+    spheres = np.bincount(together)
+    rank = np.empty(len(spheres), dtype=np.int64)
+    rank[np.argsort(-spheres, kind="stable")] = np.arange(len(spheres))
+    return rank[together]

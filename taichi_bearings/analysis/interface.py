@@ -1,0 +1,100 @@
+"""The cheapest interface between two rigid domains of one sample, a minimum cut, and how it compares with what slips.
+
+If every sphere turned with the bottom or with the top, all slip would be at the interface of the two domains, and the
+lightest one would dissipate least. In 2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous
+law, states between the two dissipate less (PHYSICS 3).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.minimum_cut import minimum_cut
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.initial_spins import cut_power_unit, cut_weights
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The minimum cut of one sample.
+
+    above : N, True for the spheres that turn with the top. between : N, True for those that another cut, as light to
+        1e-12, may put on the other side.
+    contacts : True for those that slip, one array a lattice axis, of the shape of its contacts.
+    power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less; proven.
+    next_power : of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is known
+        only if grids are apart (see :func:`taichi_bearings.minimum_cut.next_cut`).
+    """
+
+    above: np.ndarray
+    between: np.ndarray
+    contacts: tuple[np.ndarray, ...]
+    power: float
+    lower_bound: float
+    next_power: float
+
+    @property
+    def unique(self) -> bool:
+        """True if every other interface is proven to dissipate more by over 1e-12."""
+        return not self.between.any()
+
+    @property
+    def size(self) -> int:
+        """Number of its contacts."""
+        return sum(int(values.sum()) for values in self.contacts)
+
+    @cached_property
+    def crossings(self) -> np.ndarray:
+        """True where a column passes from one domain to the other, shape of the contacts along the height."""
+        return np.diff(self.above, axis=-1)
+
+    @property
+    def lowest(self) -> np.ndarray:
+        """Height at which each column first leaves the bottom's domain, in lattice spacings above the bottom plane."""
+        return self.crossings.argmax(axis=-1) + 0.5
+
+    @property
+    def highest(self) -> np.ndarray:
+        """Height from which on each column belongs to the top; above `lowest` where the surface overhangs."""
+        return self.crossings.shape[-1] - self.crossings[..., ::-1].argmax(axis=-1) - 0.5
+
+
+def find_interface(scene: Scene, replica: int = 0) -> Interface:
+    """The cheapest interface of one sample, for either law."""
+    weight = tuple(values[[replica]] for values in cut_weights(scene))
+    cut, unit = minimum_cut(weight), cut_power_unit(scene)
+    above = cut.above[0]
+    return Interface(
+        above=above,
+        between=cut.between[0],
+        contacts=tuple(np.diff(above, axis=axis) & (values[0] > 0) for axis, values in enumerate(weight)),
+        power=unit * float(cut.weight[0]),
+        lower_bound=unit * float(cut.lower_bound[0]),
+        next_power=unit * float(cut.next_weight[0]),
+    )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Contacts that slip but are not of the interface, and contacts of the interface that do not slip; numbers."""
+
+    only_slipping: int
+    only_interface: int
+
+    @property
+    def identical(self) -> bool:
+        return self.only_slipping == self.only_interface == 0
+
+
+def compare(slipping: Sequence[np.ndarray], interface: Sequence[np.ndarray]) -> Difference:
+    """What tells the slipping contacts of a state from those of an interface; one mask an axis each."""
+    pairs = list(zip(slipping, interface, strict=True))
+    return Difference(
+        only_slipping=sum(int((slips & ~cut).sum()) for slips, cut in pairs),
+        only_interface=sum(int((cut & ~slips).sum()) for slips, cut in pairs),
+    )
+
+
+__all__ = ["Difference", "Interface", "compare", "find_interface"]

@@ -1,0 +1,195 @@
+"""The network of slipless contacts: what it reaches, whether it joins the driven planes, and by which paths.
+
+Nodes are spheres, edges are slipless contacts. Each driven plane is one body, because its spheres turn as one bearing,
+so contacts between two of its spheres are not edges and a path starts where it leaves the plane. Graph searches and
+flows are SciPy's.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
+
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.lattice import Lattice
+
+
+@dataclass(frozen=True)
+class DisjointPaths:
+    """Paths from the bottom to the top plane that share no contact, as many as there are (Menger).
+
+    number : of paths. lowest, highest : (number,) edges whose removal parts the planes, nearest the bottom and the top;
+        no smaller set does. They are the same where the set is the only one.
+    """
+
+    number: int
+    lowest: np.ndarray
+    highest: np.ndarray
+
+
+@dataclass(frozen=True)
+class SliplessNetwork:
+    """Spheres of one sample and the slipless contacts that join them.
+
+    slipless : one bool array (*contacts) an axis, False between two driven spheres.
+    """
+
+    lattice: Lattice
+    slipless: tuple[np.ndarray, ...]
+
+    @cached_property
+    def axis(self) -> np.ndarray:
+        """Axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
+        return np.repeat(np.arange(self.lattice.dimension), [int(values.sum()) for values in self.slipless])
+
+    @cached_property
+    def contact(self) -> np.ndarray:
+        """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
+        return np.concatenate([np.argwhere(values) for values in self.slipless])
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """Lower and upper sphere (2, E) of each edge, as indices in C order."""
+        lower = np.ravel_multi_index(self.contact.T, self.lattice.shape)
+        strides = np.array([int(np.prod(self.lattice.shape[a + 1 :])) for a in range(self.lattice.dimension)])
+        return np.stack([lower, lower + strides[self.axis]])
+
+    @cached_property
+    def bottom(self) -> np.ndarray:
+        """Spheres of the bottom plane that touch a slipless contact, as indices in C order."""
+        return self._touched_in_plane(0)
+
+    @cached_property
+    def top(self) -> np.ndarray:
+        """Spheres of the top plane that touch a slipless contact, as indices in C order."""
+        return self._touched_in_plane(-1)
+
+    def _touched_in_plane(self, height: int) -> np.ndarray:
+        spheres: np.ndarray = np.arange(self.lattice.sites).reshape(self.lattice.shape)[..., height]
+        return spheres[self.touched[..., height]]
+
+    @cached_property
+    def touched(self) -> np.ndarray:
+        """True for spheres that touch a slipless contact, shape N."""
+        count = np.bincount(self.ends.ravel(), minlength=self.lattice.sites)
+        return (count > 0).reshape(self.lattice.shape)
+
+    @cached_property
+    def body(self) -> np.ndarray:
+        """Node (sites,) of each sphere in the graph of bodies: 0 the bottom plane, the last one the top plane."""
+        *sides, height = self.lattice.shape
+        free = (*sides, height - 2)
+        node = np.zeros(self.lattice.shape, dtype=np.int32)
+        node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
+        node[..., -1] = np.prod(free) + 1
+        return node.ravel()
+
+    @property
+    def bodies(self) -> int:
+        return int(self.body[-1]) + 1
+
+    def graph(self, chosen: np.ndarray | None = None) -> csr_array:
+        """Adjacency matrix (bodies, bodies) of int32 ones, symmetric; chosen : (E,) bool, edges that take part."""
+        ends = self.body[self.ends if chosen is None else self.ends[:, chosen]]
+        both = np.concatenate([ends, ends[::-1]], axis=1)
+        ones = np.ones(both.shape[1], dtype=np.int32)
+        return csr_array((ones, (both[0], both[1])), shape=(self.bodies, self.bodies))
+
+    @cached_property
+    def component(self) -> np.ndarray:
+        """Label, shape N, of the connected piece of each sphere; 0 is the piece of the bottom plane."""
+        label = connected_components(self.graph(), directed=False)[1]
+        in_order = np.unique(label, return_index=True)[1]
+        order = np.argsort(np.argsort(in_order))
+        return order[label][self.body].reshape(self.lattice.shape)
+
+    @property
+    def components(self) -> int:
+        """Pieces that hold a slipless contact."""
+        return len(np.unique(self.component[self.touched]))
+
+    @property
+    def spans(self) -> bool:
+        """True if slipless contacts join the bottom and the top plane."""
+        return bool(self.component.flat[0] == self.component.flat[-1])
+
+    @property
+    def reached_fraction(self) -> float:
+        """Share of the free spheres that touch a slipless contact."""
+        return float(self.touched[~self.lattice.is_driven].mean())
+
+    @property
+    def spanning(self) -> np.ndarray:
+        """True for the spheres of the piece that joins the planes, shape N; nowhere if none does."""
+        return (self.component == 0) & self.spans
+
+    @property
+    def spanning_fraction(self) -> float:
+        """Share of the free spheres that belong to the piece that joins the planes; 0 if none does."""
+        return float(self.spanning[~self.lattice.is_driven].mean())
+
+    @cached_property
+    def shortest_path(self) -> np.ndarray:
+        """Spheres (L, dimension) along one of the shortest paths from a bottom sphere to a top sphere; (0, dimension)
+        if there is none. Of equally short ones the first that a breadth-first search finds."""
+        if not self.spans:
+            return np.empty((0, self.lattice.dimension), dtype=int)
+        before = breadth_first_order(self.graph(), 0, directed=False)[1]
+        node, nodes = self.bodies - 1, []
+        while node != 0:
+            nodes.append(node)
+            node = before[node]
+        free = np.flatnonzero(~self.lattice.is_driven.ravel())
+        inner = free[np.array(nodes[:0:-1], dtype=int) - 1]  # nodes 1, 2, ... are the free spheres in C order
+        path = np.stack(np.unravel_index(inner, self.lattice.shape), axis=1)
+        up = np.eye(self.lattice.dimension, dtype=int)[-1]
+        return np.concatenate([path[:1] - up, path, path[-1:] + up])
+
+    @cached_property
+    def disjoint_paths(self) -> DisjointPaths:
+        """How many paths from bottom to top share no contact, and the contacts that limit them."""
+        graph = self.graph()
+        last = self.bodies - 1
+        flow = maximum_flow(graph, 0, last)
+        left_over = graph - flow.flow
+        left_over.eliminate_zeros()
+        from_bottom, to_top = np.zeros((2, self.bodies), dtype=bool)
+        from_bottom[breadth_first_order(left_over, 0, return_predecessors=False)] = True
+        to_top[breadth_first_order(csr_array(left_over.T), last, return_predecessors=False)] = True
+        low, high = self.body[self.ends]
+        return DisjointPaths(
+            int(flow.flow_value),
+            np.flatnonzero(from_bottom[low] != from_bottom[high]),
+            np.flatnonzero(to_top[low] != to_top[high]),
+        )
+
+    def spans_within_planes(self, axis: int) -> np.ndarray:
+        """For each lattice plane across `axis`: True if its slipless contacts alone join bottom and top."""
+        inside = self.axis != axis
+        plane = self.contact[:, axis]
+        found = []
+        for index in range(self.lattice.shape[axis]):
+            label = connected_components(self.graph(inside & (plane == index)), directed=False)[1]
+            found.append(label[0] == label[-1])
+        return np.array(found)
+
+    def on_contacts(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Values (E,) of the edges spread over the contacts, one array (*contacts) an axis, 0 elsewhere."""
+        spread = []
+        for axis, chosen in enumerate(self.slipless):
+            field = np.zeros(chosen.shape, dtype=values.dtype)
+            field[chosen] = values[self.axis == axis]
+            spread.append(field)
+        return tuple(spread)
+
+
+def network_of(lattice: Lattice, state: tuple[np.ndarray, ...]) -> SliplessNetwork:
+    """The network of the contacts in state SLIPLESS; state : one array (*contacts) an axis."""
+    return SliplessNetwork(lattice, tuple(values == ContactState.SLIPLESS for values in state))
+
+
+def planes_crossed(path: np.ndarray) -> tuple[int, ...]:
+    """Number of lattice planes across each sideways axis that a path (L, dimension) visits."""
+    return tuple(len(np.unique(path[:, axis])) for axis in range(path.shape[1] - 1))

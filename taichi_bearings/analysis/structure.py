@@ -1,0 +1,145 @@
+"""The structure of one sample, part by part; a part is computed when it is first asked for."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.analysis.bottlenecks import Bottlenecks, find_bottlenecks
+from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
+from taichi_bearings.analysis.interface import Interface, find_interface
+from taichi_bearings.analysis.network import SliplessNetwork, network_of
+from taichi_bearings.analysis.thresholds import View, view, views_by_threshold
+from taichi_bearings.analysis.torque_flow import (
+    ForceDistribution,
+    FrictionLoad,
+    SelfStress,
+    TorqueFlow,
+    force_distribution,
+    friction_load,
+    self_stress,
+    torque_flow,
+)
+from taichi_bearings.analysis.uniqueness import Uniqueness, uniqueness
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.lattice.grid import staggered_forces
+from taichi_bearings.scene import Scene, Solution
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A solved sample and what its contacts form.
+
+    scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
+    slip, state : one array (*contacts) an axis. power, lower_bound : energy/time.
+    friction : laboratory frame, one array (*contacts, 3) an axis, in 2D (*contacts); None if it is not known.
+    states_proven : True if `state` is proven to be that of a minimum, slipless contacts bearing less than their limit.
+    """
+
+    scene: Scene
+    spin: np.ndarray
+    slip: tuple[np.ndarray, ...]
+    state: tuple[np.ndarray, ...]
+    power: float
+    lower_bound: float
+    friction: tuple[np.ndarray, ...] | None = None
+    states_proven: bool = False
+
+    @cached_property
+    def staggered(self) -> np.ndarray:
+        """Staggered spins (C, *N) of the components that the driving needs, 1/time."""
+        return self.scene.staggered_spin(self.spin[None], self.scene.minimum_spin_axes)[:, 0]
+
+    @cached_property
+    def force(self) -> tuple[np.ndarray, ...] | None:
+        """Staggered contact forces, one array (T, *contacts) an axis, of these components."""
+        if self.friction is None:
+            return None
+        friction = tuple(values[None] for values in self.friction)
+        found = staggered_forces(friction, self.scene.lattice, self.scene.minimum_spin_axes)
+        return tuple(values[:, 0] for values in found)
+
+    def contacts_in(self, which: ContactState) -> int:
+        """Number of contacts in a state."""
+        return sum(int((values == which).sum()) for values in self.state)
+
+    @cached_property
+    def interface(self) -> Interface:
+        """The cheapest interface of two rigid domains."""
+        return find_interface(self.scene)
+
+    @cached_property
+    def network(self) -> SliplessNetwork:
+        return network_of(self.scene.lattice, self.state)
+
+    @cached_property
+    def domains(self) -> RigidDomains:
+        return rigid_domains(self.network, self.staggered, self.scene.minimum_spin_axes)
+
+    @cached_property
+    def uniqueness(self) -> Uniqueness | None:
+        """Whether other slips have the least power too; None where contact states are not proven (Coulomb)."""
+        if self.scene.law != "coulomb" or not self.states_proven:
+            return None
+        return uniqueness(self.scene.lattice, self.domains, self.staggered, self.state)
+
+    @cached_property
+    def view(self) -> View:
+        """Network and domains in a few numbers, by the contact states."""
+        return view(self.network, self.domains)
+
+    @cached_property
+    def views_by_threshold(self) -> list[View]:
+        """The same by slip thresholds."""
+        scene = self.scene
+        return views_by_threshold(
+            scene.lattice, self.slip, scene.lattice.radius * scene.jump, self.staggered, scene.minimum_spin_axes
+        )
+
+    @cached_property
+    def bottlenecks(self) -> Bottlenecks:
+        return find_bottlenecks(self.network)
+
+    @cached_property
+    def torque_flow(self) -> TorqueFlow | None:
+        """How the driving torque goes through the sample; None without forces."""
+        if self.force is None:
+            return None
+        scene = self.scene
+        bottom, top = scene.driven_values(scene.minimum_spin_axes)
+        return torque_flow(scene.lattice, scene.minimum_spin_axes, self.force, self.state, top - bottom)
+
+    @cached_property
+    def friction_load(self) -> FrictionLoad | None:
+        """How close to slipping the contacts are; None without forces or without a limit of friction."""
+        if self.force is None or self.scene.law != "coulomb":
+            return None
+        limit = tuple(self.scene.normal_force * values[0] for values in self.scene.coefficient)
+        return friction_load(self.force, limit, self.state)
+
+    @cached_property
+    def force_distribution(self) -> ForceDistribution | None:
+        return None if self.force is None else force_distribution(self.force, self.state)
+
+    @cached_property
+    def self_stress(self) -> SelfStress:
+        """How far the forces of slipless contacts are left open."""
+        return self_stress(self.network, self.scene.minimum_spin_axes)
+
+
+def structures_of(solution: Solution) -> list[Structure]:
+    """The samples of a solution, one by one."""
+    scene = solution.scene
+    return [
+        Structure(
+            scene=replace(scene, coefficient=tuple(c[[r]] for c in scene.coefficient), seeds=(scene.seeds[r],)),
+            spin=solution.spin[r],
+            slip=tuple(values[r] for values in solution.slip),
+            state=tuple(values[r] for values in solution.state),
+            power=float(solution.power[r]),
+            lower_bound=float(solution.lower_bound[r]),
+            friction=tuple(values[r] for values in solution.friction),
+            states_proven=bool(solution.resolved[r]),
+        )
+        for r in range(scene.replicas)
+    ]

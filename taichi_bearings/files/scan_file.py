@@ -1,0 +1,199 @@
+"""scan.h5 and scan.csv: one row a sample, and the distribution of power of every sample in bins that all scans share.
+
+Readable with plain h5py and pandas:
+
+* ``/table/<column>``: 1-D, one entry a sample; attributes `units` and `description`. Texts are UTF-8 of variable
+  length. The attribute `columns` of ``/table`` has the names in the order of scan.csv. A number that a sample lacks is
+  not-a-number, a text that it lacks is empty; so a column of whole numbers is stored as float64 if one is missing.
+* ``/histogram/edges`` (B + 1,): edges of the bins of power, 10^(i/20) energy/time, i whole. ``/histogram/count``
+  (samples, B): slipping contacts in each bin. ``/histogram/slipping``, ``slipless``, ``undecided``: contacts of each
+  sample. A failed sample has none.
+* Attributes on the root: `schema`, `schema_version`, `scan` (TOML text), `scanned` (names of the columns that were
+  varied), `samples`, and versions.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.files.run_file import storable
+from taichi_bearings.files.whole_file import write_csv, write_hdf5
+
+SCHEMA = "taichi_bearings.scan"
+SCHEMA_VERSION = 1
+BINS_PER_DECADE = 20
+FAILED = "failed"  # the status of a sample without a result
+HISTOGRAM_SETS = {  # name -> (unit, description)
+    "edges": ("energy/time", "edges of the power bins, 20 a decade, the same in every scan"),
+    "count": ("1", "slipping contacts of each sample in each bin"),
+    "slipping": ("1", "contacts of each sample that slip"),
+    "slipless": ("1", "contacts of each sample that do not slip"),
+    "undecided": ("1", "contacts of each sample that are undecided"),
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """values : (samples,) numbers or texts."""
+
+    name: str
+    values: np.ndarray
+    units: str
+    description: str
+
+
+@dataclass(frozen=True)
+class SampleHistograms:
+    """Distributions of power of S samples in the same B bins.
+
+    edges : (B + 1,) energy/time. count : (S, B). slipping, slipless, undecided : (S,) contacts.
+    """
+
+    edges: np.ndarray
+    count: np.ndarray
+    slipping: np.ndarray
+    slipless: np.ndarray
+    undecided: np.ndarray
+
+
+def bin_of(power: np.ndarray) -> np.ndarray:
+    """Whole number i of the bin [10^(i/20), 10^((i + 1)/20)) of each positive power."""
+    return np.floor(BINS_PER_DECADE * np.log10(power)).astype(np.int64)
+
+
+def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleHistograms:
+    """Bins over the range that the samples meet.
+
+    bins : of each sample, the number of the bin (:func:`bin_of`) -> slipping contacts.
+    contacts : by the names slipping, slipless and undecided, one number a sample.
+    """
+    met = [number for sample in bins for number in sample]
+    low, high = (min(met), max(met) + 1) if met else (0, 0)
+    count = np.zeros((len(bins), high - low), dtype=np.int32)
+    for row, sample in enumerate(bins):
+        for number, slipping in sample.items():
+            count[row, number - low] = slipping
+    edges = 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE) if met else np.zeros(0)
+    return SampleHistograms(
+        edges, count, *(np.array(contacts[name], dtype=np.int64) for name in ("slipping", "slipless", "undecided"))
+    )
+
+
+def column(name: str, values: Sequence[Any], units: str, description: str) -> Column:
+    """A column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none."""
+    present = [value for value in values if value is not None]
+    if any(isinstance(value, str) for value in present):
+        array = np.array(["" if value is None else str(value) for value in values], dtype=object)
+    elif len(present) < len(values) or not present:
+        array = np.array([math.nan if value is None else float(value) for value in values])
+    else:
+        array = np.array(present)
+    return Column(name, array, units, description)
+
+
+def write_scan(
+    path: Path, columns: Sequence[Column], histograms: SampleHistograms, attributes: Mapping[str, Any]
+) -> None:
+    """Write scan.h5 in full or not at all. attributes : `scan`, `scanned`, versions and whatever else."""
+
+    def fill(file: h5py.File) -> None:
+        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["samples"] = len(histograms.count)
+        for key, value in attributes.items():
+            file.attrs[key] = storable(value)
+        table = file.create_group("table")
+        table.attrs["columns"] = [item.name for item in columns]
+        for item in columns:
+            kind = h5py.string_dtype() if item.values.dtype == object else item.values.dtype
+            stored = table.create_dataset(item.name, data=item.values, dtype=kind)
+            stored.attrs["units"], stored.attrs["description"] = item.units, item.description
+        group = file.create_group("histogram")
+        for name, (units, text) in HISTOGRAM_SETS.items():
+            values = getattr(histograms, name)
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size > 1000 else {}
+            stored = group.create_dataset(name, data=values, dtype=values.dtype, **packed)
+            stored.attrs["units"], stored.attrs["description"] = units, text
+
+    write_hdf5(path, fill)
+
+
+def write_scan_csv(path: Path, columns: Sequence[Column]) -> None:
+    """Write scan.csv in full or not at all: names, then one row a sample, empty where it has no value."""
+    cells = ([_cell(value) for value in item.values.tolist()] for item in columns)
+    write_csv(path, [item.name for item in columns], zip(*cells, strict=True))
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    return str(value)
+
+
+@dataclass(frozen=True)
+class StoredScan:
+    """A scan as read back; every array has one entry a sample, in the order of scan.csv.
+
+    attributes : of the root. scanned : names of the columns that were varied, in their order.
+    table : columns by name; texts are object arrays of str. units, descriptions : of the columns.
+    histograms : distributions of power.
+    """
+
+    path: Path
+    attributes: dict[str, Any]
+    scanned: tuple[str, ...]
+    table: dict[str, np.ndarray]
+    units: dict[str, str]
+    descriptions: dict[str, str]
+    histograms: SampleHistograms
+
+    @property
+    def samples(self) -> int:
+        return len(self.histograms.count)
+
+    @property
+    def failed(self) -> np.ndarray:
+        """(samples,) True for a sample without a result."""
+        return self.table["status"] == FAILED
+
+
+def read_scan(scan: Path) -> StoredScan:
+    """Read the directory of a scan or its scan.h5; FileError if it is missing, damaged or of an unknown version."""
+    path = scan / "scan.h5" if scan.is_dir() else scan
+    if not path.is_file():
+        raise FileError(f"{scan} is not a scan: there is no {path}")
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("schema") != SCHEMA:
+                raise FileError(f"{path} was not written by `bearings scan`")
+            version = file.attrs.get("schema_version")
+            if version != SCHEMA_VERSION:
+                raise FileError(f"{path} has layout version {version}; this program reads version {SCHEMA_VERSION}")
+            return _read(path, file)
+    except (OSError, KeyError, ValueError) as error:
+        raise FileError(f"{path} cannot be read as a scan: {str(error).strip(chr(39))}") from None
+
+
+def _read(path: Path, file: h5py.File) -> StoredScan:
+    group = file["table"]
+    names = [str(name) for name in group.attrs["columns"]]
+    return StoredScan(
+        path=path,
+        attributes={key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()},
+        scanned=tuple(str(name) for name in file.attrs["scanned"]),
+        table={name: _values(group[name]) for name in names},
+        units={name: str(group[name].attrs["units"]) for name in names},
+        descriptions={name: str(group[name].attrs["description"]) for name in names},
+        histograms=SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS}),
+    )
+
+
+def _values(stored: h5py.Dataset) -> np.ndarray:
+    return stored.asstr()[()] if h5py.check_string_dtype(stored.dtype) else stored[()]

@@ -1,0 +1,90 @@
+"""The journal of a scan: one line a finished sample, appended and synchronised, so that no kill loses any of them.
+
+A line is JSON, ``{"crc32": "01234567", "sample": {...}}``, with the checksum of what follows ``"sample": ``. A last
+line that a kill or a full disk has torn is dropped; a line that has changed since is named and its sample is missing.
+"""
+
+import json
+import logging
+import os
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from taichi_bearings.errors import FileError
+
+NAME = "samples.jsonl"
+HEAD = '{"crc32": "%08x", "sample": '
+HEAD_LENGTH = len(HEAD % 0)
+
+
+def _line(sample: Mapping[str, Any]) -> bytes:
+    text = json.dumps(sample, allow_nan=False).encode()
+    return (HEAD % zlib.crc32(text)).encode() + text + b"}\n"
+
+
+def _sample(line: bytes) -> dict[str, Any] | None:
+    """What a line holds, None if it is not whole."""
+    text = line[HEAD_LENGTH:-2]
+    if line != (HEAD % zlib.crc32(text)).encode() + text + b"}\n":
+        return None
+    return json.loads(text)
+
+
+def read_journal(path: Path) -> dict[str, dict[str, Any]]:
+    """Samples by their key; of several lines with one key the last. Damaged lines are named in a warning."""
+    samples: dict[str, dict[str, Any]] = {}
+    try:
+        lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+    for number, line in enumerate(lines, start=1):
+        sample = _sample(line)
+        if sample is not None:
+            samples[sample["key"]] = sample
+        elif line.endswith(b"\n"):
+            logging.getLogger(__name__).warning(
+                "bearings: line %d of %s is damaged; its sample counts as missing", number, path
+            )
+    return samples
+
+
+class Journal:
+    """The journal open for appending; used as a context, by one process at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = path.open("ab+", buffering=0)
+            self._length = self._drop_torn_line()
+        except OSError as error:
+            raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+
+    def _drop_torn_line(self) -> int:
+        self._file.seek(0)
+        length = self._file.read().rfind(b"\n") + 1
+        self._file.truncate(length)
+        return length
+
+    def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
+        """Write samples down for good. On a full disk FileError, and the journal is as it was."""
+        lines = b"".join(_line(sample) for sample in samples)
+        try:
+            written = 0
+            while written < len(lines):
+                written += self._file.write(lines[written:])
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._file.truncate(self._length)
+            raise FileError(f"{self.path} cannot be written: {error.strerror or error}") from None
+        self._length += len(lines)
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()

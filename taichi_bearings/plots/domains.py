@@ -1,0 +1,152 @@
+"""Rigid domains: where they are, how large, and how they turn (the paper's intermediate bearing states).
+
+Colours say how a domain turns between the two driven planes, in every component that the driving needs: 0 with the
+bottom, 1 with the top. With two components the values panel is the key to the colours.
+"""
+
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from taichi_bearings.analysis.domains import KINDS, RigidDomains
+from taichi_bearings.plots.lattice import (
+    COLOURS,
+    box_driven_rows,
+    draw_walls,
+    middle_cuts,
+    paint_block,
+    paint_plane,
+    walls_between,
+)
+from taichi_bearings.plots.style import GREY, new_figure
+
+FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
+ENDS = {"bottom": colormaps[COLOURS](0.0), "top": colormaps[COLOURS](1.0)}
+MARKS = dict(zip(KINDS, "v^Dsdo", strict=True))
+NAMES = "xyz"
+
+
+def draw_domains(domains: RigidDomains) -> Figure:
+    """2D: discs by domain. 3D: the block from outside and two cuts. Below: sizes of the domains, and how they turn.
+
+    Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
+    """
+    colour = colour_of_turn(turn_of(domains))[domains.domain]
+    if domains.domain.ndim == 2:
+        figure = new_figure(12.4, 3.9)
+        plane, sizes, values = figure.subplots(1, 3)
+        _paint(plane, colour, domains.domain, domains)
+        box_driven_rows(plane, domains.domain.shape)
+        plane.set_title("(a) rigid domains", fontsize=9)
+    else:
+        figure = new_figure(11.0, 8.4)
+        parts: Any = figure.subfigures(2, 1)
+        above, below = parts
+        block = above.add_subplot(1, 3, 1, projection="3d", computed_zorder=True)
+        paint_block(block, colour)
+        block.set_title("(a) rigid domains from outside", fontsize=9)
+        for place, (axis, index) in enumerate(middle_cuts(colour.shape)):
+            axes = above.add_subplot(1, 3, 2 + place)
+            _paint(axes, np.take(colour, index, axis), np.take(domains.domain, index, axis), domains)
+            axes.set_title(f"({'bc'[place]}) cut at {'xy'[axis]} = {index}, boundaries in black", fontsize=9)
+            axes.set(xlabel="xy"[place], ylabel="z")
+        sizes, values = below.subplots(1, 2)
+    first = "b" if domains.domain.ndim == 2 else "d"
+    _draw_sizes(sizes, domains)
+    sizes.set_title(f"({first}) sizes", fontsize=9)
+    _draw_values(values, domains)
+    values.set_title(f"({chr(ord(first) + 1)}) how they turn, and the key to the colours", fontsize=9)
+    return figure
+
+
+def turn_of(domains: RigidDomains) -> np.ndarray:
+    """(D, C) mean staggered spin between that of the bottom (0) and that of the top (1), 0 where these agree."""
+    bottom, top = domains.staggered[domains.domain.flat[0]], domains.staggered[domains.domain.flat[-1]]
+    jump = top - bottom
+    turn: np.ndarray = (domains.staggered - bottom) / np.where(jump == 0, 1.0, jump)
+    return turn
+
+
+def colour_of_turn(turn: np.ndarray) -> np.ndarray:
+    """Colour (..., 4) of turn (..., C): blue with the bottom, red with the top; yellow or green as the first or the
+    second component is nearer to the top than the other."""
+    turn = np.clip(turn, 0.0, 1.0)
+    colour: np.ndarray = colormaps[COLOURS](turn.mean(axis=-1))
+    ahead = turn[..., 0] - turn[..., -1]
+    for share, target in ((ahead, FIRST_AHEAD), (-ahead, SECOND_AHEAD)):
+        part = np.clip(share, 0.0, None)[..., None]
+        colour[..., :3] += part * (np.array(target) - colour[..., :3])
+    return colour
+
+
+def _paint(axes: Any, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains) -> None:
+    paint_plane(axes, colour)
+    small = max(domain.shape) > 40
+    draw_walls(axes, walls_between(domain), colors="black", lw=0.3 if small else 16 / max(16, *domain.shape))
+    partly = np.argwhere(domains.kind[domain] == KINDS.index("partly"))
+    axes.plot(*partly.T, ".", color="black", ms=100 / max(20, *domain.shape), mew=0)
+
+
+def _draw_sizes(axes: Any, domains: RigidDomains) -> None:
+    """Spheres of each domain against its rank: rigid domains, and domains of one component."""
+    if len(domains.spin_axes) > 1:
+        for component, labels, look in zip(domains.spin_axes, domains.component_domain, ("-", "--"), strict=True):
+            size = np.sort(np.bincount(labels.ravel()))[::-1]
+            name = rf"domains of $\Omega_{NAMES[component]}$ alone: {len(size):,}"
+            axes.plot(1 + np.arange(len(size)), size, look, color=GREY, lw=1.0, label=name)
+    rank = 1 + np.arange(domains.number)
+    axes.plot(rank, domains.spheres, color="black", lw=1.4, label=f"rigid domains: {domains.number:,}")
+    for sphere, kind in ((0, "bottom"), (-1, "top")):
+        n = domains.domain.flat[sphere]
+        axes.plot(rank[n], domains.spheres[n], MARKS[kind], ms=8, color=ENDS[kind])
+    if domains.number > 10:
+        axes.set(xscale="log", yscale="log")
+    else:
+        axes.set_xticks(rank)
+        axes.set_ylim(0, 1.1 * domains.spheres[0])
+    axes.set(xlabel="rank", ylabel="spheres of the domain")
+    axes.legend(fontsize=8)
+
+
+def _draw_values(axes: Any, domains: RigidDomains) -> None:
+    """Every domain at its turn: two components against each other, or one against the number of spheres."""
+    turn, margin = turn_of(domains), 0.04
+    along = np.linspace(-margin, 1 + margin, 200)
+    plane = turn.shape[1] > 1
+    if plane:
+        low, high = -margin, 1 + margin
+        key = np.stack(np.meshgrid(along, along), axis=-1)
+        height = turn[:, 1]
+    else:
+        low, high = 0, 1.15 * domains.spheres[0]
+        key = along[None, :, None]
+        height = domains.spheres
+    image = colour_of_turn(key)
+    axes.imshow(image, extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
+    sphere = 8.0 if domains.number < 2000 else 1.5  # area of one, points squared
+    spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
+    for kind, name in reversed(list(enumerate(KINDS))):
+        chosen = domains.kind == kind
+        if name in ENDS:
+            look: dict[str, Any] = {"s": 90, "color": ENDS[name], "edgecolors": "white", "clip_on": False, "zorder": 3}
+        else:
+            look = {
+                "s": sphere * domains.spheres[chosen],
+                "color": "black",
+                "lw": 0,
+                "alpha": 0.7 if sphere > 2 else 0.4,
+            }
+        if chosen.any():
+            label = f"{name}\n{spheres[name]:,} spheres\ndomains: {int(chosen.sum()):,}"
+            axes.scatter(turn[chosen, 0], height[chosen], marker=MARKS[name], label=label, **look)
+    names = [NAMES[component] for component in domains.spin_axes]
+    labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
+    axes.set(xlabel=labels[0], ylabel=labels[1] if plane else "spheres of the domain")
+    axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
+    legend = axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), labelspacing=1.0, title="locked to")
+    for handle in legend.legend_handles:  # of one size, however small the domains are
+        handle.set_sizes([50.0])
+        handle.set_alpha(1.0)

@@ -1,0 +1,47 @@
+"""How the structure of a state depends on the slip speed below which a contact counts as slipless."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
+
+PANELS = (
+    ("slipless contacts", (("slipless", "slipless contacts", BLUE, "o"),)),
+    (
+        "number",
+        (("domains", "rigid domains", BLUE, "o"), ("largest_intermediate", "largest intermediate", ORANGE, "s")),
+    ),
+    (
+        "share of free spheres",
+        (("reached_fraction", "reached", BLUE, "o"), ("spanning_fraction", "joining bottom and top", GREEN, "s")),
+    ),
+)
+
+
+def draw_thresholds(views: Sequence[View], by_states: View) -> Figure:
+    """Each number against the slip threshold, with its value by the contact states as a broken line.
+
+    views : one for each of THRESHOLDS.
+    """
+    figure = new_figure(4.8, 6.4)
+    panels: Any = figure.subplots(len(PANELS), 1, sharex=True)
+    for axes, (name, curves) in zip(panels, PANELS, strict=True):
+        for key, label, colour, mark in curves:
+            values = [getattr(view, key) for view in views]
+            look: dict[str, Any] = {"ms": 6, "mfc": "white"} if mark == "o" else {"ms": 3}
+            axes.plot(THRESHOLDS, values, mark + "-", lw=1.2, color=colour, label=label, **look)
+            axes.axhline(getattr(by_states, key), color=colour, ls=(0, (4, 2)), lw=1.0)
+        axes.plot([], [], color=GREY, ls=(0, (4, 2)), lw=1.0, label="contact states")
+        axes.set(xscale="log", ylabel=name)
+        axes.legend(fontsize=8)
+    panels[0].yaxis.set_major_formatter("{x:,.0f}")
+    numbers = np.array([(view.domains, view.largest_intermediate) for view in views])
+    if numbers.max() > 20:
+        panels[1].set_yscale("log" if numbers.min() > 0 else "symlog")
+    panels[2].set_ylim(-0.05, 1.05)
+    panels[2].set_xlabel(r"slip threshold, $|v|\,/\,(R\,|\Delta\Omega|)$")
+    return figure

@@ -1,0 +1,95 @@
+"""How close to slipping contacts are, how their forces are distributed, and the way of the torque in one plane."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from taichi_bearings.analysis.torque_flow import ForceDistribution, FrictionLoad, PlaneFlow
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+
+COLOURS = (
+    (ContactState.SLIPLESS, BLUE, "slipless"),
+    (ContactState.SLIPPING, ORANGE, "slipping"),
+    (ContactState.UNDECIDED, GREY, "undecided"),
+)
+WIDEST = 0.45  # of the lattice spacing: width of the contact that carries most
+AXES = "xyz"
+
+
+def draw_torque_flow(load: FrictionLoad, distribution: ForceDistribution, plane: PlaneFlow) -> Figure:
+    """Three panels: saturation of the slipless contacts, P(f / <f>), and the current of torque in a plane."""
+    figure = new_figure(13.0, 4.3)
+    saturation, forces, current = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.15))
+    _draw_saturation(saturation, load)
+    _draw_distribution(forces, distribution)
+    _draw_current(current, plane)
+    return figure
+
+
+def _draw_saturation(axes: Any, load: FrictionLoad) -> None:
+    number = max(1, len(load.saturation))
+    density = load.slipless / (number * np.diff(load.edges))
+    axes.bar(load.edges[:-1], density, np.diff(load.edges), align="edge", color=BLUE, alpha=0.35, linewidth=0)
+    axes.step(load.edges, np.append(density, density[-1]), where="post", color=BLUE, lw=1)
+    axes.axvline(1.0, color=ORANGE, lw=2)
+    axes.annotate(
+        f"{load.slipping.sum():,} slipping\ncontacts at 1",
+        (1.0, 0.96), (-6, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
+        ha="right", va="top", color=ORANGE, fontsize=9,
+    )  # fmt: skip
+    axes.set(
+        xlim=(0, 1.02), ylim=(0, 1.25 * max(float(density.max(initial=0.0)), 1e-9)),
+        xlabel=r"saturation $|f| / \mu F_n$", ylabel="probability density, slipless",
+    )  # fmt: skip
+    mean = f", mean {load.mean:.2f}" if len(load.saturation) else ""
+    axes.set_title(f"{len(load.saturation):,} slipless contacts{mean}", fontsize=9)
+
+
+def _draw_distribution(axes: Any, distribution: ForceDistribution) -> None:
+    middle = (distribution.edges[1:] + distribution.edges[:-1]) / 2
+    for density, colour, marker, label in (
+        (distribution.slipless, BLUE, "o", "slipless"),
+        (distribution.slipping, ORANGE, "s", "slipping"),
+        (distribution.every, GREY, None, "all"),
+    ):
+        filled = density > 0
+        if filled.any():
+            axes.plot(middle[filled], density[filled], color=colour, marker=marker, ms=3, lw=1, label=label)
+    axes.set(yscale="log", xlabel=r"size of the force over its mean, $f / \langle f \rangle$")
+    axes.set(ylabel=r"probability density $P(f / \langle f \rangle)$")
+    axes.set_xlim(left=0)
+    if axes.lines:
+        axes.legend(fontsize=9)
+    axes.set_title("each with its own mean", fontsize=9)
+
+
+def _draw_current(axes: Any, plane: PlaneFlow) -> None:
+    """Contacts as lines between the centres of their spheres, as wide as they carry torque."""
+    columns, layers = plane.upright.shape[0], plane.upright.shape[1] + 1
+    lines = [((a, b), (a + 1, b)) for a, b in np.ndindex(plane.sideways.shape)]
+    lines += [((a, b), (a, b + 1)) for a, b in np.ndindex(plane.upright.shape)]
+    torque = np.abs(np.concatenate([plane.sideways.ravel(), plane.upright.ravel()]))
+    state = np.concatenate([plane.sideways_state.ravel(), plane.upright_state.ravel()])
+    largest = float(torque[state != ContactState.DRIVEN].max(initial=0.0)) or 1.0
+    axes.set(xlim=(-0.7, columns - 0.3), ylim=(-0.7, layers - 0.3), aspect="equal", xticks=[], yticks=[])
+    point = 200.0 / max(columns, layers)  # about the lattice spacing in points
+    for which, colour, _ in COLOURS:
+        chosen = np.flatnonzero(state == which)
+        width = WIDEST * point * torque[chosen] / largest
+        axes.add_collection(
+            LineCollection([lines[i] for i in chosen], colors=colour, linewidths=width, capstyle="round")
+        )
+    for layer in (0, layers - 1):
+        axes.plot([-0.5, columns - 0.5], [layer, layer], color="black", lw=2.5, solid_capstyle="butt")
+    for side in axes.spines.values():
+        side.set_visible(False)
+    place = "" if plane.normal is None else f", plane {AXES[plane.normal]} = {plane.index}"
+    axes.set_title(f"torque about {AXES[plane.component]} through each contact{place}", fontsize=9)
+    shown = [(colour, label) for which, colour, label in COLOURS if (state == which).any()]
+    handles = [Line2D([], [], color=colour, lw=3, label=label) for colour, label in shown]
+    handles.append(Line2D([], [], color="black", lw=2.5, label="driven plane"))
+    axes.legend(handles=handles, fontsize=9, ncols=2, loc="upper center", bbox_to_anchor=(0.5, 0.0))

@@ -1,0 +1,119 @@
+"""Figures 3 and 4 of the paper: a 10x10x10 sample with omega_T = 10 omega_B, its network and a path through it.
+
+The paper shows one sample. Shown here is the first seed whose slipless contacts join bottom and top; what holds for how
+many samples, and for other sizes, is the business of studies/network.py.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.analysis.network import planes_crossed
+from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.files.whole_file import write_csv
+from taichi_bearings.plots.network import draw_network
+from taichi_bearings.plots.style import save
+from taichi_bearings.studies.claims import Claim, Effort
+from taichi_bearings.studies.network import MOST, certified, mean
+from taichi_bearings.studies.settings import RunSettings
+
+SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
+MOST_SAMPLES = 40
+NETWORK = "Its slipless contacts form a network that joins bottom and top and attains practically every sphere."
+INTERMEDIATE = 0.1  # share of the free spheres that counts as many
+
+
+def reproduce(folder: Path, effort: Effort) -> list[Claim]:
+    """Write fig3.png, fig3.pdf and fig3.csv into `folder`; returns the claims with their verdicts."""
+    samples = spanning_samples(effort)
+    shown = samples[0]
+    scene = shown.scene
+    figure = draw_network(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
+    for ending in ("png", "pdf"):
+        save(figure, folder / f"fig3.{ending}")
+    write_path(folder / "fig3.csv", shown)
+    if not shown.network.spans:
+        return [_intermediate(shown), _no_network(effort)]
+    return [_intermediate(shown), _network(shown), _path(shown), _few_links(samples)]
+
+
+def spanning_samples(effort: Effort) -> list[Structure]:
+    """Certified samples of the paper's size whose slipless contacts join bottom and top, and the first one if none."""
+    runtime.start("cpu", "f64")
+    seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
+    samples = [certified(RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM)) for seed in seeds]
+    return [sample for sample in samples if sample.network.spans] or samples[:1]
+
+
+def write_path(path: Path, structure: Structure) -> None:
+    """The spheres along the path with their spins, as numbers."""
+    spheres = structure.network.shortest_path
+    rows = [[*sphere.tolist(), *structure.spin[tuple(sphere)].tolist()] for sphere in spheres]
+    write_csv(path, ["x", "y", "z", "spin_x", "spin_y", "spin_z"], rows)
+
+
+def _intermediate(shown: Structure) -> Claim:
+    free = ~shown.scene.lattice.is_driven
+    kinds, total = shown.domains.spheres_of_kind(free), int(free.sum())
+    share = 1 - (kinds["bottom"] + kinds["top"]) / total
+    return Claim(
+        "10x10x10, omega_T = 10 omega_B: many spheres in the middle are in intermediate bearing states.",
+        f"Seed {shown.scene.seeds[0]}, minimum proven within {(shown.power - shown.lower_bound) / shown.power:.0e}: "
+        f"{share:.0%} of the {total} free spheres are locked to neither plane (limit {INTERMEDIATE:.0%}), "
+        f"{kinds['bottom']} turn with the bottom, {kinds['top']} with the top.",
+        share > INTERMEDIATE,
+        {"seed": shown.scene.seeds[0], "free_spheres_locked_to": kinds, "domains": shown.domains.number},
+    )
+
+
+def _network(shown: Structure) -> Claim:
+    network = shown.network
+    return Claim(
+        NETWORK,
+        f"Seed {shown.scene.seeds[0]}, the first one whose network joins them: {len(network.axis)} slipless "
+        f"contacts touch {network.reached_fraction:.2%} of the free spheres; {network.spanning_fraction:.2%} belong to "
+        "the piece that joins the planes. Not every sample has one: see `network`.",
+        network.spans and network.spanning_fraction > 0.99,
+        {"reached_fraction": network.reached_fraction, "spanning_fraction": network.spanning_fraction},
+        refined=True,
+    )
+
+
+def _no_network(effort: Effort) -> Claim:
+    return Claim(
+        NETWORK,
+        f"In none of {min(MOST_SAMPLES, effort.samples)} samples from seed {effort.seed} do they join the planes; more "
+        "samples may have one, see `network`.",
+        False,
+        {"seed": effort.seed, "samples": min(MOST_SAMPLES, effort.samples)},
+    )
+
+
+def _path(shown: Structure) -> Claim:
+    path = shown.network.shortest_path
+    planes = planes_crossed(path)
+    return Claim(
+        "A path of slipless contacts connects bottom and top and goes through several planes (Fig. 4).",
+        f"The shortest one has {max(len(path) - 1, 0)} contacts and visits {planes[0]} planes across x and {planes[1]} "
+        "across y. It needs two of each at least, since slipless contacts within a plane across x tie Omega_x.",
+        min(planes) > 1,
+        {"contacts": max(len(path) - 1, 0), "planes": list(planes)},
+    )
+
+
+def _few_links(samples: list[Structure]) -> Claim:
+    found = [sample.bottlenecks for sample in samples]
+    largest = np.array([one.concentration.largest for one in found])
+    effective = np.array([one.concentration.effective for one in found])
+    links = np.array([len(one.network.axis) for one in found])
+    parting = [int(one.backbone.parting_links.sum()) for one in found]
+    return Claim(
+        "There are a few links through which most connecting paths go: they have large betweenness.",
+        f"{len(samples)} samples that span. Of the shortest paths between a bottom and a top sphere the busiest link "
+        f"carries {mean(largest)} (limit: {MOST:g} in every sample; the least is {largest.min():.3f}). The load is "
+        f"that of {mean(effective)} equal links, of {mean(links)} that are slipless. {sum(n > 0 for n in parting)} "
+        f"samples have links that part the planes alone, on average {mean(parting)} in each sample.",
+        bool(largest.min() > MOST),
+        {"busiest": largest.tolist(), "effective_links": effective.tolist(), "parting_links": parting},
+    )

@@ -1,0 +1,257 @@
+"""The power per contact of runs and scans, pooled over their samples: `bearings histogram`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.analysis.histogram import PowerHistogram, SampleCounts, count_powers, pool, rebinned, together
+from taichi_bearings.analysis.statistics import groups
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.run_file import StoredRun, read_run_file
+from taichi_bearings.files.scan_file import BINS_PER_DECADE, SCHEMA, StoredScan, read_scan
+from taichi_bearings.files.whole_file import write_csv, write_hdf5
+from taichi_bearings.plots.histogram import draw_histograms
+from taichi_bearings.plots.style import save
+from taichi_bearings.studies.run import settings_of
+from taichi_bearings.studies.run_directory import default_run_path
+from taichi_bearings.studies.settings import RunSettings
+
+UNITS = {"none": "energy/time", "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
+"""What the power of a contact is counted in, by `--normalise`."""
+MOST_GROUPS = 24
+Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that parts them; {None: ...} if none does
+
+
+@dataclass(frozen=True)
+class Source:
+    """A run or a scan as arrays with one entry a sample (S): power in `counts`, and what its unit and groups need."""
+
+    stored: StoredRun | StoredScan
+    samples: np.ndarray  # numbers of the samples that have a result
+
+    def column(self, name: str) -> np.ndarray:
+        """Values of a scalar of every sample; InputError if it has no such scalar."""
+        if isinstance(self.stored, StoredScan):
+            if name not in self.stored.table:
+                raise InputError(f"{self.stored.path} has no column {name!r}; it has {', '.join(self.stored.table)}")
+            return self.stored.table[name][self.samples]
+        value = _scalar_of_run(self.stored, name)
+        listed = value if isinstance(value, list) else [value] * len(self.samples)
+        return np.array(listed, dtype=object if any(isinstance(item, str) for item in listed) else None)
+
+    def mean_power(self) -> np.ndarray:
+        """Power of a sample over its contacts, those between driven spheres apart."""
+        if isinstance(self.stored, StoredScan):
+            found = self.stored.histograms
+            contacts = (found.slipping + found.slipless + found.undecided)[self.samples]
+        else:
+            contacts = sum((s != ContactState.DRIVEN).reshape(len(s), -1).sum(axis=1) for s in self.stored.state)
+        return self.column("power") / np.maximum(contacts, 1)
+
+    def unit(self, normalise: str) -> np.ndarray:
+        """Power that counts as 1, (S,)."""
+        if normalise == "none":
+            return np.ones(len(self.samples))
+        if normalise == "mean":
+            mean = self.mean_power()
+            return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
+        if (self.column("law") != "coulomb").any():
+            raise InputError("normalise is 'unit', F_n R omega_T, which the viscous law does not know; use 'mean'")
+        unit = self.column("normal_force") * self.column("radius") * np.abs(self.column("spin_top"))
+        if (unit == 0).any():
+            raise InputError("normalise is 'unit', F_n R omega_T, but a top has spin 0; use 'mean'")
+        return unit
+
+    def counts(self, bins_per_decade: int, unit: np.ndarray, anchor: float) -> SampleCounts:
+        if isinstance(self.stored, StoredRun):
+            return count_powers(self.stored.power, self.stored.state, bins_per_decade, unit, anchor)
+        found = self.stored.histograms
+        first = round(BINS_PER_DECADE * float(np.log10(found.edges[0]))) if len(found.edges) else 0
+        fine = SampleCounts(first, BINS_PER_DECADE, 1.0, found.count, found.slipless, found.undecided)
+        return rebinned(fine.of(self.samples), bins_per_decade, unit, anchor)
+
+
+def read_source(path: Path) -> Source:
+    """A run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
+    if _is_scan(path):
+        scan = read_scan(path)
+        return Source(scan, np.flatnonzero(~scan.failed))
+    run = read_run_file(path)
+    return Source(run, np.arange(len(run.spin)))
+
+
+def _is_scan(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "scan.h5").is_file()
+    try:
+        with h5py.File(path, "r") as file:
+            return bool(file.attrs.get("schema") == SCHEMA)
+    except OSError:
+        return False
+
+
+def _scalar_of_run(run: StoredRun, name: str) -> Any:
+    """An attribute or setting of a run: one value, 10x10 for a list, or a list with a value for each replica."""
+    replicas = len(run.spin)
+    settings = settings_of(run)
+    if name in ("shape", "direction"):
+        return "x".join(map(str, getattr(settings, name)))
+    if name in run.attributes:
+        value = run.attributes[name]
+        listed = np.atleast_1d(value).tolist()
+        return listed if replicas > 1 and len(listed) == replicas else listed[0]
+    if name in RunSettings.keys():
+        value = getattr(settings, name)
+        return "" if value is None else value
+    known = sorted({*run.attributes, *RunSettings.keys()} - {"scene", "command"})
+    raise InputError(f"{run.path} has no {name!r}; it has {', '.join(known)}")
+
+
+def pooled(
+    sources: Sequence[Source], bins_per_decade: int = 5, normalise: str = "none", by: str | None = None
+) -> dict[Any, PowerHistogram]:
+    """Histograms in the same bins by the values of `by`, in their order; {None: histogram} without it.
+
+    normalise : a key of UNITS. Powers of a run are binned anew. Those of a scan are known by the bin, 20 a decade:
+    `bins_per_decade` must divide 20, and where samples have different units each moves by whole such bins.
+    """
+    scans = [source for source in sources if isinstance(source.stored, StoredScan)]
+    if scans and BINS_PER_DECADE % bins_per_decade:
+        raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
+    if not any(len(source.samples) for source in sources):
+        raise InputError("no sample has a result")
+    laws = sorted({str(law) for source in sources for law in source.column("law")})
+    if len(laws) > 1 and by != "law":
+        raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law, or add --by law")
+    units = [source.unit(normalise) for source in sources]
+    inside = [unit for source, unit in zip(sources, units, strict=True) if source in scans and len(unit)]
+    anchor = float(inside[0][0]) if inside and normalise == "unit" else 1.0
+    counts = together(
+        [source.counts(bins_per_decade, unit, anchor) for source, unit in zip(sources, units, strict=True)]
+    )
+    threshold = np.concatenate([source.column("slip_threshold").astype(float) for source in sources])
+    if by is None:
+        return {None: pool(counts, float(threshold.max()), UNITS[normalise])}
+    values = {by: np.concatenate([source.column(by) for source in sources])}
+    parts = groups(values, [by])
+    if len(parts) > MOST_GROUPS:
+        raise InputError(f"by is {by!r}, which has {len(parts)} values; at most {MOST_GROUPS} can be overlaid")
+    return {
+        value: pool(counts.of(rows), float(threshold[rows].max()), UNITS[normalise]) for (value,), rows in parts.items()
+    }
+
+
+def histogram(
+    paths: Sequence[Path],
+    out: Path | None = None,
+    force: bool = False,
+    bins_per_decade: int = 5,
+    normalise: str = "none",
+    by: str | None = None,
+) -> dict[str, Any]:
+    """Pool the histograms of runs and scans, write power_histogram.csv, .h5 and .png into `out`; returns the report.
+
+    Raises InputError or FileError before anything is written.
+    """
+    sources = [read_source(path) for path in paths]
+    if len({source.stored.path.resolve() for source in sources}) < len(sources):
+        raise InputError(f"the runs {', '.join(map(str, paths))} name the same run twice")
+    folder = out or default_run_path("histogram")
+    table, arrays, figure = (folder / f"power_histogram.{ending}" for ending in ("csv", "h5", "png"))
+    standing = [path for path in (table, arrays, figure) if path.exists()]
+    if standing and not force:
+        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    found = pooled(sources, bins_per_decade, normalise, by)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
+    write_table(table, found, by)
+    write_arrays(arrays, found, by)
+    save(draw_histograms(found, by), figure)
+    return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
+
+
+def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
+    """CSV with the columns power_low, power_high, count; contacts that are in no bin are counted in the header.
+
+    Where several samples are pooled standard_error, density and density_error follow, and with several histograms,
+    which stand below each other, the parameter that parts them.
+    """
+    notes = []
+    for value, found in histograms.items():
+        part = "" if by is None else f"{by} {value}: "
+        notes.append(f"{part}slipping {found.slipping}, slipless {found.slipless}, undecided {found.undecided}")
+        notes.append(f"{part}slip_threshold {found.slip_threshold!r}, samples {found.samples}")
+    units = next(iter(histograms.values())).units
+    if units != UNITS["none"]:
+        notes.append(f"power in units of {units}")
+    errors = any(found.samples > 1 for found in histograms.values())
+    names = ["power_low", "power_high", "count"]
+    names += ["standard_error", "density", "density_error"] if errors else []
+    rows = []
+    for value, found in histograms.items():
+        columns = [found.edges[:-1], found.edges[1:], found.count]
+        columns += [found.standard_error, found.density, found.density_error] if errors else []
+        rows += [[*row, *([] if by is None else [value])] for row in zip(*(c.tolist() for c in columns), strict=True)]
+    write_csv(path, names if by is None else [*names, by], rows, notes)
+
+
+def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> None:
+    """HDF5 with the data sets edges, count, standard_error, density and density_error; the rest as attributes.
+
+    With several histograms all but the edges have a leading axis, along which the data set `value` has the parameter.
+    """
+    parts = list(histograms.values())
+
+    def stacked(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return values[0] if by is None else np.array(values)
+
+    def fill(file: h5py.File) -> None:
+        for name, unit, text in (
+            ("count", "1", "slipping contacts in each bin"),
+            ("standard_error", "1", "of the count: over the samples, or Poisson with one sample"),
+            ("density", "1", "share of the slipping contacts per decade of power"),
+            ("density_error", "1", "standard error of the density"),
+        ):
+            stored = file.create_dataset(name, data=stacked(name))
+            stored.attrs["units"], stored.attrs["description"] = unit, text
+        edges = file.create_dataset("edges", data=parts[0].edges)
+        edges.attrs["units"], edges.attrs["description"] = parts[0].units, "edges of the power bins"
+        for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
+            file.attrs[name] = stacked(name)
+        if by is not None:
+            texts = any(not isinstance(value, (int, float)) for value in histograms)
+            values = ["" if v is None else str(v) for v in histograms] if texts else list(histograms)
+            stored = file.create_dataset("value", data=values, dtype=h5py.string_dtype() if texts else None)
+            stored.attrs["units"], stored.attrs["description"] = "", f"{by}, the parameter of each histogram"
+            file.attrs["by"] = by
+
+    write_hdf5(path, fill)
+
+
+def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
+    """Numbers for `--json`; those of all histograms together and, with `by`, of each."""
+    parts = list(histograms.values())
+    edges = parts[0].edges
+    report: dict[str, Any] = {
+        name: sum(getattr(part, name) for part in parts) for name in ("slipping", "slipless", "undecided", "samples")
+    }
+    report |= {
+        "smallest_power": float(edges[0]) if len(edges) else None,
+        "largest_power": float(edges[-1]) if len(edges) else None,
+        "units": parts[0].units,
+    }
+    if by is not None:
+        report["by"] = by
+        report["groups"] = [
+            {by: value, **{name: getattr(part, name) for name in ("slipping", "slipless", "undecided", "samples")}}
+            for value, part in histograms.items()
+        ]
+    return report

@@ -1,0 +1,349 @@
+"""A scan from its plan: solve what is missing, write every sample down as it comes, and collect them in scan.h5."""
+
+import logging
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.files.run_file import SCHEMA as RUN_SCHEMA
+from taichi_bearings.files.scan_file import write_scan, write_scan_csv
+from taichi_bearings.files.scan_journal import NAME as JOURNAL
+from taichi_bearings.files.scan_journal import Journal
+from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.runtime import available_threads
+from taichi_bearings.scene import Status
+from taichi_bearings.studies.run import versions
+from taichi_bearings.studies.run_directory import undisturbed, writable_folder
+from taichi_bearings.studies.scan_engine import Engine, LocalEngine, Record, Unit, Work, run_samples
+from taichi_bearings.studies.scan_estimate import (
+    WORKER_START,
+    bytes_of,
+    paying_workers,
+    seconds_of,
+    total_seconds,
+    units_of,
+)
+from taichi_bearings.studies.scan_parts import Part, incomplete_parts, is_failed, part_of, read_journals
+from taichi_bearings.studies.scan_plan import Sample, ScanPlan, groups_of
+from taichi_bearings.studies.scan_sample import STATES, Wanted, failure, solve_samples, state_path
+from taichi_bearings.studies.scan_table import columns_of, histograms_of
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
+REACHED = [status.value for status in Status if status.reached]
+LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
+
+
+@dataclass
+class ScanProgress:
+    """Where a scan stands. done : samples with a result, those of earlier calls (`before`) included; failed : others.
+
+    running : samples in work, the first of each unit. seconds : since the start of this call.
+    """
+
+    total: int
+    before: int
+    done: int = 0
+    failed: int = 0
+    running: list[Sample] = field(default_factory=list)
+    seconds: float = 0.0
+    _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=400))
+
+    def note(self, seconds: float) -> None:
+        """Remember when how many were done, for the rate."""
+        self.seconds = seconds
+        self._recent.append((seconds, self.done + self.failed))
+
+    @property
+    def rate(self) -> float:
+        """Samples a second of late."""
+        if len(self._recent) < 2:
+            return 0.0
+        (first, before), (last, now) = self._recent[0], self._recent[-1]
+        return (now - before) / max(last - first, 1e-9)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time left at that rate; None while it is not known."""
+        return (self.total - self.done - self.failed) / self.rate if self.rate > 0 else None
+
+
+Monitor = Callable[[ScanProgress], None]
+
+
+def missing_samples(
+    plan: ScanPlan, folder: Path, wanted: Wanted, part: Part | None = None
+) -> tuple[list[Sample], dict[str, Record]]:
+    """The samples, of one part or of all, that a folder lacks or that have failed there; and the records that it has.
+
+    FileError if the folder holds samples that the plan does not ask for, or is something else altogether.
+    """
+    names = [file.name for file in folder.iterdir() if file.name[0] != "."] if folder.is_dir() else []
+    if names and JOURNAL not in names and not any(name.startswith("scan.toml") for name in names):
+        raise FileError(f"{folder} is not the folder of a scan and not empty; choose another --out")
+    records = read_journals(folder)
+    others = len(records.keys() - {sample.key for sample in plan.samples})
+    if others:
+        raise FileError(
+            f"{folder} holds {others:,} samples that this scan does not ask for; choose another --out, or a scan with "
+            "all of them"
+        )
+    ours = _samples_of(plan, part)
+    return [sample for sample in ours.samples if not _is_kept(sample, records.get(sample.key), folder, wanted)], records
+
+
+def _samples_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
+    return plan if part is None else part_of(plan, part)
+
+
+def _is_kept(sample: Sample, record: Record | None, folder: Path, wanted: Wanted) -> bool:
+    if record is None or is_failed(record):
+        return False
+    if wanted.structure and "power_minimum_cut" not in record["scalars"]:
+        return False
+    return wanted.states is None or _is_whole(state_path(folder / STATES, sample.key))
+
+
+def _is_whole(state: Path) -> bool:
+    """True if the full state of a sample can be read; one that is damaged is named."""
+    if not state.is_file():
+        return False
+    try:
+        with h5py.File(state, "r") as file:
+            return file.attrs.get("schema") == RUN_SCHEMA
+    except OSError:
+        logging.getLogger(__name__).warning("bearings: %s is damaged; its sample counts as missing", state)
+        return False
+
+
+def estimate(
+    plan: ScanPlan,
+    folder: Path | None,
+    workers: int = 0,
+    structure: bool = False,
+    keep_states: bool = False,
+    part: Part | None = None,
+) -> dict[str, Any]:
+    """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
+    wanted = Wanted(structure, folder / STATES if folder and keep_states else None)
+    ours = _samples_of(plan, part)
+    missing = list(ours.samples) if folder is None else missing_samples(plan, folder, wanted, part)[0]
+    number = _number_of_workers(missing, workers, structure)
+    work = total_seconds(missing, structure)
+    return {
+        "samples": len(ours.samples),
+        "scanned": list(plan.scanned),
+        "missing": len(missing),
+        "workers": number,
+        "seconds": None if work is None else (work / number + WORKER_START if missing else 0.0),
+        "bytes": number * max((bytes_of(group[0].settings) for group in groups_of(missing)), default=0.0),
+    }
+
+
+def _number_of_workers(missing: Sequence[Sample], workers: int, structure: bool) -> int:
+    on_device = any(sample.settings.arch != "cpu" for sample in missing)
+    most = workers or (1 if on_device else available_threads())
+    return paying_workers(missing, most, structure)
+
+
+def scan(
+    plan: ScanPlan,
+    folder: Path,
+    workers: int = 0,
+    structure: bool = False,
+    keep_states: bool = False,
+    sample_timeout: float | None = None,
+    monitor: Monitor = lambda _: None,
+    engine: Engine | None = None,
+    client: "Client | None" = None,
+    part: Part | None = None,
+) -> dict[str, Any]:
+    """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
+
+    workers : processes at most; 0 for one a processor. structure : the numbers of `analyse` too. keep_states : full
+    states in ``states/<sample>.h5``. sample_timeout : seconds a sample may take. Default: 100 times what is expected,
+    at least 600; no limit for dynamics. client : of a Dask cluster that solves; default: processes on this machine.
+    engine : where to solve instead of either. part : solve those samples alone, and write nothing but their journal.
+    returns : the report of `--json`. Ctrl-C and SIGTERM end it; finished samples are kept.
+    Raises InputError or FileError before anything is computed.
+    """
+    began = time.monotonic()
+    wanted = Wanted(structure, (folder / STATES).absolute() if keep_states else None)
+    for group in groups_of(plan.samples):
+        seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
+    name = "" if part is None else part.name
+    with writable_folder(folder, name):
+        missing, records = missing_samples(plan, folder, wanted, part)
+        replace_file(folder / "scan.toml", plan.text.encode(), f".{name or 'whole'}.partial")
+        if engine is None:
+            work = partial(solve_samples, wanted=wanted)
+            allowed = partial(_allowed, sample_timeout=sample_timeout, structure=structure)
+            engine = _engine(work, allowed, client, _number_of_workers(missing, workers, structure))
+        course = _Course(plan, part, folder, records, missing, monitor, began)
+        try:
+            with closing(engine), Journal(course.journal) as journal, _stopping() as stopped:
+                course.follow(units_of(missing, structure), engine, journal, stopped)
+            course.write_files()
+        except FileError as error:
+            kept = len(records)
+            raise FileError(f"{error}; {kept:,} samples are kept there, and the same scan again goes on") from None
+    return course.report(stopped.is_set()) | {"workers": engine.workers}
+
+
+def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
+    """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
+
+    returns : the report of :func:`scan`, and `incomplete_parts`, the parts that lack samples and how many.
+    Raises FileError if the folder has no samples of this scan.
+    """
+    began = time.monotonic()
+    if not folder.is_dir():
+        raise FileError(f"{folder} is not the folder of a scan")
+    with writable_folder(folder):
+        missing, records = missing_samples(plan, folder, Wanted())
+        if not records:
+            raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
+        course = _Course(plan, None, folder, records, missing, lambda _: None, began)
+        course.write_files()
+        return course.report(False) | {"incomplete_parts": incomplete_parts(plan, folder, records)}
+
+
+def _engine(work: Work, allowed: Callable[[Unit], float | None], client: "Client | None", workers: int) -> Engine:
+    if client is None:
+        return LocalEngine(work, workers, allowed)
+    from taichi_bearings.studies.scan_cluster import DaskEngine
+
+    return DaskEngine(client, work, allowed)
+
+
+def _allowed(unit: Unit, sample_timeout: float | None, structure: bool) -> float | None:
+    if sample_timeout is not None:
+        return sample_timeout * len(unit)
+    parts = [seconds_of(sample.settings, structure) for sample in unit]
+    return None if None in parts else max(LEAST_ALLOWED, ALLOWED * sum(part for part in parts if part is not None))
+
+
+@contextmanager
+def _stopping() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set."""
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stopped
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: stopped.set()) for number in numbers}
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Course:
+    """A scan on its way: what it has, and who wants to hear of it."""
+
+    def __init__(
+        self,
+        plan: ScanPlan,
+        part: Part | None,
+        folder: Path,
+        records: dict[str, Record],
+        missing: Sequence[Sample],
+        monitor: Monitor,
+        began: float,
+    ) -> None:
+        self.plan, self.part = _samples_of(plan, part), part
+        self.folder, self.records, self.monitor, self.began = folder, records, monitor, began
+        before = len(self.plan.samples) - len(missing)
+        self.progress = ScanProgress(len(self.plan.samples), before, done=before)
+        self.missing = {sample.key: sample for sample in missing}
+        self.written, self.writing = time.monotonic(), 0.0
+
+    @property
+    def journal(self) -> Path:
+        return self.folder / (JOURNAL if self.part is None else self.part.journal)
+
+    @property
+    def files(self) -> list[Path]:
+        """What is made from the journal; parts of a scan leave that to the merge."""
+        return [self.folder / name for name in ("scan.h5", "scan.csv")] if self.part is None else []
+
+    def follow(self, units: Sequence[Unit], engine: Engine, journal: Journal, stopped: threading.Event) -> None:
+        def keep(finished: list[Record]) -> None:
+            journal.append(finished)
+            for record in finished:
+                self.records[record["key"]] = record
+                if is_failed(record):
+                    self.progress.failed += 1
+                    self._say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
+                else:
+                    self.progress.done += 1
+            self.progress.note(time.monotonic() - self.began)
+
+        def look() -> bool:
+            self.progress.seconds = time.monotonic() - self.began
+            self.progress.running = [unit[0] for unit in engine.running]
+            self.monitor(self.progress)
+            if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
+                self._write_meanwhile()
+            return not stopped.is_set()
+
+        run_samples(units, engine, keep, self._retry, look, failure)
+
+    def _retry(self, sample: Sample, reason: str) -> None:
+        self._say(f"sample {sample.label} failed and is tried again: {reason}")
+
+    def _say(self, text: str) -> None:
+        logging.getLogger(__name__).warning("bearings: %s", text)
+
+    def _write_meanwhile(self) -> None:
+        began = time.monotonic()
+        write_files(self.plan, self.folder, self.records)
+        self.written = time.monotonic()
+        self.writing = self.written - began
+
+    def write_files(self) -> None:
+        if self.files:
+            with undisturbed():
+                write_files(self.plan, self.folder, self.records)
+
+    def report(self, interrupted: bool) -> dict[str, Any]:
+        statuses = [self.records[s.key]["scalars"]["status"] for s in self.plan.samples if s.key in self.records]
+        failed = [s for s in self.plan.samples if s.key in self.records and is_failed(self.records[s.key])]
+        return {
+            "samples": len(self.plan.samples),
+            "done": len(statuses) - len(failed),
+            "solved_now": self.progress.done - self.progress.before,
+            "reached": sum(status in REACHED for status in statuses),
+            "failed": len(failed),
+            "missing": len(self.plan.samples) - len(statuses),
+            "failures": [
+                {"sample": sample.label, "error": self.records[sample.key]["scalars"]["error"]} for sample in failed
+            ],
+            "interrupted": interrupted and len(statuses) < len(self.plan.samples),
+            "seconds": time.monotonic() - self.began,
+            "scan": str(self.folder),
+            "files": [str(file) for file in self.files or [self.journal]],
+        }
+
+
+def write_files(plan: ScanPlan, folder: Path, records: Mapping[str, Record]) -> None:
+    """scan.h5 and scan.csv from the records, each in full or not at all; rows in the order of the plan."""
+    from taichi_bearings import __version__
+
+    columns = columns_of(plan, records)
+    attributes = {"scan": plan.text, "scanned": list(plan.scanned), "taichi_bearings": __version__, **versions()}
+    write_scan(folder / "scan.h5", columns, histograms_of(plan, records), attributes)
+    write_scan_csv(folder / "scan.csv", columns)

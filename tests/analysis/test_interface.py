@@ -1,0 +1,116 @@
+"""The interface of two rigid domains as contacts: hand-made surfaces, its power, and what slips at a minimum."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.analysis.interface import compare, find_interface
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.planar_cut import PlanarCut
+from taichi_bearings.solvers.stopping import StopRule
+from tests.scenes import make_scene
+
+
+def carved(above, law="coulomb", **driving):
+    """A scene whose contacts are weak exactly where the two sides N meet."""
+    lattice = Lattice(above.shape)
+    coefficient = tuple(np.where(np.diff(above, axis=axis), 0.01, 1.0)[None] for axis in range(above.ndim))
+    return Scene(lattice, law, coefficient, **driving)
+
+
+def overhanging():
+    """A surface over 4x5 columns of 6 spheres at varied height, with one sphere that juts out sideways."""
+    height = np.random.default_rng(2).integers(2, 4, (4, 5))
+    above = np.arange(6) >= height[..., None]
+    above[1, 2] = [False, False, False, False, True, True]
+    above[2, 2] = [False, False, True, False, True, True]
+    above[3, 2] = [False, False, True, True, True, True]
+    return above
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("above", [overhanging(), overhanging()[1]], ids=["3D", "2D"])
+def test_a_carved_surface_is_found_with_its_power(above, law):
+    scene = carved(above, law, spin_top=0.7, spin_bottom=-0.5, normal_force=3.0)
+    found = find_interface(scene)
+    assert (found.above == above).all()
+    for axis, contacts in enumerate(found.contacts):
+        assert (contacts == np.diff(above, axis=axis)).all()
+    across = [0.5, 0.5, 1.0] if above.ndim == 3 else [1.0, 1.0]  # |d x n|^2
+    sizes = [int(contacts.sum()) for contacts in found.contacts]
+    if law == "coulomb":
+        expected = 3.0 * 0.5 * 1.2 * 0.01 * sum(np.sqrt(part) * size for part, size in zip(across, sizes, strict=True))
+    else:
+        expected = (0.5 * 1.2) ** 2 * 0.01 * sum(part * size for part, size in zip(across, sizes, strict=True))
+    assert found.power == pytest.approx(expected, rel=1e-13)
+    assert found.lower_bound == pytest.approx(expected, rel=1e-13)
+    assert found.size == sum(sizes)
+    assert found.unique
+
+
+def test_heights_are_those_of_the_surface_and_tell_an_overhang():
+    above = overhanging()
+    found = find_interface(carved(above))
+    first_above = above.argmax(axis=-1)
+    last_below = 5 - (~above)[..., ::-1].argmax(axis=-1)
+    assert (found.lowest == first_above - 0.5).all()
+    assert (found.highest == last_below + 0.5).all()
+    assert (np.argwhere(found.highest > found.lowest) == [[2, 2]]).all()
+    assert (found.lowest[2, 2], found.highest[2, 2]) == (1.5, 3.5)
+
+
+def test_contacts_along_the_driven_axis_cost_nothing_and_do_not_slip():
+    scene = make_scene((4, 3, 5), direction=(1, 0, 0))
+    found = find_interface(scene)
+    assert np.diff(found.above, axis=0).any()
+    assert not found.contacts[0].any()
+    slipping = [slip[0] > 0 for slip in scene.slips(*start_of(scene))]
+    assert compare(slipping, found.contacts).identical
+
+
+def start_of(scene):
+    axes = scene.lattice.all_spin_axes
+    return scene.staggered_spin(initial_spin(scene, "minimum-cut"), axes), axes
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_the_interface_is_what_slips_at_the_minimum_cut_start_of_any_sample(law):
+    scene = make_scene((3, 4, 5), law, seeds=(5, 6))
+    slips, power = scene.slips(*start_of(scene)), scene.power(*start_of(scene))
+    for replica in range(2):
+        found = find_interface(scene, replica)
+        assert compare([slip[replica] > 0 for slip in slips], found.contacts).identical
+        assert found.power == pytest.approx(power[replica], rel=1e-13)
+
+
+def test_equal_coefficients_tie():
+    for shape in ((4, 5), (3, 4, 5)):
+        scene = make_scene(shape, distribution="constant:0.3")
+        found = find_interface(scene)
+        assert not found.unique
+        assert found.size == np.prod(shape[:-1])
+        assert found.between[..., 1:-1].all()
+    flat = find_interface(make_scene((4, 5), distribution="constant:0.3"))
+    assert flat.next_power == pytest.approx(flat.power, rel=1e-15)
+
+
+def test_planar_minima_slip_at_the_interface_alone():
+    scene = make_scene((9, 8), seeds=range(5))
+    solution = solve(scene, PlanarCut(), initial_spin(scene, "zero"), StopRule(1e-12))
+    for replica in range(5):
+        slipping = [state[replica] == ContactState.SLIPPING for state in solution.state]
+        found = find_interface(scene, replica)
+        assert compare(slipping, found.contacts).identical
+        assert solution.power[replica] == pytest.approx(found.power, rel=1e-13)
+        ratio = solution.findings["next_cut_over_minimum"][replica]
+        assert found.next_power == pytest.approx(ratio * found.power, rel=1e-13)
+
+
+def test_differences_are_counted_by_kind():
+    cut = [np.array([True, False, True]), np.array([[False, True]])]
+    slipping = [np.array([True, True, False]), np.array([[True, True]])]
+    found = compare(slipping, cut)
+    assert (found.only_slipping, found.only_interface, found.identical) == (2, 1, False)

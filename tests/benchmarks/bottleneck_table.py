@@ -1,0 +1,117 @@
+"""Bottlenecks of slipless networks beside those of random ones: python -m tests.benchmarks.bottleneck_table
+
+Certified minima of the paper's scene, seeds 0, 1, ...; beside each the null model: as many slipless contacts of each
+axis, at random places. Mean and standard error over the samples that span.
+"""
+
+import argparse
+import bisect
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.analysis.bottlenecks import find_bottlenecks
+from taichi_bearings.analysis.network import SliplessNetwork, network_of, planes_crossed
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.interior_point import InteriorPoint
+from taichi_bearings.solvers.stopping import StopRule
+from tests.scenes import make_scene
+
+
+def shuffled(network, seed):
+    """As many links of each axis, anywhere but between driven spheres."""
+    random, slipless = np.random.default_rng(seed), []
+    for axis, links in enumerate(network.slipless):
+        can_slip = ~network.lattice.between_driven(axis)
+        anywhere = np.zeros_like(links)
+        anywhere[can_slip] = random.permutation(links[can_slip])
+        slipless.append(anywhere)
+    return SliplessNetwork(network.lattice, tuple(slipless))
+
+
+def slip_that_would_span(lattice, slip):
+    """Least slip speed such that the contacts that slip no faster join bottom and top: halving the sorted list."""
+    speeds = np.unique(np.concatenate([values.ravel() for values in slip]))
+
+    def spans(threshold):
+        slow = tuple((values <= threshold) & ~lattice.between_driven(axis) for axis, values in enumerate(slip))
+        return SliplessNetwork(lattice, slow).spans
+
+    return speeds[bisect.bisect_left(speeds, True, key=spans)]
+
+
+def measures(network):
+    """Name and value of everything in the table."""
+    found = find_bottlenecks(network)
+    paths, current = found.concentration, found.current_concentration
+    return {
+        "links": len(network.axis),
+        "share of the free spheres in the spanning piece": network.spanning_fraction,
+        "links outside the backbone": float((~found.backbone.links).mean()),
+        "bridges": int(found.backbone.bridges.sum()),
+        "links that part the planes alone": int(found.backbone.parting_links.sum()),
+        "samples with such a link, share": bool(found.backbone.parting_links.any()),
+        "spheres that part the planes alone": int(found.backbone.parting_spheres.sum()),
+        "paths that share no link": network.disjoint_paths.number,
+        "bottom spheres on links": len(network.bottom),
+        "top spheres on links": len(network.top),
+        "shortest path, links": found.betweenness.least_distance,
+        "mean distance of pairs, links": found.betweenness.mean_distance,
+        "planes x = const on a shortest path": planes_crossed(network.shortest_path)[0],
+        "connected pairs, share": found.betweenness.pairs / max(1, len(network.bottom) * len(network.top)),
+        "pairs through the top link, share": paths.largest,
+        "links with 9/10 of the pairs": paths.nearly_all,
+        "links on any shortest path, share": paths.loaded / len(network.axis),
+        "effective number of loaded links": paths.effective,
+        "links that bear half the load of the pairs": paths.half,
+        "current through the top link, share": current.largest,
+        "effective number of links with current": current.effective,
+        "resistance between the planes": found.current.resistance,
+    }
+
+
+def main():
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--shape", default="10x10x10")
+    options.add_argument("--seeds", type=int, default=20)
+    options.add_argument("--spin-bottom", type=float, default=0.1)
+    options.add_argument("--threads", type=int, default=1)
+    given = options.parse_args()
+    runtime.start(threads=given.threads)
+    shape = tuple(int(n) for n in given.shape.split("x"))
+    samples, undecided, missing = {"minimum": [], "random": []}, 0, []
+    for seed in range(given.seeds):
+        scene = make_scene(shape, seeds=(seed,), spin_bottom=given.spin_bottom)
+        solution = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-8))
+        network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
+        undecided += sum(int((state == ContactState.UNDECIDED).sum()) for state in solution.state)
+        if not network.spans:
+            unit = scene.lattice.radius * scene.jump
+            missing.append(slip_that_would_span(scene.lattice, [values[0] for values in solution.slip]) / unit)
+        for name, one in (("minimum", network), ("random", shuffled(network, seed))):
+            if one.spans:
+                samples[name].append(measures(one))
+    spans = {name: f"{len(rows)} of {given.seeds}" for name, rows in samples.items()}
+    print(f"{given.shape}, spin_bottom {given.spin_bottom:g}, {given.seeds} seeds, {undecided} undecided contacts\n")
+    print("| | slipless network | as many at random |\n|---|---|---|")
+    print(f"| samples that span | {spans['minimum']} | {spans['random']} |")
+    columns = [
+        {key: mean_and_error([row[key] for row in rows]) for key in rows[0]} for rows in samples.values() if rows
+    ]
+    for key in columns[0]:
+        print(f"| {key} | {' | '.join(column[key] for column in columns)} |")
+    if missing:
+        print("\nslips over R times the jump that must pass for none before the other samples span:")
+        print(", ".join(f"{np.quantile(missing, share):.1e} ({share:.0%})" for share in (0, 0.25, 0.5, 0.75, 1)))
+
+
+def mean_and_error(values):
+    """Mean and its standard error over the samples, as text."""
+    error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+    return f"{np.mean(values):.4g} ± {error:.2g}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""`bearings scan` as scripts use it: exit codes, kills, Ctrl-C, a full disk, progress in logs, one JSON object."""
+
+import csv
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from taichi_bearings.files.scan_journal import read_journal
+from taichi_bearings.studies.scan import scan
+from taichi_bearings.studies.scan_plan import read_plan
+from tests.cli.test_cli import bearings
+from tests.studies.scan_faults import Here
+from tests.studies.test_scan import assert_same_but_for_the_clock
+
+COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
+SLOW = 'shape = [12, 12]\nlaw = "viscous"\n[scan]\nseed = { start = 0, stop = 500 }\n'  # a second of work in many units
+
+
+@pytest.fixture
+def scan_file(tmp_path):
+    def write(text):
+        (tmp_path / "scan.toml").write_text(text)
+        return tmp_path / "scan.toml"
+
+    return write
+
+
+def rows(folder):
+    with (folder / "scan.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def journalled(folder):
+    journal = folder / "samples.jsonl"
+    return journal.read_bytes().count(b"\n") if journal.exists() else 0
+
+
+def wait_for(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_the_table_has_the_promised_columns_and_the_numbers_of_run(scan_file, tmp_path):
+    file = scan_file("[scan]\nshape = [[6, 7], [4, 4, 5]]\nseed = { start = 3, stop = 5 }\n")
+    done = bearings("scan", file, "--set", "spin_bottom=0.1", "--out", tmp_path / "s", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    report = json.loads(done.stdout)
+    assert (report["samples"], report["reached"], report["failed"], report["missing"]) == (4, 4, 0, 0)
+    table = rows(tmp_path / "s")
+    names = ["shape", "seed", "power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds"]
+    assert list(table[0])[: len(names)] == names
+    assert [(row["shape"], row["seed"]) for row in table] == [
+        ("6x7", "3"),
+        ("6x7", "4"),
+        ("4x4x5", "3"),
+        ("4x4x5", "4"),
+    ]
+    words = ("--shape", "4,4,5", "--seed", 4, "--spin-bottom", 0.1, "--out", tmp_path / "r", "--json")
+    summary = json.loads(bearings("run", *words).stdout)
+    for name in ("power", "lower_bound", "gap", "largest_balance_residual", "smallest_slipping_slip"):
+        assert float(table[3][name]) == summary[name]
+    assert table[3]["slipping"] == str(summary["slipping"])
+
+
+def test_a_dry_run_writes_nothing(scan_file, tmp_path):
+    file = scan_file(SLOW)
+    done = bearings("scan", file, "--dry-run", "--out", tmp_path / "s", "--json")
+    assert done.returncode == 0, done.stderr
+    expected = json.loads(done.stdout)
+    assert (expected["samples"], expected["missing"], expected["scanned"]) == (500, 500, ["seed"])
+    assert 0.5 < expected["seconds"] < 20
+    assert "500 samples over seed" in bearings("scan", file, "--dry-run").stdout
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scan.toml"]
+
+
+def test_samples_that_stop_short_are_exit_code_1(scan_file, tmp_path):
+    file = scan_file('shape = [4, 4]\nmethod = "gradient-descent"\niterations = 4\n[scan]\nseed = [1, 2]\n')
+    done = bearings("scan", file, "--out", tmp_path / "s")
+    assert done.returncode == 1
+    assert "2 samples stopped short" in done.stdout
+    assert [row["status"] for row in rows(tmp_path / "s")] == ["step-limit"] * 2
+
+
+def test_failed_samples_are_named_and_exit_code_1(scan_file, tmp_path):
+    np.savez(tmp_path / "start.npz", spin=np.ones((3, 4)))
+    file = scan_file('shape = [4, 4]\n[scan]\ninitial = ["start.npz", "linear"]\n')
+    done = bearings("scan", file, "--out", tmp_path / "s")
+    assert done.returncode == 1
+    assert "start.npz" in done.stderr
+    assert "1 samples failed" in done.stdout
+    assert "goes on" not in done.stderr
+    assert [row["status"] for row in rows(tmp_path / "s")] == ["failed", "certified"]
+
+
+def test_bad_input_is_one_sentence_and_exit_code_2(scan_file, tmp_path):
+    for text, expected in (("[scan]\nsed = [1]\n", "did you mean"), ("[scan]\nshape = [[5, 5, 2]]\n", "3 or more")):
+        done = bearings("scan", scan_file(text), "--out", tmp_path / "s")
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert expected in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+    assert bearings("scan", tmp_path / "none.toml").returncode == 2
+    assert not (tmp_path / "s").exists()
+
+
+def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
+    """Killed at random moments, workers left alone or killed too; then done once more: as if nothing had happened."""
+    file, folder, draw = scan_file(SLOW), tmp_path / "s", random.Random(3)
+    for _ in range(2):
+        process = subprocess.Popen([*COMMAND, file, "--out", folder, "--workers", "2"], stderr=subprocess.DEVNULL,
+                                   stdout=subprocess.DEVNULL, start_new_session=True)  # fmt: skip
+        before = journalled(folder)
+        if draw.random() < 0.7:  # else at the start, before any sample
+            wait_for(lambda p=process, b=before: journalled(folder) > b or p.poll() is not None)
+        time.sleep(draw.uniform(0, 0.2))
+        (os.killpg if draw.random() < 0.5 else os.kill)(process.pid, signal.SIGKILL)
+        process.wait()
+    assert 0 < journalled(folder) < 500
+    done = bearings("scan", folder, "--json")  # the folder alone is enough
+    assert done.returncode == 0, done.stderr
+    assert 0 < json.loads(done.stdout)["solved_now"] < 500
+    scan(read_plan(file), tmp_path / "undisturbed", engine=Here())
+    assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
+
+
+@pytest.mark.parametrize("what", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_scan_keeps_its_samples(scan_file, tmp_path, what):
+    file, folder = scan_file(SLOW), tmp_path / "s"
+    process = subprocess.Popen(
+        [*COMMAND, file, "--out", folder, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    wait_for(lambda: journalled(folder) > 0)
+    os.killpg(process.pid, what)  # as Ctrl-C does: to the workers too
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert err == ""
+    report = json.loads(out)
+    assert report["interrupted"]
+    assert 0 < report["done"] == journalled(folder) == len(rows(folder)) < 500
+
+
+def test_a_full_disk_is_told_and_loses_nothing(scan_file, tmp_path):
+    """A limit on the size of files stands for the disk."""
+    file, folder = scan_file(SLOW), tmp_path / "s"
+
+    def fill():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
+
+    done = subprocess.run([*COMMAND, file, "--out", folder], capture_output=True, text=True, preexec_fn=fill)
+    assert done.returncode == 2
+    assert "samples.jsonl cannot be written" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    kept = journalled(folder)
+    assert f"{kept} samples are kept" in done.stderr
+    assert len(read_journal(folder / "samples.jsonl")) == kept > 0
+
+
+def test_progress_is_quiet_in_a_pipe_and_a_line_now_and_then_in_a_log(scan_file, tmp_path):
+    file = scan_file(SLOW)
+    with (tmp_path / "log").open("w") as log:
+        words = [*COMMAND, file, "--out", tmp_path / "s", "--heartbeat", "0.3"]
+        assert subprocess.run(words, stdout=subprocess.DEVNULL, stderr=log).returncode == 0
+    lines = (tmp_path / "log").read_text().splitlines()
+    assert 2 <= len(lines) <= 40
+    assert all(" of 500 samples" in line and "left" in line for line in lines)
+    assert any("/s " in line for line in lines)

@@ -1,0 +1,51 @@
+"""`bearings histogram` and `bearings plot scan` on a scan, from the command line."""
+
+import json
+
+import pytest
+
+from tests.cli.test_cli import bearings
+from tests.stored_scans import stored_scan
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return stored_scan(tmp_path_factory.mktemp("scan"), seeds=4)
+
+
+def test_a_histogram_of_a_scan_by_a_parameter(scan, tmp_path):
+    words = ("histogram", scan.path.parent, "--by", "shape", "--normalise", "mean", "--out", tmp_path / "h")
+    done = bearings(*words, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert [group["shape"] for group in report["groups"]] == ["4x4", "8x8", "16x16"]
+    assert report["slipping"] == sum(len(scan.slipping(n)) for n in range(len(scan.power)))
+    assert {file.name for file in (tmp_path / "h").iterdir()} == {f"power_histogram.{e}" for e in ("csv", "h5", "png")}
+    shown = bearings(*words, "--force").stdout
+    assert "shape 8x8: " in shown
+    assert "in units of the mean power" in shown
+    assert "1, 2, 4, 5, 10 or 20" in bearings("histogram", scan.path, "--bins-per-decade", 3).stderr
+
+
+def test_a_figure_of_a_scan(scan, tmp_path):
+    done = bearings(
+        "plot", "scan", scan.path, "--y", "power", "--x", "spin_bottom", "--collapse", "1.5,0", "--by", "law",
+        "--where", "spin_top=1", "--bars", "quartiles", "--log", "y", "--out", tmp_path / "f.svg",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(tmp_path / "f.svg"), str(tmp_path / "f.csv")]
+    assert (tmp_path / "f.csv").read_text().startswith("L,law,spin_bottom,number,mean,")
+
+
+def test_wrong_words_are_one_sentence(scan, tmp_path):
+    for words, sentence in (
+        (("plot", "scan", scan.path, "--y", "power"), "needs --y and --x"),
+        (("plot", "scan", scan.path, "--y", "power", "--x", "L", "--collapse", "1"), "two exponents"),
+        (("plot", "scan", scan.path, "--y", "power", "--x", "L", "--out", tmp_path / "f.gif"), "must end in"),
+        (("plot", "scan", tmp_path, "--y", "power", "--x", "L"), "not a scan"),
+        (("plot", "power", tmp_path, "--by", "law"), "--by belongs to `bearings plot scan`"),
+    ):
+        done = bearings(*words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert sentence in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1

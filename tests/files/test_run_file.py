@@ -1,0 +1,32 @@
+"""run.h5 gives back what was stored, and files from before the friction vectors stay readable."""
+
+import h5py
+import numpy as np
+import pytest
+
+from taichi_bearings.files.run_file import read_run_file, write_run_file
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.linear_solver import LinearSolver
+from taichi_bearings.studies.run import summarise
+from tests.scenes import make_scene
+
+
+@pytest.mark.parametrize(("shape", "seeds"), [((4, 5), (7,)), ((3, 4, 5), (7,)), ((3, 4, 5), (7, 8))], ids=str)
+def test_friction_vectors_come_back_and_may_be_missing(tmp_path, shape, seeds):
+    scene = make_scene(shape, "viscous", seeds=seeds)
+    solution = solve(scene, LinearSolver(), initial_spin(scene, "linear"))
+    path = tmp_path / "run.h5"
+    write_run_file(path, solution, summarise(solution, 1e-8))
+    stored = read_run_file(path)
+    assert stored.friction is not None
+    for axis, (given, found) in enumerate(zip(solution.friction, stored.friction, strict=True)):
+        vector = (3,) if len(shape) == 3 else ()
+        assert found.shape == (len(seeds), *scene.lattice.contact_shape(axis), *vector)
+        assert (given == found).all()
+        assert np.abs(given).max() > 0
+    with h5py.File(path, "r+") as file:
+        assert file["contact/x/friction"].attrs["units"] == "force"
+        for axis in file["contact"]:
+            del file[f"contact/{axis}/friction"]
+    assert read_run_file(path).friction is None

@@ -1,0 +1,87 @@
+"""The stored friction obeys the laws of mechanics in the laboratory frame and proves the lower bound by its work."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
+from taichi_bearings.lattice.grid import laboratory_forces, lower, staggered_forces, upper
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.stopping import StopRule
+from tests.scenes import make_scene
+
+RUNS = [
+    ("planar-cut", "coulomb", (6, 7), 1e-10),
+    ("interior-point", "coulomb", (6, 7), 1e-10),
+    ("interior-point", "coulomb", (4, 5, 6), 1e-10),
+    ("operator-splitting", "coulomb", (4, 5, 6), 1e-5),
+    ("gradient-descent", "coulomb", (4, 5, 6), 1e-3),
+    ("cundall-strack", "coulomb", (3, 2, 4), 1e-5),
+    ("rigid-limit", "coulomb", (3, 4, 5), 1e-8),
+    ("linear-solver", "viscous", (6, 7), 1e-10),
+    ("linear-solver", "viscous", (4, 5, 6), 1e-10),
+]
+
+
+def solved(name, law, shape, tolerance):
+    scene = make_scene(shape, law, seeds=(613,), spin_top=1.3, spin_bottom=0.2)
+    return scene, solve(scene, method_class(name)(), initial_spin(scene, "linear"), StopRule(tolerance))
+
+
+def in_three_dimensions(scene, friction, spin):
+    """Friction vectors (*contacts, 3) an axis and spins (*N, 3); in 2D from components along z x n, and z."""
+    if scene.lattice.dimension == 3:
+        return [f[0] for f in friction], spin[0]
+    along = [np.cross([0.0, 0.0, 1.0], np.eye(3)[axis]) for axis in range(2)]
+    return [f[0][..., None] * t for f, t in zip(friction, along, strict=True)], spin[0][..., None] * [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(("name", "law", "shape", "tolerance"), RUNS)
+def test_stored_friction_balances_torques_and_does_the_work_of_the_drive(name, law, shape, tolerance, needs_f64):
+    scene, solution = solved(name, law, shape, tolerance)
+    friction, spin = in_three_dimensions(scene, solution.friction, solution.spin)
+    dimension, radius = scene.lattice.dimension, scene.lattice.radius
+    torque, dissipated = np.zeros((*shape, 3)), 0.0
+    for axis, force in enumerate(friction):
+        normal = np.eye(3)[axis]
+        arm = np.cross(radius * normal, -force)  # on the lower sphere, r_ij x F; the upper one has -r_ij and -F
+        for end in (lower, upper):
+            end(np.moveaxis(torque, -1, 0), axis, dimension)[...] += np.moveaxis(arm, -1, 0)
+        below, above = (np.moveaxis(end(np.moveaxis(spin, -1, 0), axis, dimension), 0, -1) for end in (lower, upper))
+        slip = -radius * np.cross(below + above, normal)  # paper Eq. 2
+        dissipated -= float((force * slip).sum())
+        length, limit = np.linalg.norm(force, axis=-1), scene.strength * scene.coefficient[axis][0]
+        assert np.abs(force[..., axis]).max() == 0.0
+        assert law == "viscous" or (length <= limit * (1 + 1e-14)).all()
+    largest = max(np.abs(f).max() for f in friction)
+    assert np.abs(torque[..., 1:-1, :]).max() < 1e-12 * radius * largest
+    driven = torque * spin
+    work = -float(driven[..., 0, :].sum() + driven[..., -1, :].sum())
+    assert work == pytest.approx(dissipated, rel=1e-12)
+    assert work == pytest.approx(solution.lower_bound[0], rel=1e-12 if tolerance < 1e-9 else 1e-2 * tolerance)
+    assert solution.lower_bound[0] <= solution.power[0] * (1 + 1e-14)
+
+
+def test_laboratory_friction_turns_back_into_the_same_staggered_forces():
+    scene, generator = make_scene((3, 4, 5)), np.random.default_rng(19)
+    for axes in ((0, 1), (1,), (0, 1, 2)):
+        force = tuple(generator.normal(size=f.shape) for f in scene.no_force(axes))
+        back = staggered_forces(laboratory_forces(force, scene.lattice, axes), scene.lattice, axes)
+        assert all((a == b).all() for a, b in zip(force, back, strict=True))
+
+
+def test_any_forces_become_balanced_and_admissible_ones():
+    scene, generator = make_scene((4, 3, 5), seeds=(5, 6)), np.random.default_rng(23)
+    axes = scene.minimum_spin_axes
+    force = tuple(20 * generator.normal(size=f.shape) + 10 for f in scene.no_force(axes))
+    bound = lower_bound(scene, force, axes)
+    certifying = certifying_forces(scene, force, axes, bound)
+    assert largest_unbalanced_torque(scene, certifying, axes).max() < 1e-12
+    assert (dual_value(scene, certifying, axes) >= bound * (1 - 1e-3)).all()
+    assert (bound > 0).all()
+    for replica, seed in enumerate(scene.seeds):
+        alone = certifying_forces(
+            make_scene((4, 3, 5), seeds=(seed,)), tuple(f[:, [replica]] for f in force), axes, bound[[replica]]
+        )
+        assert all((a[:, 0] == b[:, replica]).all() for a, b in zip(alone, certifying, strict=True))

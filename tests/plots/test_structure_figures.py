@@ -1,0 +1,245 @@
+"""The figures of the slipless network, of the rigid domains and of the minimum cut show what they say."""
+
+import io
+import itertools
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
+from matplotlib.colors import to_rgba
+
+from taichi_bearings.analysis.domains import KINDS, Lock, rigid_domains
+from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.plots.cut_surface import draw_cut_surface
+from taichi_bearings.plots.domains import colour_of_turn, draw_domains, turn_of
+from taichi_bearings.plots.lattice import COLOURS, box_edges, seen, walls_between
+from taichi_bearings.plots.network import REACHED, contact_colours, draw_network
+from taichi_bearings.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE
+from taichi_bearings.plots.thresholds import draw_thresholds
+from taichi_bearings.scene.initial_spins import cut_of
+from tests.scenes import make_scene
+
+BOTTOM, TOP = colormaps[COLOURS](0.0), colormaps[COLOURS](1.0)
+
+
+class Case:
+    """A scene, staggered spins that take a few values at random, and the contacts that do not slip with them.
+
+    levels : places of the values between the spin of the bottom (0) and that of the top (1). parted : the two layers
+        at half the height take 0 and 1, so that every contact between them slips.
+    """
+
+    def __init__(self, shape, levels=(0.0, 0.5, 1.0), seed=2357, parted=False, **driving):
+        self.scene = scene = make_scene(shape, **driving)
+        axes = scene.minimum_spin_axes
+        bottom, top = (np.reshape(v, (-1, *(1,) * (1 + len(shape)))) for v in scene.driven_values(axes))
+        place = np.random.default_rng(seed).choice(levels, (len(axes), 1, *shape))
+        if parted:
+            place[..., : shape[-1] // 2], place[..., shape[-1] // 2 :] = 0.0, 1.0
+        self.staggered = scene.impose_driving(bottom + (top - bottom) * place, axes)
+        slip = scene.slips(self.staggered, axes)
+        between = [scene.lattice.between_driven(axis) for axis in range(len(shape))]
+        self.slips = tuple((s[0] > 1e-12) & ~b for s, b in zip(slip, between, strict=True))
+        self.network = SliplessNetwork(scene.lattice, tuple(~s & ~b for s, b in zip(self.slips, between, strict=True)))
+        self.spin = scene.laboratory_spin(self.staggered, axes)[0]
+        self.domains = rigid_domains(self.network, self.staggered[:, 0], axes)
+        self.driving = (scene.spin_top, scene.spin_bottom)
+
+    def figures(self):
+        coefficient = tuple(values[0] for values in self.scene.coefficient)
+        return [
+            draw_domains(self.domains),
+            draw_network(self.network, self.spin, *self.driving),
+            draw_plane_cuts(self.network, self.spin, *self.driving),
+            draw_cut_surface(cut_of(self.scene).above[0], coefficient, self.slips),
+        ]
+
+
+def rendered(figure):
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=40)
+    return buffer.getvalue()
+
+
+def collections(axes, kind, colour=None):
+    found = [c for c in axes.collections if type(c) is kind]
+    if colour is None:
+        return found
+    return [c for c in found if np.allclose(c.get_colors()[:1], to_rgba(colour))]
+
+
+def titles(figure):
+    parts = [figure, *figure.subfigs]
+    return " ".join(axes.get_title() for part in parts for axes in part.axes)
+
+
+@pytest.mark.parametrize(
+    ("shape", "setting"),
+    [
+        ((2, 3), {}),
+        ((3, 30), {"parted": True}),
+        ((5, 9, 14), {}),
+        ((2, 7, 3), {}),
+        ((2, 2, 3), {"parted": True}),
+        ((3, 4, 5), {"direction": (1.0, 0.0, 0.0)}),
+        ((3, 2, 4), {"spin_top": 0.0}),
+    ],
+    ids=str,
+)
+def test_every_figure_draws_any_lattice(shape, setting):
+    case = Case(shape, **setting)
+    assert not (case.network.spans and setting.get("parted"))
+    for figure in case.figures():
+        assert rendered(figure)
+
+
+def test_the_domain_figure_has_the_endpoints_colours_where_domains_are_locked():
+    domains = Case((9, 8, 3), levels=(0.0, 0.0, 0.5, 1.0, 1.0)).domains
+    assert all(number > 0 for kind, number in domains.domains_of_kind().items() if kind != "both")
+    colour = colour_of_turn(turn_of(domains))
+    kind = np.array(KINDS)[domains.kind]
+    assert (colour[kind == "bottom"] == BOTTOM).all()
+    assert (colour[kind == "top"] == TOP).all()
+    mixed = colour[kind == "mixed"]
+    bottom_first = domains.lock[kind == "mixed", 0] == Lock.BOTTOM
+    yellow, green = to_rgba("#e8b400"), to_rgba("#0d8a6f")
+    assert np.allclose(mixed[bottom_first], green)
+    assert np.allclose(mixed[~bottom_first], yellow)
+
+
+def test_the_plane_of_the_domain_figure_is_coloured_and_parted_by_domain():
+    case = Case((7, 4), parted=True)
+    plane = draw_domains(case.domains).axes[0]
+    (discs,) = collections(plane, PatchCollection)
+    expected = np.where(np.arange(4)[None, :, None] < 2, BOTTOM, TOP) * np.ones((7, 1, 1))
+    assert np.allclose(discs.get_facecolors().reshape(7, 4, 4), expected)
+    (walls,) = collections(plane, LineCollection, "black")
+    assert sorted(map(np.ndarray.tolist, walls.get_segments())) == [[[x - 0.5, 1.5], [x + 0.5, 1.5]] for x in range(7)]
+
+
+@pytest.mark.parametrize("shape", [(7, 4), (5, 9, 14)], ids=str)
+def test_the_network_figure_has_a_segment_for_each_slipless_contact_and_the_path_in_green(shape):
+    network = (case := Case(shape, levels=(0.0, 1.0))).network
+    flat = len(shape) == 2
+    if flat:  # discs that all turn alike
+        case = Case(shape, spin_bottom=1.0)
+        network = case.network
+    assert network.spans
+    left, right = draw_network(network, case.spin, *case.driving).axes[0 if flat else 1 :][:2]
+    (grey,) = [c for c in left.collections if c.get_label() == "slipless contacts"]
+    ends = np.stack(np.unravel_index(network.ends, shape), axis=-1).swapaxes(0, 1)
+    expected = ends if flat else seen(ends)[..., :2]
+    drawn = np.array(grey.get_segments())
+    assert drawn.shape == (network.ends.shape[1], 2, 2)
+    key = lambda lines: sorted(map(tuple, np.round(lines.reshape(-1, 4), 9) + 0.0))  # noqa: E731
+    assert np.allclose(key(drawn), key(expected))
+    (green,) = [line for line in left.lines if line.get_label() == "path"]
+    path = network.shortest_path
+    assert np.allclose(green.get_xydata(), path if flat else seen(path)[:, :2])
+    if not flat:
+        (arrows,) = [c for c in right.collections if hasattr(c, "XY")]
+        order = np.argsort(seen(path)[:, 2])
+        assert np.allclose(arrows.XY, seen(path)[order, :2])
+        spins = case.spin[tuple(path[order].T)] / case.driving[0]
+        assert np.allclose(np.column_stack([arrows.U, arrows.V]), 1.6 * seen(spins)[:, :2])
+
+
+def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
+    case = Case((3, 4, 6), parted=True)
+    figure = draw_network(case.network, case.spin, *case.driving)
+    assert "do not join" in titles(figure)
+    assert len(figure.axes) == 3  # the spheres, the contacts, a colour bar
+    assert "no path" in titles(draw_plane_cuts(case.network, case.spin, *case.driving))
+    height = case.network.contact[:, 2]
+    colour = contact_colours(case.network)
+    assert np.allclose(colour[height < 3], REACHED["bottom"])
+    assert np.allclose(colour[height >= 3], REACHED["top"])
+    spanning = Case((5, 9, 14), levels=(0.0, 1.0)).network
+    assert np.allclose(contact_colours(spanning), to_rgba(GREY))
+
+
+PATH = np.array([[1, 2, 0], [1, 2, 1], [1, 3, 1], [2, 3, 1], [3, 3, 1], [3, 3, 2], [3, 2, 2], [3, 2, 3]])
+
+
+def test_planes_are_those_that_hold_most_of_the_path():
+    assert planes_of(PATH) == ((0, 3), (0, 1), (1, 3))  # 3 contacts, 2 more, the last 2
+    assert planes_of(PATH[:2]) == ((0, 1),)  # no plane that adds nothing
+
+
+def test_the_path_in_a_plane_and_where_it_leaves():
+    joined, leaves = path_in_plane(PATH, 1, 3)  # reader at small y, towards whom the path comes and goes
+    assert joined.tolist() == [[[1, 1], [2, 1]], [[2, 1], [3, 1]], [[3, 1], [3, 2]]]
+    assert sorted(leaves.tolist()) == [[1, 1, 1], [3, 2, 1]]
+    joined, leaves = path_in_plane(PATH, 0, 1)  # reader at large x
+    assert joined.tolist() == [[[2, 0], [2, 1]], [[2, 1], [3, 1]]]
+    assert leaves.tolist() == [[3, 1, 1]]
+    assert path_in_plane(PATH, 0, 3)[1].tolist() == [[3, 1, -1]]
+
+
+def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
+    case = Case((5, 9, 14), levels=(0.0, 1.0))
+    path = case.network.shortest_path
+    figure = draw_plane_cuts(case.network, case.spin, *case.driving)
+    cuts = planes_of(path)
+    assert 1 < len(cuts) <= 3
+    for axes, (axis, index) in zip(figure.axes, cuts, strict=False):
+        inside = [np.take(values, index, axis) for a, values in enumerate(case.network.slipless) if a != axis]
+        (grey,) = collections(axes, LineCollection, "0.35")
+        assert len(grey.get_segments()) == sum(int(values.sum()) for values in inside)
+        (green,) = collections(axes, LineCollection, GREEN)
+        held = sum((a[axis], b[axis]) == (index, index) for a, b in itertools.pairwise(path))
+        assert len(green.get_segments()) == held
+        assert f"{held} of {len(path) - 1}" in axes.get_title()
+
+
+def test_the_cut_figure_draws_every_contact_of_the_cut_and_every_slip():
+    case = Case((7, 6))
+    above = cut_of(case.scene).above[0]
+    coefficient = tuple(values[0] for values in case.scene.coefficient)
+    (axes,) = draw_cut_surface(above, coefficient, case.slips).axes
+    cut = sum(int(walls.sum()) for walls in walls_between(above))
+    assert len(collections(axes, LineCollection, ORANGE)[0].get_segments()) == cut
+    assert len(collections(axes, LineCollection, BLUE)[0].get_segments()) == sum(int(s.sum()) for s in case.slips)
+
+    case = Case((5, 4, 6))
+    above = cut_of(case.scene).above[0]
+    coefficient = tuple(values[0] for values in case.scene.coefficient)
+    walls = walls_between(above)
+    surface, height = draw_cut_surface(above, coefficient, case.slips).axes[:2]
+    (squares,) = collections(surface, PolyCollection)
+    cut = np.concatenate([c[w] for c, w in zip(coefficient, walls, strict=True)])
+    weight = np.concatenate([c[w] * s for c, w, s in zip(coefficient, walls, (0.5**0.5, 0.5**0.5, 1), strict=True)])
+    assert np.allclose(np.sort(squares.get_array()), np.sort(cut))
+    assert weight.sum() == pytest.approx(cut_of(case.scene).weight[0])  # so the squares are the minimum cut
+    assert np.array_equal(height.images[0].get_array().T, (~above).sum(axis=-1))
+
+
+def test_overhangs_of_the_cut_are_marked():
+    above = np.zeros((3, 4, 6), dtype=bool)
+    above[..., 3:] = True
+    above[1, 2] = [False, False, True, False, True, True]
+    weights = tuple(np.ones(tuple(n - (a == axis) for a, n in enumerate(above.shape))) for axis in range(3))
+    height = draw_cut_surface(above, weights, tuple(w > 2 for w in weights)).axes[1]
+    assert height.lines[0].get_xydata().tolist() == [[1, 2]]
+    assert "1 columns" in height.get_title()
+
+
+def test_thresholds_are_drawn_with_the_certified_values():
+    views = [View(50 + k, 1, True, 0.9, 0.8, 20 + k, 7 + k) for k in range(len(THRESHOLDS))]
+    figure = draw_thresholds(views, View(7, 1, True, 0.7, 0.35, 14, 21))
+    assert rendered(figure)
+    curve, level = figure.axes[0].lines[:2]
+    assert curve.get_xydata().tolist() == [[threshold, 50 + k] for k, threshold in enumerate(THRESHOLDS)]
+    assert set(level.get_ydata()) == {7}
+    assert figure.axes[1].lines[3].get_ydata()[0] == 21
+    assert "contact states" in [text.get_text() for text in figure.axes[0].get_legend().texts]  # certified or not
+
+
+def test_boxes_have_twelve_unlike_edges_of_the_right_length():
+    edges = box_edges((0, 0, 0), (1, 2, 4))
+    length = np.abs(edges[:, 1] - edges[:, 0]).sum(axis=1)
+    assert sorted(length) == [1] * 4 + [2] * 4 + [4] * 4
+    assert len({tuple(edge.ravel()) for edge in edges}) == 12
