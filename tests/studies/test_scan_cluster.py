@@ -22,6 +22,7 @@ from tests.studies import scan_faults
 from tests.studies.test_scan import MIXED, assert_same_but_for_the_clock
 
 distributed = pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")  # which distributed needs
 COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
 
 
@@ -36,18 +37,13 @@ def plan(plan_of):
     return plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 14 }\n")
 
 
-def children_of(pid):
-    done = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True)
-    return [int(word) for word in done.stdout.split()]
-
-
 def solvers(client):
     """Processes that solve, of all Dask workers; spawn may have its resource tracker beside them."""
     found = []
     for pid in client.run(os.getpid).values():
-        for child in children_of(pid):
-            words = subprocess.run(["ps", "-o", "args=", "-p", str(child)], capture_output=True, text=True).stdout
-            found += [child] if "spawn_main" in words else []
+        for child in psutil.Process(pid).children():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                found += [child.pid] if any("spawn_main" in word for word in child.cmdline()) else []
     return found
 
 
