@@ -111,10 +111,11 @@ def _separation(summary: dict[str, Any]) -> list[str]:
     if summary["law"] != "coulomb" or largest is None or smallest is None:
         return []
     words = f"slipless contacts slip at most {largest:.1e}, slipping ones at least {smallest:.1e}"
+    if summary["states_proven"]:
+        return [f"{words}; the contact states are proven"]
     if summary["separation_decades"] < 1:
         return [f"warning: no clear gap between the two kinds of contacts: {words}"]
-    proven = "; the contact states are proven" if summary["states_proven"] else ""
-    return [f"{words}: {summary['separation_decades']:.1f} decades apart{proven}"]
+    return [f"{words}: {summary['separation_decades']:.1f} decades apart"]
 
 
 def _number(value: float | None, form: str) -> str:

@@ -79,9 +79,9 @@ class Structure:
     @cached_property
     def uniqueness(self) -> Uniqueness | None:
         """Whether other slips have the least power too; None where contact states are not proven (Coulomb)."""
-        if self.scene.law != "coulomb" or not self.states_proven:
+        if self.scene.law != "coulomb" or not self.states_proven or self.force is None:
             return None
-        return uniqueness(self.scene.lattice, self.domains, self.staggered, self.state)
+        return uniqueness(self.scene.lattice, self.domains, self.force, self.state)
 
     @cached_property
     def view(self) -> View:

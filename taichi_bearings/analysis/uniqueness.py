@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from taichi_bearings.analysis.domains import Lock, RigidDomains
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import contact_differences, lower, tangential, upper
+from taichi_bearings.lattice.grid import lower, tangential, upper
 
 SINGULAR = 1e-9  # least eigenvalue that counts as zero
 STEPS = 40  # of the inverse iteration, which comes down to the least eigenvalue from above
@@ -44,21 +44,22 @@ class Uniqueness:
 
 
 def uniqueness(
-    lattice: Lattice, domains: RigidDomains, staggered: np.ndarray, state: tuple[np.ndarray, ...]
+    lattice: Lattice, domains: RigidDomains, friction: tuple[np.ndarray, ...], state: tuple[np.ndarray, ...]
 ) -> Uniqueness:
     """Of a Coulomb minimum whose slipless contacts bear less than their limit of friction.
 
-    staggered : (C, *N) spins, 1/time. state : values of ContactState, one array (*contacts) an axis.
+    friction : staggered forces, (T, *contacts) an axis; of slipping contacts they have the direction of slip, also
+    where the slip is lost in the rounding of the spins. state : values of ContactState, one array (*contacts) an axis.
     """
     unknown = _numbered(domains)
     unknowns, conditions = int(unknown.max(initial=-1)) + 1, 0
     row, column, value = [], [], []
-    for axis, difference in enumerate(contact_differences(staggered[:, None], lattice, domains.spin_axes)):
+    for axis, force in enumerate(friction):
         slots = tangential(axis, domains.spin_axes)
         if len(slots) < 2:
             continue
-        slips = (state[axis] == ContactState.SLIPPING) & np.asarray(difference.any(axis=0))[0]
-        along = difference[:, 0][:, slips]
+        slips = (state[axis] == ContactState.SLIPPING) & force.any(axis=0)
+        along = force[:, slips]
         across = np.stack([-along[1], along[0]]) / np.hypot(*along)
         contact = conditions + np.arange(along.shape[1])
         conditions += along.shape[1]

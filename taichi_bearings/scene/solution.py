@@ -73,7 +73,8 @@ class Progress:
     at_rest : a dynamics has come to rest.
     exhausted : a minimisation can get no closer in its precision. halted : a dynamics cannot make another step.
     state : contact states (R, *contacts) an axis that the method itself has established, else None.
-    settled : (R,), True where these are final. resolved : (R,), True where they are proven to be those of a minimum.
+    slip : slip speeds (R, *contacts) an axis where they are more precise than those of the spins, else None.
+    settled : (R,), True where the states are final. resolved : (R,), where they are proven to be those of a minimum.
     unsettled : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each.
     """
@@ -94,6 +95,7 @@ class Progress:
     exhausted: bool = False
     halted: bool = False
     state: tuple[np.ndarray, ...] | None = None
+    slip: tuple[np.ndarray, ...] | None = None
     settled: np.ndarray | None = None
     resolved: np.ndarray | None = None
     unsettled: bool = False

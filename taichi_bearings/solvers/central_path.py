@@ -5,7 +5,7 @@ corrector (1992) and Gondzio's further correctors (1996), in the Nesterov-Todd s
 factor of about five a step, with one factorisation and a few solves.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,6 +41,7 @@ class Iterate:
 
     The dual is minus the contact force. smooth : (n,) masks, contacts that are in no cone but obey the law of friction
     exactly: dual = - friction * direction of slip. inertia : what resists a change of the spins, None at the minimum.
+    load : torques (unknowns,) that the forces have to balance, beside those of the inertia.
     """
 
     system: ContactSystem
@@ -51,6 +52,7 @@ class Iterate:
     dual: list[np.ndarray]
     smooth: list[np.ndarray] = field(default_factory=list)
     inertia: Inertia | None = None
+    load: np.ndarray | float = 0.0
 
     def __post_init__(self) -> None:
         self.smooth = self.smooth or [np.zeros(len(mu), dtype=bool) for mu in self.friction]
@@ -59,7 +61,7 @@ class Iterate:
         """A copy that a Newton step can change: the system and the friction are shared."""
         lists = ([array.copy() for array in arrays] for arrays in (self.bound, self.difference, self.dual, self.smooth))
         bound, difference, dual, smooth = lists
-        return Iterate(self.system, self.spins, self.friction, bound, difference, dual, smooth, self.inertia)
+        return replace(self, bound=bound, difference=difference, dual=dual, smooth=smooth)
 
     @classmethod
     def start(cls, system: ContactSystem, spins: np.ndarray, friction: list[np.ndarray], slack: float) -> "Iterate":
@@ -67,6 +69,19 @@ class Iterate:
         difference = [g.differences(spins) for g in system.groups]
         bound = [np.hypot(length(z), slack) for z in difference]
         return cls(system, spins, friction, bound, difference, [np.zeros_like(z) for z in difference])
+
+    @classmethod
+    def near(
+        cls,
+        system: ContactSystem,
+        spins: np.ndarray,
+        friction: list[np.ndarray],
+        difference: list[np.ndarray],
+        product: float,
+    ) -> "Iterate":
+        """With these slips, bounds and forces as the path has them at this product of slip bound and margin."""
+        central = [_central(mu, z, product) for mu, z in zip(friction, difference, strict=True)]
+        return cls(system, spins, friction, [b for b, _ in central], difference, [y for _, y in central])
 
     @property
     def cones(self) -> list[slice | np.ndarray]:
@@ -79,8 +94,7 @@ class Iterate:
         for mu, z, y, b, smooth in zip(self.friction, self.difference, self.dual, self.bound, self.smooth, strict=True):
             size = length(z)
             back = smooth & (size <= limit)
-            b[back] = ((mean / mu + np.hypot(mean / mu, 2 * size)) / 2)[back]
-            y[:, back] = -mu[back] * z[:, back] / b[back]
+            b[back], y[:, back] = _central(mu[back], z[:, back], mean)
             smooth[:] = size > limit
             y[:, smooth] = -mu[smooth] * z[:, smooth] / size[smooth]
 
@@ -105,9 +119,12 @@ class Iterate:
         return sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
 
     def imbalance(self, spins: np.ndarray, dual: list[np.ndarray]) -> np.ndarray:
-        """Torques (unknowns,) that forces leave on the spheres, less what their inertia takes up."""
-        torques = self.system.torques(dual)
-        return torques if self.inertia is None else torques - self.inertia.torques(spins)
+        """Torques (unknowns,) that forces leave on the spheres, less what they are to balance there."""
+        return self.system.torques(dual) - self.to_balance(spins)
+
+    def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
+        """Torques (unknowns,) of the load and of the inertia."""
+        return self.load if self.inertia is None else self.load + self.inertia.torques(spins)
 
     @property
     def price_of_torques(self) -> float:
@@ -126,6 +143,12 @@ class Iterate:
     def gap(self) -> float:
         """(power - work of the driven planes) / power for balanced forces."""
         return self.excess / self.power
+
+
+def _central(friction: np.ndarray, difference: np.ndarray, product: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bound (n,) and dual (d, n) along the slip whose product is as given."""
+    bound = (product / friction + np.hypot(product / friction, 2 * length(difference))) / 2
+    return bound, -friction * difference / bound
 
 
 def mean_product(primal: list[Point], dual: list[Point]) -> float:
@@ -168,8 +191,8 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> None:
         np.eye(len(y))[:, :, None] * np.maximum(mu - length(y), TINY) ** 2
         for mu, y in zip(iterate.friction, iterate.dual, strict=True)
     ]
-    load = 0.0 if iterate.inertia is None else iterate.inertia.torques(iterate.spins)
-    changes = [new - y for new, y in zip(matrix.balanced(iterate.dual, stiffness, load), iterate.dual, strict=True)]
+    balanced = matrix.balanced(iterate.dual, stiffness, iterate.to_balance(iterate.spins))
+    changes = [new - y for new, y in zip(balanced, iterate.dual, strict=True)]
     along = min(
         longest_step((mu, y), (np.zeros_like(mu), dy))
         for mu, y, dy in zip(iterate.friction, iterate.dual, changes, strict=True)

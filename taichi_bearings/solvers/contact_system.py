@@ -109,6 +109,13 @@ class ContactSystem:
         return sparse.csr_matrix((signs, (places, sources)), shape=(entries, columns))
 
 
+def placed(values: np.ndarray, places: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """A copy of `values` (..., n) with `new` ones in some places."""
+    changed = values.copy()
+    changed[..., places] = new
+    return changed
+
+
 def stacked(stiffness: list[np.ndarray]) -> np.ndarray:
     """Upper triangles of the stiffnesses, one array (d, d, n) a group, in the order that `laplacian_map` expects."""
     return np.concatenate([k[i, j] for k in stiffness for i in range(len(k)) for j in range(i, len(k))])

@@ -260,14 +260,17 @@ class _Best:
             self.progress = new
             return
         pick = better.reshape(1, -1, *(1,) * (new.staggered.ndim - 2))
-        state = resolved = None
+        state = slip = resolved = None
         if new.state is not None and old.state is not None:
             state = tuple(np.where(pick[0], a, b) for a, b in zip(new.state, old.state, strict=True))
+        if new.slip is not None and old.slip is not None:
+            slip = tuple(np.where(pick[0], a, b) for a, b in zip(new.slip, old.slip, strict=True))
         if new.resolved is not None and old.resolved is not None:
             resolved = np.where(better, new.resolved, old.resolved)
         self.progress = replace(
             new,
             state=state,
+            slip=slip,
             resolved=resolved,
             staggered=np.where(pick, new.staggered, old.staggered),
             force=tuple(np.where(pick, a, b) for a, b in zip(new.force, old.force, strict=True)),
@@ -285,10 +288,15 @@ class _Best:
         self.proof = tuple(np.where(pick, a, b) for a, b in zip(proof, self.proof, strict=True))
 
 
-def _states(scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float) -> tuple[np.ndarray, ...]:
-    """Contact states as the method has established them, else by slip and friction; none slips below the threshold."""
+def _states(
+    scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float, asked: bool
+) -> tuple[np.ndarray, ...]:
+    """Contact states by slip and friction, or as the method has established them; then slower ones count as slipless
+    only if a threshold was asked for."""
     if final.state is None:
         return classify(scene, slip, final.force, threshold)
+    if not asked:
+        return final.state
     return tuple(
         np.where((state == ContactState.SLIPPING) & (speed <= threshold), ContactState.SLIPLESS, state).astype(np.uint8)
         for state, speed in zip(final.state, slip, strict=True)
@@ -307,9 +315,10 @@ def _collect(
     seconds_compile: float,
     slip_threshold: float | None,
 ) -> Solution:
-    slip = scene.slips(final.staggered, final.spin_axes)
-    default = max(final.resolution, 1e-12 * scene.lattice.radius * scene.jump)
-    threshold = default if slip_threshold is None else slip_threshold
+    slip, rounding = final.slip, 0.0
+    if slip is None:
+        slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
+    threshold = max(final.resolution, rounding) if slip_threshold is None else slip_threshold
     friction = certifying_forces(scene, proof, final.spin_axes, bound)
     bound = np.maximum(bound, dual_value(scene, friction, final.spin_axes))
     return Solution(
@@ -322,7 +331,7 @@ def _collect(
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
         friction=laboratory_forces(friction, scene.lattice, final.spin_axes),
-        state=_states(scene, slip, final, threshold),
+        state=_states(scene, slip, final, threshold, slip_threshold is not None),
         slip_bound=slip_bound(scene, final.force, final.spin_axes, final.power) if scene.law == "coulomb" else (),
         resolved=np.zeros(scene.replicas, dtype=bool) if final.resolved is None else final.resolved,
         power=final.power,

@@ -156,7 +156,7 @@ class InteriorPoint:
         sample.done |= not gap > CLOSEST
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
-            sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix)
+            sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts)
             sample.done |= sample.resolved is not None
 
     def progress(self) -> Progress:
@@ -164,11 +164,17 @@ class InteriorPoint:
         bottom, _ = scene.driven_values(self.spin_axes)
         staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
+        slip = tuple(np.zeros(values.shape) for values in state)
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
             spins = np.moveaxis(answer.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
             staggered[:, replica, ..., 1:-1] = bottom.reshape(-1, *(1,) * scene.lattice.dimension) + scene.jump * spins
-            for group, dual, states in zip(self.system.groups, answer.dual, sample.states(), strict=True):
+            for group, dual, difference, states in zip(
+                self.system.groups, answer.dual, answer.difference, sample.states(), strict=True
+            ):
+                slip[group.axis][replica].reshape(-1)[group.acting] = (
+                    scene.lattice.radius * scene.jump * length(difference)
+                )
                 values = force[group.axis][:, replica].reshape(len(dual), -1)
                 values[:, group.acting] = -dual * (sample.unit * scene.normal_force)
                 state[group.axis][replica].reshape(-1)[group.acting] = states
@@ -185,6 +191,7 @@ class InteriorPoint:
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
             state=state if self.frustrated else None,
+            slip=slip if self.frustrated else None,
             settled=np.array([sample.resolved is not None for sample in self.samples]),
             resolved=np.array([sample.resolved is not None and sample.resolved.proven for sample in self.samples]),
             unsettled=self.frustrated and not all(sample.done for sample in self.samples),

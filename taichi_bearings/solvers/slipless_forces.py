@@ -1,0 +1,119 @@
+"""Can contacts said to be slipless bear what the slipping ones leave to them? Their forces, or what moves instead.
+
+Slipping contacts have the friction mu F_n along their slip, and so pass torques on. The slipless ones can balance these
+with forces inside their friction discs unless some motion u of the spheres gains more from the torques than friction at
+the slipless contacts takes from it (Farkas' lemma). So in the least of
+
+    sum over slipless contacts of mu |difference of u| + torques . u + |u|^2 / 2
+
+either nothing moves, and the dual of that problem are forces as wanted; or something does, all over the sample at once,
+and the power falls along that motion: the contacts that slip in it were wrongly said not to. The interior-point method
+of central_path.py finds the one or the other in some ten steps.
+"""
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.cholesky import Part
+from taichi_bearings.solvers.central_path import Inertia, Iterate, balance, newton_step
+from taichi_bearings.solvers.cone import length
+from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, placed
+from taichi_bearings.solvers.motion import Motion
+from taichi_bearings.solvers.newton_matrix import NewtonMatrix
+
+STEPS = 40
+SLACK = 1e-2  # of the bounds at the start, in units of the motion
+NEARLY, BALANCED = (
+    1e-4,
+    1e-11,
+)  # torques, of the mean friction, from which the rest may be taken away; that are left then
+CLOSE = 1e-11  # mean product of slip and margin at which a motion can be told from rest
+MOVES = 1.0  # ratio of slip and margin from which a contact moves
+
+
+def bear(
+    system: ContactSystem,
+    parts: list[Part],
+    friction: list[np.ndarray],
+    dual: list[np.ndarray],
+    slipping: list[np.ndarray],
+) -> list[np.ndarray] | Motion | None:
+    """The dual of all contacts, balanced and within friction; or a motion, if there is none; None if neither is found.
+
+    parts : elimination tree over the unknowns of `system`. friction (n,), dual (d, n), minus the forces, and slipping
+    (n,), a group each; the dual of slipless contacts is not used.
+    """
+    number = _held(system, slipping)
+    kept = [np.flatnonzero(~s) for s in slipping]
+    slipless = _slipless(system, kept, number)
+    matrix = NewtonMatrix(slipless, [Part(_free(number[part.unknowns]), part.children) for part in parts])
+    at_rest = np.zeros(slipless.unknowns)
+    point = Iterate.start(slipless, at_rest, [mu[keep] for mu, keep in zip(friction, kept, strict=True)], SLACK)
+    point.load = -system.torques([np.where(s, y, 0.0) for y, s in zip(dual, slipping, strict=True)])[number >= 0]
+    moves = Inertia(1.0, at_rest)
+    for _ in range(STEPS):
+        point.inertia = moves
+        newton_step(point, matrix)
+        point.inertia = None
+        if _unbalanced(point) < NEARLY:
+            balance(point, matrix)
+        if _unbalanced(point) < BALANCED:
+            return [placed(y, keep, new) for y, keep, new in zip(dual, kept, point.dual, strict=True)]
+        if point.complementarity < CLOSE:
+            moving = [
+                placed(np.zeros_like(s), keep, length(z) > MOVES * (1 - length(y) / mu))
+                for s, keep, mu, z, y in zip(slipping, kept, point.friction, point.difference, point.dual, strict=True)
+            ]
+            found = Motion(np.append(point.spins, 0.0)[number], moving)
+            return found if any(m.any() for m in moving) else None
+    return None
+
+
+def _unbalanced(point: Iterate) -> float:
+    return float(np.abs(point.imbalance(point.spins, point.dual)).max(initial=0.0))
+
+
+def _free(numbers: np.ndarray) -> np.ndarray:
+    return numbers[numbers >= 0]
+
+
+def _held(system: ContactSystem, slipping: list[np.ndarray]) -> np.ndarray:
+    """New number of every spin, (unknowns,); -1 for one spin of each domain that no contact ties to a driven plane.
+
+    A domain can turn as a whole: slipless contacts do not notice, and what slipping ones pass on to it adds up to zero.
+    """
+    first, second, driven = [], [], np.zeros(system.unknowns, dtype=bool)
+    for group, s in zip(system.groups, slipping, strict=True):
+        below, above = group.below[:, ~s].ravel(), group.above[:, ~s].ravel()
+        both = (below >= 0) & (above >= 0)
+        first.append(below[both])
+        second.append(above[both])
+        ends = np.where(both, -1, np.maximum(below, above))
+        driven[_free(ends)] = True
+    a, b = np.concatenate(first), np.concatenate(second)
+    graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(system.unknowns,) * 2)
+    count, domain = connected_components(graph, directed=False)
+    tied = np.zeros(count, dtype=bool)
+    tied[domain[driven]] = True
+    representative = np.unique(domain, return_index=True)[1]
+    free = np.ones(system.unknowns, dtype=bool)
+    free[representative[~tied]] = False
+    return np.where(free, np.cumsum(free) - 1, -1)
+
+
+def _slipless(system: ContactSystem, kept: list[np.ndarray], number: np.ndarray) -> ContactSystem:
+    """The contacts `kept`, at rest, over the spins that have a number."""
+    unknowns, renamed = int((number >= 0).sum()), np.append(number, -1)
+    groups = [
+        ContactGroup(
+            group.axis,
+            group.acting[keep],
+            renamed[group.below[:, keep]],
+            renamed[group.above[:, keep]],
+            np.zeros_like(group.offset[:, keep]),
+            unknowns,
+        )
+        for group, keep in zip(system.groups, kept, strict=True)
+    ]
+    return ContactSystem(unknowns, tuple(groups))
