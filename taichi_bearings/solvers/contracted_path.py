@@ -14,7 +14,7 @@ from taichi_bearings.solvers.contact_system import ContactGroup
 from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
-STIFF = 1e-7  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
+STIFF = 1e-8  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
 FARTHEST = 1e-22  # product of slip and margin beyond which nothing is gained: what is in doubt then remains so
 STEPS = 80
@@ -83,7 +83,7 @@ class ContractedPath:
         return spins
 
     def decide(self) -> bool:
-        """Follow the path until slip and margin of every contact differ by DECIDED, or to its end; False if that fails."""
+        """Follow the path until slip and margin differ by DECIDED everywhere, or to its end; False if that fails."""
         for _ in range(STEPS):
             ratios = self._ratios()
             if self._decided(ratios):
@@ -116,5 +116,5 @@ class ContractedPath:
 
 def precise(group: ContactGroup, spins: np.ndarray, tracked: np.ndarray) -> np.ndarray:
     """Differences (d, n): the tracked ones where those of the spins are the same but for rounding."""
-    new = group.differences(spins)
-    return np.where(np.abs(new - tracked) < ROUNDING, tracked, new)
+    new, free = group.differences(spins), (group.below >= 0) | (group.above >= 0)
+    return np.where(free & (np.abs(new - tracked) < ROUNDING), tracked, new)

@@ -43,7 +43,7 @@ def largest_parts(
     reach = np.zeros(len(along))
     for dz, slips, home in zip(steps, motion.slipping, of_contact, strict=True):
         np.maximum.at(reach, home[slips & (home >= 0)], length(dz)[slips & (home >= 0)])
-    reach *= along
+    reach *= np.where(along > SHORTEST, along, 0.0)
     far = np.append(reach > share * reach.max(initial=0.0), False)
     spins = np.where(far[part], np.append(along, 0.0)[part] * motion.spins, 0.0)
     slipping = [slips & far[home] for slips, home in zip(motion.slipping, of_contact, strict=True)]

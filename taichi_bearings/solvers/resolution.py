@@ -30,7 +30,7 @@ from taichi_bearings.solvers.slipless_forces import bear
 SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 TRIALS = 40  # of contact states
 STEPS, CONVERGED = 12, 1e-9  # of Newton's method, and the relative change of any slip that ends it
-NEWTON_TRIALS = 6  # of that, with contacts tied that come to rest
+NEWTON_TRIALS = 12  # of that, with contacts tied that come to rest
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
 TINY = np.finfo(np.float64).tiny
@@ -108,6 +108,16 @@ def _newton(
     system, spins = last.system, last.contracted(spins)
     friction = [mu[kept] for mu, kept in zip(whole.friction, last.kept, strict=True)]
     difference = [precise(g, spins, z[:, kept]) for g, z, kept in zip(system.groups, tracked, last.kept, strict=True)]
+
+    def everywhere(values: list[np.ndarray]) -> list[np.ndarray]:
+        return [
+            placed(np.zeros((*new.shape[:-1], len(s)), new.dtype), kept, new)
+            for s, kept, new in zip(slipping, last.kept, values, strict=True)
+        ]
+
+    at_rest = [length(z) == 0 for z in difference]  # between spheres that others tie
+    if any(r.any() for r in at_rest):
+        return None, everywhere(at_rest)
     dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
     steps = [np.zeros_like(z) for z in difference]
     matrix, change = NewtonMatrix(system, last.parts), np.inf if last.unknowns else 0.0
@@ -122,13 +132,6 @@ def _newton(
         spins = spins + along * step
         difference = [z + along * dz for z, dz in zip(difference, steps, strict=True)]
         dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-
-    def everywhere(values: list[np.ndarray]) -> list[np.ndarray]:
-        return [
-            placed(np.zeros((*new.shape[:-1], len(s)), new.dtype), kept, new)
-            for s, kept, new in zip(slipping, last.kept, values, strict=True)
-        ]
-
     turned = everywhere([inner(z + dz, z) <= 0 for z, dz in zip(difference, steps, strict=True)])
     if not change < CONVERGED:
         return None, turned

@@ -28,8 +28,8 @@ NEARLY, BALANCED = (
     1e-4,
     1e-11,
 )  # torques, of the mean friction, from which the rest may be taken away; that are left then
-CLOSE = 1e-11  # mean product of slip and margin at which a motion can be told from rest
-MOVES = 1.0  # ratio of slip and margin from which a contact moves
+DECIDED = 1e2  # ratio of slip and margin, either way, that tells motion from rest
+CLOSE = 1e-14  # mean product of the two from which a ratio of one will do
 
 
 def bear(
@@ -51,22 +51,24 @@ def bear(
     at_rest = np.zeros(slipless.unknowns)
     point = Iterate.start(slipless, at_rest, [mu[keep] for mu, keep in zip(friction, kept, strict=True)], SLACK)
     point.load = -system.torques([np.where(s, y, 0.0) for y, s in zip(dual, slipping, strict=True)])[number >= 0]
-    moves = Inertia(1.0, at_rest)
+    inertia = Inertia(1.0, at_rest)
     for _ in range(STEPS):
-        point.inertia = moves
+        point.inertia = inertia
         newton_step(point, matrix)
         point.inertia = None
         if _unbalanced(point) < NEARLY:
             balance(point, matrix)
         if _unbalanced(point) < BALANCED:
             return [placed(y, keep, new) for y, keep, new in zip(dual, kept, point.dual, strict=True)]
-        if point.complementarity < CLOSE:
-            moving = [
-                placed(np.zeros_like(s), keep, length(z) > MOVES * (1 - length(y) / mu))
-                for s, keep, mu, z, y in zip(slipping, kept, point.friction, point.difference, point.dual, strict=True)
-            ]
-            found = Motion(np.append(point.spins, 0.0)[number], moving)
-            return found if any(m.any() for m in moving) else None
+        ratios = [
+            length(z) / (1 - length(y) / mu)
+            for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
+        ]
+        moving = [r > 1 for r in ratios]
+        apart = all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
+        if any(m.any() for m in moving) and (apart or point.complementarity < CLOSE):
+            slips = [placed(np.zeros_like(s), keep, m) for s, keep, m in zip(slipping, kept, moving, strict=True)]
+            return Motion(np.append(point.spins, 0.0)[number], slips)
     return None
 
 
