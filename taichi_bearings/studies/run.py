@@ -350,11 +350,19 @@ def _solve_with_checkpoints(
             directory = RunDirectory(path, force=True)
             try:
                 summary = write_run(directory.partial, path, job, solution)
-                directory.merge()
+                directory.merge(_analysis_figures(path))
             except BaseException:
                 directory.discard()
                 raise
     return solution, summary
+
+
+def _analysis_figures(path: Path) -> list[str]:
+    """Names of the figures that `bearings analyse` may have left in a run directory."""
+    from taichi_bearings.files.analysis_file import is_analysed
+    from taichi_bearings.studies.structure_figures import FIGURES
+
+    return [f"{name}.png" for name in FIGURES] if is_analysed(path / "run.h5") else []
 
 
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:

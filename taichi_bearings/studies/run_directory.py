@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,8 +57,14 @@ class RunDirectory:
         else:
             self.partial.rename(self.path)
 
-    def merge(self) -> None:
-        """Move the files into the directory, which stands already, one by one and run.h5 last; others there stay."""
+    def merge(self, outdated: Iterable[str] = ()) -> None:
+        """Move the files into the directory, which stands already, one by one and run.h5 last; others there stay.
+
+        outdated : names of files there that go, if there are such and they can be removed.
+        """
+        for name in outdated:
+            with contextlib.suppress(OSError):
+                (self.path / name).unlink()
         for file in sorted(self.partial.iterdir(), key=lambda file: file.name == "run.h5"):
             file.replace(self.path / file.name)
         self.partial.rmdir()

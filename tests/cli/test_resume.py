@@ -79,6 +79,24 @@ def test_a_finished_run_can_go_on_for_longer(tmp_path):
     np.testing.assert_array_equal(arrays_of(tmp_path / "a")["spin"], arrays_of(tmp_path / "b")["spin"])
 
 
+def test_the_analysis_of_the_answer_before_goes_and_nothing_else(tmp_path):
+    stopped = (*SCENE, "--duration", "1", "--checkpoint-every", "100", "--out", tmp_path / "run")
+    assert bearings("run", *stopped).returncode == 0
+    written = {file.name for file in (tmp_path / "run").iterdir()}
+    (tmp_path / "run" / "network.png").write_text("mine, for there was no analysis")
+    resume = ("run", "--resume", tmp_path / "run", "--duration")
+    assert bearings(*resume, "2").returncode == 0
+    assert (tmp_path / "run" / "network.png").read_text().startswith("mine")
+
+    assert bearings("analyse", tmp_path / "run").returncode == 0
+    assert {file.name for file in (tmp_path / "run").iterdir()} > written | {"network.png", "domains.png"}
+    (tmp_path / "run" / "own.png").write_text("mine")
+    assert bearings(*resume, "3").returncode == 0
+    assert {file.name for file in (tmp_path / "run").iterdir()} == written | {"own.png"}
+    with h5py.File(tmp_path / "run" / "run.h5") as file:
+        assert "analysis" not in file
+
+
 def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
     def refused(*words):
         done = bearings("run", *words, cwd=tmp_path)
