@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
@@ -84,23 +85,27 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
     part : keeps others from that part of the work alone.
     """
     lock = path / (f".in-use-{part}" if part else ".in-use")
-    try:
-        file = lock.open("a")
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
-    with file:
+    what = f"{part} in {path}" if part else path
+    while True:
         try:
-            _lock(file.fileno())
+            file = lock.open("a")
         except OSError as error:
-            if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
-                what = f"{part} in {path}" if part else path
-                raise FileError(f"{what} is in use by another process; stop that or wait for its end") from None
-            # this file system has no locks
-        try:
-            yield
-        finally:
-            with contextlib.suppress(OSError):
-                lock.unlink()
+            raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+        with file:
+            try:
+                _lock(file.fileno())
+            except OSError as error:
+                if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+                    raise FileError(f"{what} is in use by another process; stop that or wait for its end") from None
+                # this file system has no locks
+            if not _is_at(file, lock):
+                continue  # whoever had it before removed it after we opened it: others would lock a new one
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):
+                    lock.unlink()
+            return
 
 
 @contextlib.contextmanager
@@ -130,6 +135,14 @@ def _lock(descriptor: int) -> None:
         import fcntl
 
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _is_at(file: IO[str], path: Path) -> bool:
+    """True if an open file is the one at `path`; Windows lets nobody remove an open file."""
+    try:
+        return sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except OSError:
+        return False
 
 
 @contextlib.contextmanager
