@@ -167,17 +167,24 @@ def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
     return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
 
 
+def number_bodies(shape: tuple[int, ...]) -> np.ndarray:
+    """Node of each sphere, int32 of this shape, in the graph of a lattice whose driven planes are one node each: 0 the
+    bottom plane, then the free spheres in C order, the last one the top plane."""
+    *sides, height = shape
+    free = (*sides, height - 2)
+    node = np.zeros(shape, dtype=np.int32)
+    node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
+    node[..., -1] = np.prod(free) + 1
+    return node
+
+
 def _network(gaps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The graph of a lattice whose driven planes are one node each, the first and the last one; gaps : shape of the
-    contacts along the height.
+    """The graph of bodies of a lattice; gaps : shape of the contacts along the height.
 
     returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
     """
     *sides, height = gaps
-    free = (*sides, height - 1)
-    node = np.zeros((*sides, height + 1), dtype=np.int32)
-    node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
-    node[..., -1] = np.prod(free) + 1
+    node = number_bodies((*sides, height + 1))
     ends = []
     for axis in range(len(gaps)):
         joined = node if axis == len(sides) else node[..., 1:-1]
@@ -263,6 +270,3 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
         below = _reached(ends, graph - sent, 0)
         cut = int(left_over[below[row] & ~below[column]].sum())
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
-
-
-__all__ = ["MinimumCut", "flow_cut", "jump_weights", "largest_flow", "minimum_cut", "next_cut", "weight_of_cut"]

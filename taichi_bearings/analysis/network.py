@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.minimum_cut import number_bodies
 
 
 @dataclass(frozen=True)
@@ -79,12 +80,7 @@ class SliplessNetwork:
     @cached_property
     def body(self) -> np.ndarray:
         """Node (sites,) of each sphere in the graph of bodies: 0 the bottom plane, the last one the top plane."""
-        *sides, height = self.lattice.shape
-        free = (*sides, height - 2)
-        node = np.zeros(self.lattice.shape, dtype=np.int32)
-        node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
-        node[..., -1] = np.prod(free) + 1
-        return node.ravel()
+        return number_bodies(self.lattice.shape).ravel()
 
     @property
     def bodies(self) -> int:
