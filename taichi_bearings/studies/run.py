@@ -14,7 +14,7 @@ from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import read_checkpoint, write_checkpoint
-from taichi_bearings.files.run_file import StoredRun
+from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_file
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.scene import Scene, Solution, Status
@@ -368,12 +368,30 @@ def _analysis_figures(path: Path) -> list[str]:
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
     """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
     from taichi_bearings.analysis.histogram import power_histogram
-    from taichi_bearings.files.run_file import read_run_file, write_run_file
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
     from taichi_bearings.studies.histogram import write_table
 
+    stored = _self_contained(job, folder)
+    summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
+    (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
+    histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
+    write_table(folder / "power_histogram.csv", {None: histogram})
+    save(draw_histogram(histogram), folder / "power_histogram.png")
+    save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
+    full = summary | {"settings": asdict(job.settings), "versions": versions()}
+    (folder / "summary.json").write_text(json.dumps(full, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return summary
+
+
+def write_state(
+    file: Path, job: Job, solution: Solution, stored: RunSettings, path: Path, command: str
+) -> dict[str, Any]:
+    """Write a solution in the layout of run.h5; returns the summary.
+
+    solution : that of the job, or one of its seeds. stored : settings that solve it again. path : its name for people.
+    """
     running = runtime.current() if job.method.needs_taichi else runtime.HOST
     summary = summarise(solution, job.settings.tolerance) | {
         "arch": running.arch,
@@ -382,16 +400,7 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
         "coefficients": job.settings.coefficients,
         "run": str(path),
     }
-    stored = _self_contained(job, folder)
-    attributes = summary | {"command": " ".join(["bearings", *sys.argv[1:]]), "scene": stored.to_toml(), **versions()}
-    write_run_file(folder / "run.h5", solution, attributes)
-    (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
-    histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
-    write_table(folder / "power_histogram.csv", {None: histogram})
-    save(draw_histogram(histogram), folder / "power_histogram.png")
-    save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
-    full = summary | {"settings": asdict(job.settings), "versions": versions()}
-    (folder / "summary.json").write_text(json.dumps(full, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_run_file(file, solution, summary | {"command": command, "scene": stored.to_toml(), **versions()})
     return summary
 
 

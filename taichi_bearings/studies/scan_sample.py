@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.blas import one_thread
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.run_file import write_run_file
 from taichi_bearings.files.scan_file import FAILED, bin_of
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.studies.run import prepare, solve_job, summarise, versions
+from taichi_bearings.studies.run import prepare, solve_job, summarise, write_state
 from taichi_bearings.studies.scan_estimate import method_of
 from taichi_bearings.studies.scan_plan import Sample, groups_of
 
@@ -92,9 +90,10 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
         raise Interrupted
     parts = [one_replica(solution, number) for number in range(len(block))]
     if wanted.states is not None:
-        running = runtime.current() if job.method.needs_taichi else runtime.HOST
+        wanted.states.mkdir(parents=True, exist_ok=True)
         for sample, part in zip(block, parts, strict=True):
-            _write_state(wanted.states, sample, part, running)
+            path = state_path(wanted.states, sample.key)
+            write_state(path, job, part, sample.settings, path, "bearings scan")
     return [_record(sample, part, wanted) for sample, part in zip(block, parts, strict=True)]
 
 
@@ -155,19 +154,3 @@ def _scalars(numbers: Mapping[str, Any]) -> dict[str, Any]:
 def state_path(folder: Path, key: str) -> Path:
     """The file of a sample's full state, in the layout of run.h5."""
     return folder / f"{key}.h5"
-
-
-def _write_state(folder: Path, sample: Sample, solution: Solution, running: runtime.Runtime) -> None:
-    path = state_path(folder, sample.key)
-    attributes = summarise(solution, sample.settings.tolerance) | {
-        "arch": running.arch,
-        "precision": running.precision,
-        "threads": running.threads,
-        "coefficients": sample.settings.coefficients,
-        "run": str(path),
-        "command": "bearings scan",
-        "scene": sample.settings.to_toml(),
-        **versions(),
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    write_run_file(path, solution, attributes)
