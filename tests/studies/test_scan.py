@@ -3,6 +3,7 @@
 import os
 import random
 import signal
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -142,6 +143,31 @@ def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog
     assert (again["solved_now"], again["failed"], again["reached"]) == (4, 0, 12)
     scan(plan, tmp_path / "undisturbed", engine=Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs limits of memory as Linux has them")
+def test_workers_that_run_out_of_memory_cost_their_samples_alone(plan_of, tmp_path, caplog):
+    """The arrays of one sample do not fit, another ends its worker by the signal that the kernel sends."""
+    plan = plan_of("""
+    [[scan.zip]]
+    seed = [0, 1, 2, 3, 4, 5, 6]
+    shape = [[5, 5], [5, 5], [5, 5], [2000, 2000], [5, 5], [5, 5], [5, 5]]
+    """)
+    assert 2000 * 2000 * 8 < scan_faults.ROOM < 2 * 2000 * 2000 * 8  # the second array of coefficients is too much
+    work = partial(scan_faults.solve_in_little_memory, marks=tmp_path)
+    report = scan(plan, tmp_path / "scan", engine=LocalEngine(work, 2))
+    assert (report["reached"], report["failed"], report["missing"]) == (5, 2, 0)
+    reasons = {failure["sample"]: failure["error"] for failure in report["failures"]}
+    for seed, words in ((3, "MemoryError: Unable to allocate"), (5, "ended by SIGKILL (out of memory?)")):
+        (label,) = [label for label in reasons if f"seed = {seed}" in label]
+        assert words in reasons[label]
+        assert f"sample {label} failed and is tried again: {reasons[label]}" in caplog.text
+        assert f"sample {label} failed: {reasons[label]}" in caplog.text
+    assert (tmp_path / "tries-3").read_text() == "II"
+    assert len((tmp_path / "tries-5").read_text()) == 3  # with the samples of its unit, and twice alone
+    power = read_scan(tmp_path / "scan").table["power"]
+    assert np.isnan(power).tolist() == [seed in (3, 5) for seed in range(7)]
 
 
 def test_workers_that_never_work_end_the_scan_in_one_sentence(plan_of, monkeypatch):
