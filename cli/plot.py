@@ -5,7 +5,9 @@ from typing import Any
 
 import click
 
-STRUCTURE = ("domains", "network", "plane_cuts", "cut_surface", "bottlenecks", "torque_flow", "thresholds")
+STRUCTURE = (
+    "domains", "network", "plane_cuts", "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution",
+)  # fmt: skip
 KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 
 
@@ -43,13 +45,14 @@ def command(
     and the figures of `bearings analyse`:
 
     \b
-    domains      rigid domains: where they are, how large, how they turn
-    network      slipless contacts, a path from bottom to top and its spins
-    plane_cuts   cuts along the planes that hold most of the path
-    cut_surface  the minimum cut and the contacts that slip
-    bottlenecks  how the paths from bottom to top crowd
-    torque_flow  friction of the slipless contacts and the torque they carry
-    thresholds   what a slip threshold would have made of the contacts
+    domains            rigid domains: where they are, how large, how they turn
+    network            slipless contacts, a path from bottom to top and its spins
+    plane_cuts         cuts along the planes that hold most of the path
+    cut_surface        the minimum cut and the contacts that slip
+    bottlenecks        how the paths from bottom to top crowd
+    torque_flow        friction of the slipless contacts and the torque they carry
+    thresholds         what a slip threshold would have made of the contacts
+    load_distribution  how the paths crowd over all replicas
 
     and, with the directory of a scan as RUN,
 

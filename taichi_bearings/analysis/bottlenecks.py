@@ -34,6 +34,14 @@ class LoadedLink:
 
 
 @dataclass(frozen=True)
+class Loads:
+    """What the links (E,) of one sample carry: of its shortest paths, and of its current; nothing if it has no path."""
+
+    share: np.ndarray
+    current: np.ndarray
+
+
+@dataclass(frozen=True)
 class Concentration:
     """How unevenly loads (links,) are spread; all 0 if nothing is loaded.
 
@@ -62,6 +70,10 @@ class Bottlenecks:
     def share(self) -> np.ndarray:
         """Share (E,) of the connected pairs that each link carries; 0 without pairs."""
         return self.betweenness.link / max(1, self.betweenness.pairs)
+
+    @property
+    def loads(self) -> Loads:
+        return Loads(self.share, self.current.link)
 
     @property
     def concentration(self) -> Concentration:

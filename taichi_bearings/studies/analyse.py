@@ -17,7 +17,7 @@ from taichi_bearings.plots.style import save
 from taichi_bearings.scene import Scene
 from taichi_bearings.studies.run import scene_with, settings_of
 from taichi_bearings.studies.run_directory import writable_folder
-from taichi_bearings.studies.structure_figures import FIGURES
+from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.studies.structure_report import findings_of, numbers_of
 
 
@@ -64,7 +64,9 @@ def _check_arrays(run: StoredRun, scene: Scene) -> None:
 
 
 def draw(name: str, run: StoredRun, replica: int) -> Figure:
-    """One figure of a sample of a run; InputError if it has nothing to show."""
+    """One figure of a sample of a run, or of all its samples; InputError if there is nothing to show."""
+    if name in FIGURES_OF_ALL:
+        return FIGURES_OF_ALL[name]([structure_of(run, number).bottlenecks.loads for number in range(len(run.spin))])
     figure = FIGURES[name](structure_of(run, replica))
     if figure is None:
         raise InputError(f"{run.path} has nothing for {name} to show: it holds no friction forces of the Coulomb law")
@@ -83,7 +85,8 @@ def analyse(
     """Analyse every sample of a run, write /analysis and the figures, and return the report.
 
     path : a run directory or its run.h5. out : folder for analysis.h5 and the figures; default: into the run itself,
-    where an earlier analysis is replaced. replica : the sample that is drawn. threshold : as in :func:`structure_of`.
+    where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as in
+    :func:`structure_of`.
     Raises InputError or FileError before anything is computed.
     """
     if threshold is not None and not 0 < threshold < np.inf:
@@ -93,13 +96,14 @@ def analyse(
     if not 0 <= replica < samples:
         raise InputError(f"replica is {replica}; {path} has {samples}, counted from 0")
     target = run.path if out is None else out / "analysis.h5"
-    paths = {name: target.parent / f"{name}.png" for name in FIGURES} if figures else {}
+    names = [*FIGURES, *(FIGURES_OF_ALL if samples > 1 else ())] if figures else []
+    paths = {name: target.parent / f"{name}.png" for name in names}
     standing = [file for file in (target, *paths.values()) if file.exists()] if out is not None else []
     if standing and not force:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
     with writable_folder(target.parent):
         began = time.perf_counter()
-        numbers, findings = [], []
+        numbers, findings, loads = [], [], []
         for number in range(samples):
             structure = structure_of(run, number, threshold)
             if number == replica:
@@ -107,12 +111,13 @@ def analyse(
             tell(f"sample {number + 1} of {samples}")
             numbers.append(numbers_of(structure))
             findings.append(findings_of(structure))
+            loads.append(structure.bottlenecks.loads)
         report = _report(run, numbers, threshold) | {"seconds": time.perf_counter() - began}
         write_analysis(target, findings, _flat(report), into_run=out is None)
         files = [target]
         for name, file in paths.items():
             tell(f"figure {name}")
-            figure = FIGURES[name](drawn)
+            figure = FIGURES_OF_ALL[name](loads) if name in FIGURES_OF_ALL else FIGURES[name](drawn)
             if figure is not None:
                 save(figure, file)
                 files.append(file)

@@ -360,9 +360,9 @@ def _solve_with_checkpoints(
 def _analysis_figures(path: Path) -> list[str]:
     """Names of the figures that `bearings analyse` may have left in a run directory."""
     from taichi_bearings.files.analysis_file import is_analysed
-    from taichi_bearings.studies.structure_figures import FIGURES
+    from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
 
-    return [f"{name}.png" for name in FIGURES] if is_analysed(path / "run.h5") else []
+    return [f"{name}.png" for name in (*FIGURES, *FIGURES_OF_ALL)] if is_analysed(path / "run.h5") else []
 
 
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:

@@ -1,15 +1,17 @@
-"""The figures of `bearings analyse`, each drawn from the structure of one sample."""
+"""The figures of `bearings analyse`: of the structure of one sample, and of all samples of a run."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from matplotlib.figure import Figure
 
+from taichi_bearings.analysis.bottlenecks import Loads
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.analysis.torque_flow import plane_flow
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.plots.bottlenecks import draw_bottlenecks
 from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import draw_domains
+from taichi_bearings.plots.load_distribution import draw_load_distribution
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts
 from taichi_bearings.plots.thresholds import draw_thresholds
@@ -48,4 +50,7 @@ FIGURES: dict[str, Callable[[Structure], Figure | None]] = {
     "torque_flow": _draw_torque_flow,
     "thresholds": _draw_thresholds,
 }
-"""How each figure is drawn; None comes out where there is nothing to show."""
+"""How each figure of one sample is drawn; None comes out where there is nothing to show."""
+
+FIGURES_OF_ALL: dict[str, Callable[[Sequence[Loads]], Figure]] = {"load_distribution": draw_load_distribution}
+"""How each figure of all samples is drawn."""

@@ -15,7 +15,7 @@ from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.studies.analyse import analyse, structure_of
 from taichi_bearings.studies.run import run
 from taichi_bearings.studies.settings import RunSettings
-from taichi_bearings.studies.structure_figures import FIGURES
+from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.studies.structure_report import numbers_of
 
 PROMISED = {
@@ -313,6 +313,13 @@ def test_figures_and_files_beside_the_run(solved, tmp_path):
     analyse(folder, out=tmp_path / "beside", force=True)
 
 
+def test_several_samples_are_drawn_together_too(solved, tmp_path):
+    report = analyse(solved(shape=(4, 4, 5), seed=5, replicas=3), out=tmp_path / "beside")
+    names = {Path(file).name for file in report["files"]}
+    assert names == {"analysis.h5", *(f"{name}.png" for name in (*FIGURES, *FIGURES_OF_ALL))}
+    assert names == {path.name for path in (tmp_path / "beside").iterdir()}
+
+
 def test_what_cannot_be_analysed_is_refused_in_one_sentence(solved, tmp_path):
     folder = solved(shape=(4, 5, 7), seed=0)
     for replica in (1, -1):
@@ -364,4 +371,4 @@ def test_a_link_to_a_run_file_stays_a_link(solved, tmp_path):
 def test_plot_offers_the_figures_of_the_analysis():
     from taichi_bearings_cli.plot import STRUCTURE
 
-    assert tuple(FIGURES) == STRUCTURE
+    assert (*FIGURES, *FIGURES_OF_ALL) == STRUCTURE
