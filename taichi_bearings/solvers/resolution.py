@@ -29,7 +29,7 @@ from taichi_bearings.solvers.slipless_forces import bear
 
 SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 TRIALS = 40  # of contact states
-STEPS, CONVERGED = 12, 1e-9  # of Newton's method, and the relative change of any slip that ends it
+STEPS, BALANCED = 12, 1e-12  # of Newton's method, and torques, of the mean friction, that end it
 NEWTON_TRIALS = 12  # of that, with contacts tied that come to rest
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
@@ -119,23 +119,22 @@ def _newton(
     if any(r.any() for r in at_rest):
         return None, everywhere(at_rest)
     dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    steps = [np.zeros_like(z) for z in difference]
-    matrix, change = NewtonMatrix(system, last.parts), np.inf if last.unknowns else 0.0
+    matrix = NewtonMatrix(system, last.parts)
     for _ in range(STEPS):
-        if change < CONVERGED:
-            break
+        torques = system.torques(dual)
+        if np.abs(torques).max(initial=0.0) < BALANCED:
+            return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping), everywhere(
+                at_rest
+            )
         matrix.factorise([friction_stiffness(mu, z) for mu, z in zip(friction, difference, strict=True)])
-        step = matrix.solve(system.torques(dual))
+        step = matrix.solve(torques)
         steps = [g.change(step) for g in system.groups]
         change = max(float((length(dz) / length(z)).max(initial=0.0)) for dz, z in zip(steps, difference, strict=True))
         along = min(1.0, 0.5 / max(change, TINY))
         spins = spins + along * step
         difference = [z + along * dz for z, dz in zip(difference, steps, strict=True)]
         dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    turned = everywhere([inner(z + dz, z) <= 0 for z, dz in zip(difference, steps, strict=True)])
-    if not change < CONVERGED:
-        return None, turned
-    return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping), turned
+    return None, everywhere([inner(z + dz, z) <= 0 for z, dz in zip(difference, steps, strict=True)])
 
 
 def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion) -> ContractedPath:
