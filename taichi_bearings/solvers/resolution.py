@@ -67,7 +67,10 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
                     return None
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
                 if isinstance(borne, Motion):
-                    path = _freed(iterate, parts, found, borne)
+                    borne, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
+                    if not unit > 0:
+                        return None
+                    path = _freed(iterate, parts, found, borne, unit)
                 elif not _power(iterate, found.difference) <= most:
                     return None
                 elif borne is None:
@@ -137,9 +140,8 @@ def _newton(
     return None, everywhere([inner(z + dz, z) <= 0 for z, dz in zip(difference, steps, strict=True)])
 
 
-def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion) -> ContractedPath:
-    """A path that begins where the motion has the least power, with the contacts that slip in it free."""
-    motion, unit = largest_parts(motion, whole.system, whole.friction, found.difference, SHARE)
+def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, unit: float) -> ContractedPath:
+    """A path that begins at the end of the motion, with the contacts that slip in it free. unit : their largest slip."""
     free = [s | m for s, m in zip(found.slipping, motion.slipping, strict=True)]
     difference = [
         np.where(f, z + g.change(motion.spins), 0.0)

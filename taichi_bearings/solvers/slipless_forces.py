@@ -11,6 +11,8 @@ and the power falls along that motion: the contacts that slip in it were wrongly
 of central_path.py finds the one or the other in some ten steps.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
@@ -24,12 +26,9 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
-NEARLY, BALANCED = (
-    1e-4,
-    1e-11,
-)  # torques, of the mean friction, from which the rest may be taken away; that are left then
+NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
 DECIDED = 1e2  # ratio of slip and margin, either way, that tells motion from rest
-CLOSE = 1e-14  # mean product of the two from which a ratio of one will do
+CLOSE = 1e-22  # mean product of the two from which a ratio of one will do
 
 
 def bear(
@@ -51,15 +50,15 @@ def bear(
     at_rest = np.zeros(slipless.unknowns)
     point = Iterate.start(slipless, at_rest, [mu[keep] for mu, keep in zip(friction, kept, strict=True)], SLACK)
     point.load = -system.torques([np.where(s, y, 0.0) for y, s in zip(dual, slipping, strict=True)])[number >= 0]
-    inertia = Inertia(1.0, at_rest)
+    point.inertia = Inertia(1.0, at_rest)
     for _ in range(STEPS):
-        point.inertia = inertia
         newton_step(point, matrix)
-        point.inertia = None
-        if _unbalanced(point) < NEARLY:
-            balance(point, matrix)
-        if _unbalanced(point) < BALANCED:
-            return [placed(y, keep, new) for y, keep, new in zip(dual, kept, point.dual, strict=True)]
+        still = replace(point.copy(), inertia=None)
+        if _unbalanced(still) < NEARLY:
+            balance(still, matrix)
+        if _unbalanced(still) < BALANCED:
+            whole = [placed(y, keep, new) for y, keep, new in zip(dual, kept, still.dual, strict=True)]
+            return whole if np.abs(system.torques(whole)).max() < 10 * BALANCED else None  # also on the spins held
         ratios = [
             length(z) / (1 - length(y) / mu)
             for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
