@@ -67,16 +67,15 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
                     return None
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
                 if isinstance(borne, Motion):
-                    borne, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
-                    if not unit > 0:
-                        return None
-                    path = _freed(iterate, parts, found, borne, unit)
-                elif not _power(iterate, found.difference) <= most:
+                    motion, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
+                    if unit > 0:
+                        path = _freed(iterate, parts, found, motion, unit)
+                        continue
+                if not _power(iterate, found.difference) <= most:
                     return None
-                elif borne is None:
-                    return replace(found, dual=iterate.dual)
-                else:
+                if isinstance(borne, list):
                     return replace(found, dual=borne, proven=True)
+                return replace(found, dual=iterate.dual)
         except NotPositiveDefinite:
             return None
     return None
@@ -141,7 +140,7 @@ def _newton(
 
 
 def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, unit: float) -> ContractedPath:
-    """A path that begins at the end of the motion, with the contacts that slip in it free. unit : their largest slip."""
+    """A path that begins at the end of the motion, its contacts free. unit : the largest slip among them."""
     free = [s | m for s, m in zip(found.slipping, motion.slipping, strict=True)]
     difference = [
         np.where(f, z + g.change(motion.spins), 0.0)

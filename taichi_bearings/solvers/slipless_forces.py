@@ -28,7 +28,8 @@ STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
 NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
 DECIDED = 1e2  # ratio of slip and margin, either way, that tells motion from rest
-CLOSE = 1e-22  # mean product of the two from which a ratio of one will do
+STIFF = 1e-10  # mean product of the two from which rounding leaves torques
+CLOSE = 1e-22  # mean product from which a ratio of one will do
 
 
 def bear(
@@ -53,6 +54,8 @@ def bear(
     point.inertia = Inertia(1.0, at_rest)
     for _ in range(STEPS):
         newton_step(point, matrix)
+        if point.complementarity < STIFF and _unbalanced(point) > BALANCED:
+            balance(point, matrix)
         still = replace(point.copy(), inertia=None)
         if _unbalanced(still) < NEARLY:
             balance(still, matrix)
