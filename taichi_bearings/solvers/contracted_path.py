@@ -16,7 +16,8 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 STIFF = 1e-8  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
-FARTHEST = 1e-22  # product of slip and margin beyond which nothing is gained: what is in doubt then remains so
+FARTHEST = 1e-22  # product of slip (in its unit) and margin beyond which what is in doubt remains so
+LEAST = 1e-25  # product at which double precision ends
 STEPS = 80
 FAST = 1e3  # slip, in the unit of those in doubt, that is not in doubt
 BALANCED = 1e-6  # torques, of the mean friction, up to which a point can be judged
@@ -109,7 +110,7 @@ class ContractedPath:
         point = self.point
         if not np.abs(point.imbalance(point.spins, point.dual)).max(initial=0.0) < BALANCED:
             return False
-        if point.complementarity < FARTHEST * self.unit:
+        if point.complementarity < max(FARTHEST * self.unit, LEAST):
             return True
         return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
 

@@ -29,11 +29,12 @@ from taichi_bearings.solvers.slipless_forces import bear
 
 SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 TRIALS = 40  # of contact states
-STEPS, BALANCED = 12, 1e-12  # of Newton's method, and torques, of the mean friction, that end it
+STEPS, BALANCED = 60, 1e-12  # of Newton's method, and torques, of the mean friction, that end it
 NEWTON_TRIALS = 12  # of that, with contacts tied that come to rest
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
-TINY = np.finfo(np.float64).tiny
+LOST = 1e-17  # slip below which a contact comes to rest if Newton's method fails
+EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
                 if isinstance(borne, Motion):
                     motion, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
-                    if unit > 0:
+                    if unit > EPS:
                         path = _freed(iterate, parts, found, motion, unit)
                         continue
                 if not _power(iterate, found.difference) <= most:
@@ -91,20 +92,22 @@ def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath) -> Resolve
     difference = [placed(z, kept, now) for z, kept, now in zip(none, path.kept, path.point.difference, strict=True)]
     slipping = [placed(z[0] > 0, kept, mask) for z, kept, mask in zip(none, path.kept, path.slipping, strict=True)]
     for _ in range(NEWTON_TRIALS):
-        found, reversed_ = _newton(whole, parts, path.spins, difference, slipping)
-        if found is not None or not any(r.any() for r in reversed_):
+        found = _newton(whole, parts, path.spins, difference, slipping)
+        if isinstance(found, Resolved):
             return found
-        slipping = [s & ~r for s, r in zip(slipping, reversed_, strict=True)]
+        if not any(at_rest.any() for at_rest in found):
+            return None
+        slipping = [s & ~at_rest for s, at_rest in zip(slipping, found, strict=True)]
     return None
 
 
 def _newton(
     whole: Iterate, parts: list[Part], spins: np.ndarray, tracked: list[np.ndarray], slipping: list[np.ndarray]
-) -> tuple[Resolved | None, list[np.ndarray]]:
-    """Newton's method on the power of the slipping contacts, all others tied.
+) -> Resolved | list[np.ndarray]:
+    """Newton's method on the power of the slipping contacts, all others tied. The minimum, or if that fails masks (n,)
+    of contacts that come to rest: between spheres that others tie, or that the next step would turn round.
 
-    tracked : (d, n) a group, differences that are more precise than those of the `spins`. Also returns masks (n,) of
-    contacts whose slip the last step would turn round: they come to rest.
+    tracked : (d, n) a group, differences that are more precise than those of the `spins`.
     """
     last = Contraction(whole.system, parts, [~s for s in slipping])
     system, spins = last.system, last.contracted(spins)
@@ -117,17 +120,15 @@ def _newton(
             for s, kept, new in zip(slipping, last.kept, values, strict=True)
         ]
 
-    at_rest = [length(z) == 0 for z in difference]  # between spheres that others tie
-    if any(r.any() for r in at_rest):
-        return None, everywhere(at_rest)
+    at_rest = [length(z) == 0 for z in difference]
+    if any(still.any() for still in at_rest):
+        return everywhere(at_rest)
     dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
     matrix = NewtonMatrix(system, last.parts)
     for _ in range(STEPS):
         torques = system.torques(dual)
         if np.abs(torques).max(initial=0.0) < BALANCED:
-            return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping), everywhere(
-                at_rest
-            )
+            return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping)
         matrix.factorise([friction_stiffness(mu, z) for mu, z in zip(friction, difference, strict=True)])
         step = matrix.solve(torques)
         steps = [g.change(step) for g in system.groups]
@@ -136,7 +137,7 @@ def _newton(
         spins = spins + along * step
         difference = [z + along * dz for z, dz in zip(difference, steps, strict=True)]
         dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    return None, everywhere([inner(z + dz, z) <= 0 for z, dz in zip(difference, steps, strict=True)])
+    return everywhere([(inner(z + dz, z) <= 0) | (length(z) < LOST) for z, dz in zip(difference, steps, strict=True)])
 
 
 def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, unit: float) -> ContractedPath:

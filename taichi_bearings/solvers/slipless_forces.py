@@ -27,7 +27,7 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
 NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
-DECIDED = 1e2  # ratio of slip and margin, either way, that tells motion from rest
+CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
 CLOSE = 1e-22  # mean product from which a ratio of one will do
 
@@ -67,8 +67,8 @@ def bear(
             for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
         ]
         moving = [r > 1 for r in ratios]
-        apart = all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
-        if any(m.any() for m in moving) and (apart or point.complementarity < CLOSE):
+        clear = max(float(r.max(initial=0.0)) for r in ratios) > CLEAR
+        if clear or (any(m.any() for m in moving) and point.complementarity < CLOSE):
             slips = [placed(np.zeros_like(s), keep, m) for s, keep, m in zip(slipping, kept, moving, strict=True)]
             return Motion(np.append(point.spins, 0.0)[number], slips)
     return None
