@@ -30,11 +30,14 @@ from taichi_bearings.solvers.slipless_forces import bear
 SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
 TRIALS = 40  # of contact states
 STEPS, BALANCED = 60, 1e-12  # of Newton's method, and torques, of the mean friction, that end it
+ROUGHLY = 1e-4  # torques that will do if double precision ends before
+COLLAPSED = 1e-2  # of its slip at the start, from which a contact comes to rest if the next step would turn it round
 NEWTON_TRIALS = 12  # of that, with contacts tied that come to rest
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
-LOST = 1e-17  # slip below which a contact comes to rest if Newton's method fails
-EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
+LOST = 1e-17  # slip below which it does so if Newton's method fails
+ALL_BUT = 1e-15  # slips of a motion up to which the contact states count as settled, though not as proven
+TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
@@ -58,28 +61,36 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
     parts : of its system.
     """
-    most = (1 + SAME) * iterate.power
+    settled = None
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         try:
             path = ContractedPath(iterate, parts, tied)
             for _ in range(TRIALS):
                 found = _minimum(iterate, parts, path) if path.decide() else None
                 if found is None:
-                    return None
+                    break
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
-                if isinstance(borne, Motion):
-                    motion, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
-                    if unit > EPS:
-                        path = _freed(iterate, parts, found, motion, unit)
-                        continue
-                if not _power(iterate, found.difference) <= most:
-                    return None
                 if isinstance(borne, list):
-                    return replace(found, dual=borne, proven=True)
-                return replace(found, dual=iterate.dual)
+                    settled = replace(found, dual=borne, proven=True)
+                    break
+                motion, unit = _largest(borne, iterate, found)
+                if unit < ALL_BUT:
+                    settled = replace(found, dual=iterate.dual)
+                if unit < LOST:
+                    break
+                path = _freed(iterate, parts, found, motion, unit)
         except NotPositiveDefinite:
-            return None
-    return None
+            pass
+    if settled is None or not _power(iterate, settled.difference) <= (1 + SAME) * iterate.power:
+        return None
+    return settled
+
+
+def _largest(motion: Motion | None, whole: Iterate, found: Resolved) -> tuple[Motion, float]:
+    """The largest parts of a motion and the largest slip in it, 0 if there is none."""
+    if motion is None:
+        return Motion(np.zeros_like(found.spins), found.slipping), 0.0
+    return largest_parts(motion, whole.system, whole.friction, found.difference, SHARE)
 
 
 def _power(iterate: Iterate, difference: list[np.ndarray]) -> float:
@@ -124,20 +135,27 @@ def _newton(
     if any(still.any() for still in at_rest):
         return everywhere(at_rest)
     dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    matrix = NewtonMatrix(system, last.parts)
-    for _ in range(STEPS):
+    matrix, first = NewtonMatrix(system, last.parts), [length(z) for z in difference]
+    for count in range(STEPS):
         torques = system.torques(dual)
-        if np.abs(torques).max(initial=0.0) < BALANCED:
+        left = float(np.abs(torques).max(initial=0.0))
+        if left < (BALANCED if count < STEPS - 1 else ROUGHLY):
             return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping)
         matrix.factorise([friction_stiffness(mu, z) for mu, z in zip(friction, difference, strict=True)])
         step = matrix.solve(torques)
         steps = [g.change(step) for g in system.groups]
+        at_rest = [
+            (inner(z + dz, z) <= 0) & (length(z) < COLLAPSED * slip)
+            for z, dz, slip in zip(difference, steps, first, strict=True)
+        ]
+        if any(still.any() for still in at_rest):
+            return everywhere(at_rest)
         change = max(float((length(dz) / length(z)).max(initial=0.0)) for dz, z in zip(steps, difference, strict=True))
         along = min(1.0, 0.5 / max(change, TINY))
         spins = spins + along * step
         difference = [z + along * dz for z, dz in zip(difference, steps, strict=True)]
         dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    return everywhere([(inner(z + dz, z) <= 0) | (length(z) < LOST) for z, dz in zip(difference, steps, strict=True)])
+    return everywhere([length(z) < LOST for z in difference])
 
 
 def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, unit: float) -> ContractedPath:

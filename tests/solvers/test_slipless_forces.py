@@ -82,7 +82,7 @@ def minimum_of(scene, start="linear"):
 
 
 HARD = [  # shape, seed, slipping contacts, order of the smallest slip: where the end of the central path tells wrongly
-    ((8, 8, 8), 29, None, 1e-11),
+    ((12, 12, 12), 29, None, 1e-13),
     pytest.param((16, 16, 16), 1, 2992, 1e-11, marks=pytest.mark.slow),
     pytest.param((16, 16, 16), 4, 4143, 1e-14, marks=pytest.mark.slow),
 ]
@@ -104,7 +104,7 @@ def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, se
 
 def test_proven_states_obey_the_law_of_friction_at_every_contact():
     """In the staggered frame, by hand: slipping contacts oppose their slip with mu F_n, others hold with less."""
-    scene = make_scene((8, 8, 8), seeds=(29,))
+    scene = make_scene((12, 12, 12), seeds=(29,))
     solution = minimum_of(scene)
     method = InteriorPoint()
     solved = solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10))
