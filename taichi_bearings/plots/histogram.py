@@ -42,7 +42,8 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
     else:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
     whose = f" of {histogram.samples:,} samples\n" if histogram.samples > 1 else " "
-    outside = f"({_outside(histogram)}; threshold {histogram.slip_threshold:.1e})"
+    threshold = f"; threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
+    outside = f"({_outside(histogram)}{threshold})"
     axes.set_title(f"{histogram.slipping:,} slipping contacts{whose}{outside}", fontsize=9)
     return figure
 

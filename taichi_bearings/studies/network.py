@@ -211,9 +211,8 @@ def _spans(samples: Sequence[Sample]) -> Claim:
         "Slipless contacts form a network that joins bottom and top.",
         f"They do in {_share_by_side(samples, 'spans')}. So a sample of the paper's size has such a network or not, "
         f"by chance, and a large one mostly has it (limit: some of {BULK}^3, more than half from {LARGE}^3 on). P_min "
-        "is below P_cut without it, too. Contact states are proven in "
-        f"{sum(sample.states_proven for sample in samples)} of {len(samples)} samples, decided by slip and friction in "
-        f"the others; it is proven that no other slips have the least power in {sum(s.unique for s in samples)}.",
+        f"is below P_cut without it, too. Contact states are proven in {sum(s.states_proven for s in samples)} of "
+        f"{len(samples)} samples, and that no other slips have the least power in {sum(s.unique for s in samples)}.",
         2 * sum(spanning) > len(spanning) and any(spanning + among_paper),
         _numbers(samples, "spans", "below_cut", "states_proven", "unique"),
         refined=not all(sample.spans for sample in samples),
