@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_bearings.cholesky import Part
 from taichi_bearings.solvers.central_path import Iterate, newton_step
-from taichi_bearings.solvers.cone import length
+from taichi_bearings.solvers.cone import length, slip_over_margin
 from taichi_bearings.solvers.contact_system import ContactGroup
 from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
@@ -22,7 +22,7 @@ STEPS = 80
 FAST = 1e3  # slip, in the unit of those in doubt, that is not in doubt
 BALANCED = 1e-6  # torques, of the mean friction, up to which a point can be judged
 ROUNDING = 1e-14  # of differences of spins
-EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
+EPS = np.finfo(np.float64).eps
 
 
 class ContractedPath:
@@ -100,10 +100,11 @@ class ContractedPath:
         return False
 
     def _ratios(self) -> list[np.ndarray]:
-        """Slip over margin (relative to the friction) of the contacts that are left."""
+        """Slip, in its unit, over margin of the contacts that are left."""
+        point = self.point
         return [
-            length(z) / self.unit / np.maximum(1 - length(y) / mu, TINY)
-            for mu, z, y in zip(self.point.friction, self.point.difference, self.point.dual, strict=True)
+            slip_over_margin(mu, z, y) / self.unit
+            for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
         ]
 
     def _decided(self, ratios: list[np.ndarray]) -> bool:

@@ -284,7 +284,10 @@ class _Best:
         if first or not self.keeps_best:
             self.proof = proof
             return
-        pick = (new.lower_bound >= self.bound).reshape(1, -1, *(1,) * len(proof))
+        better = new.lower_bound >= self.bound
+        if new.resolved is not None:  # forces that prove contact states are worth more than the last digit of the bound
+            better |= new.resolved & (new.lower_bound >= self.bound * (1 - 1e-11))
+        pick = better.reshape(1, -1, *(1,) * len(proof))
         self.proof = tuple(np.where(pick, a, b) for a, b in zip(proof, self.proof, strict=True))
 
 
@@ -303,6 +306,14 @@ def _states(
     )
 
 
+def _proven(scene: Scene, final: Progress, state: tuple[np.ndarray, ...]) -> np.ndarray:
+    """True (R,) where the method has proven its contact states and no threshold has changed them."""
+    if final.resolved is None or final.state is None:
+        return np.zeros(scene.replicas, dtype=bool)
+    same = [(a == b).reshape(scene.replicas, -1).all(axis=1) for a, b in zip(final.state, state, strict=True)]
+    return np.asarray(final.resolved & np.all(same, axis=0))
+
+
 def _collect(
     scene: Scene,
     method: str,
@@ -319,6 +330,7 @@ def _collect(
     if slip is None:
         slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
     threshold = max(final.resolution, rounding) if slip_threshold is None else slip_threshold
+    state = _states(scene, slip, final, threshold, slip_threshold is not None)
     friction = certifying_forces(scene, proof, final.spin_axes, bound)
     bound = np.maximum(bound, dual_value(scene, friction, final.spin_axes))
     return Solution(
@@ -331,9 +343,9 @@ def _collect(
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
         friction=laboratory_forces(friction, scene.lattice, final.spin_axes),
-        state=_states(scene, slip, final, threshold, slip_threshold is not None),
+        state=state,
         slip_bound=slip_bound(scene, final.force, final.spin_axes, final.power) if scene.law == "coulomb" else (),
-        resolved=np.zeros(scene.replicas, dtype=bool) if final.resolved is None else final.resolved,
+        resolved=_proven(scene, final, state),
         power=final.power,
         lower_bound=bound,
         gap=relative_gap(scene, final.power, bound),

@@ -14,7 +14,7 @@ from taichi_bearings.solvers.cone import inner, length
 from taichi_bearings.solvers.contact_system import ContactSystem
 
 STILL = 1e-4  # of the fastest spin, below which one does not move
-SHORTEST, LONGEST, CLOSELY = 1e-20, 1.0, 1.01  # way along a motion, and factor to which it is found
+SHORTEST, CLOSELY = 1e-20, 1.01  # least way along a motion, and factor to which the best is found
 TINY = np.finfo(np.float64).tiny
 
 
@@ -39,7 +39,8 @@ def largest_parts(
     """
     part, of_contact = _parts(motion.spins, system)
     steps = [g.change(np.where(part >= 0, motion.spins, 0.0)) for g in system.groups]
-    along = _lowest(friction, difference, steps, of_contact, int(part.max(initial=-1)) + 1)
+    longest = 1 / max(float(np.abs(motion.spins).max(initial=0.0)), TINY)
+    along = _lowest(friction, difference, steps, of_contact, int(part.max(initial=-1)) + 1, longest)
     reach = np.zeros(len(along))
     for dz, slips, home in zip(steps, motion.slipping, of_contact, strict=True):
         np.maximum.at(reach, home[slips & (home >= 0)], length(dz)[slips & (home >= 0)])
@@ -75,9 +76,10 @@ def _lowest(
     steps: list[np.ndarray],
     part: list[np.ndarray],
     parts: int,
+    longest: float,
 ) -> np.ndarray:
     """How far along its steps the power of each part is least, (parts,), by bisection of the logarithm."""
-    low, high = np.full(parts, SHORTEST), np.full(parts, LONGEST)
+    low, high = np.full(parts, SHORTEST), np.full(parts, longest)
     while (high > CLOSELY * low).any():
         middle = np.sqrt(low * high)
         slope = np.zeros(parts)

@@ -27,16 +27,18 @@ from taichi_bearings.solvers.motion import Motion, largest_parts
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 from taichi_bearings.solvers.slipless_forces import bear
 
-SAME = 1e-12  # relative excess of power over the path's from which a result is discarded
-TRIALS = 40  # of contact states
-STEPS, BALANCED = 60, 1e-12  # of Newton's method, and torques, of the mean friction, that end it
+SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
+TRIALS = 40  # rounds of Newton's method and proof
+STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
-COLLAPSED = 1e-2  # of its slip at the start, from which a contact comes to rest if the next step would turn it round
-NEWTON_TRIALS = 12  # of that, with contacts tied that come to rest
+NEWTON_TRIALS = 12  # of Newton's method, with contacts tied that come to rest
+COLLAPSED = (
+    1e-2  # share of its slip at the start from which a contact comes to rest if the next step would turn it round
+)
+LOST = 1e-17  # slip that double precision cannot follow: of a contact if Newton's method fails, or of a whole motion
+NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
-LOST = 1e-17  # slip below which it does so if Newton's method fails
-ALL_BUT = 1e-15  # slips of a motion up to which the contact states count as settled, though not as proven
 TINY = np.finfo(np.float64).tiny
 
 
@@ -73,24 +75,18 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
                 if isinstance(borne, list):
                     settled = replace(found, dual=borne, proven=True)
                     break
-                motion, unit = _largest(borne, iterate, found)
-                if unit < ALL_BUT:
-                    settled = replace(found, dual=iterate.dual)
+                if borne is None:
+                    break
+                motion, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
+                settled = replace(found, dual=iterate.dual) if unit < NEGLIGIBLE else None
                 if unit < LOST:
                     break
                 path = _freed(iterate, parts, found, motion, unit)
         except NotPositiveDefinite:
             pass
-    if settled is None or not _power(iterate, settled.difference) <= (1 + SAME) * iterate.power:
+    if settled is None or not -NEAR < _power(iterate, settled.difference) / iterate.power - 1 < SAME:
         return None
     return settled
-
-
-def _largest(motion: Motion | None, whole: Iterate, found: Resolved) -> tuple[Motion, float]:
-    """The largest parts of a motion and the largest slip in it, 0 if there is none."""
-    if motion is None:
-        return Motion(np.zeros_like(found.spins), found.slipping), 0.0
-    return largest_parts(motion, whole.system, whole.friction, found.difference, SHARE)
 
 
 def _power(iterate: Iterate, difference: list[np.ndarray]) -> float:

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.cholesky import Part
 from taichi_bearings.solvers.central_path import Inertia, Iterate, balance, newton_step
-from taichi_bearings.solvers.cone import length
+from taichi_bearings.solvers.cone import length, slip_over_margin
 from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, placed
 from taichi_bearings.solvers.motion import Motion
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
@@ -27,11 +27,13 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
 NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
+SURELY = 10.0  # least margin over the sum of all torques that are left: no force can change by more to take them away
 CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
-CLOSE = 1e-22  # mean product from which a ratio of one will do
+CLOSE = 1e-22  # mean product of the two at which nothing more can be told
 
 
+@np.errstate(all="ignore")  # where double precision ends, numbers that are not finite turn up
 def bear(
     system: ContactSystem,
     parts: list[Part],
@@ -39,7 +41,8 @@ def bear(
     dual: list[np.ndarray],
     slipping: list[np.ndarray],
 ) -> list[np.ndarray] | Motion | None:
-    """The dual of all contacts, balanced and within friction; or a motion, if there is none; None if neither is found.
+    """The dual of all contacts, balanced and inside the friction discs; or a motion, if there is none. Where contacts
+    are at the limit of their friction and yet need not slip, it is one that gains nothing. None if the method fails.
 
     parts : elimination tree over the unknowns of `system`. friction (n,), dual (d, n), minus the forces, and slipping
     (n,), a group each; the dual of slipless contacts is not used.
@@ -61,16 +64,16 @@ def bear(
             balance(still, matrix)
         if _unbalanced(still) < BALANCED:
             whole = [placed(y, keep, new) for y, keep, new in zip(dual, kept, still.dual, strict=True)]
-            return whole if np.abs(system.torques(whole)).max() < 10 * BALANCED else None  # also on the spins held
+            margins = [(mu - length(y))[~s] for mu, y, s in zip(friction, whole, slipping, strict=True)]
+            left = max(float(np.abs(system.torques(whole)).sum()), BALANCED)
+            if min(float(m.min(initial=np.inf)) for m in margins) > SURELY * left:
+                return whole
         ratios = [
-            length(z) / (1 - length(y) / mu)
-            for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
+            slip_over_margin(mu, z, y) for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
         ]
-        moving = [r > 1 for r in ratios]
-        clear = max(float(r.max(initial=0.0)) for r in ratios) > CLEAR
-        if clear or (any(m.any() for m in moving) and point.complementarity < CLOSE):
-            slips = [placed(np.zeros_like(s), keep, m) for s, keep, m in zip(slipping, kept, moving, strict=True)]
-            return Motion(np.append(point.spins, 0.0)[number], slips)
+        if max(float(r.max(initial=0.0)) for r in ratios) > CLEAR or point.complementarity < CLOSE:
+            moving = [placed(np.zeros_like(s), keep, r > 1) for s, keep, r in zip(slipping, kept, ratios, strict=True)]
+            return Motion(np.append(point.spins, 0.0)[number], moving)
     return None
 
 

@@ -194,10 +194,7 @@ def test_the_gap_between_slipping_and_slipless_contacts_is_told(tmp_path):
     assert summary["largest_slipless_slip"] == 0
     assert summary["separation_decades"] > 10
     assert summary["undecided"] == 0
-    assert (
-        "decades apart; the contact states are proven"
-        in bearings("run", "--shape", "5,5,5", "--out", tmp_path / "s").stdout
-    )
+    assert "the contact states are proven" in bearings("run", "--shape", "5,5,5", "--out", tmp_path / "s").stdout
 
 
 def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):
@@ -313,7 +310,8 @@ def test_equal_coefficients_are_resolved(tmp_path):
     done = bearings("run", "--shape", "4,4,5", "--distribution", "constant:0.5", "--out", tmp_path / "r", "--json")
     summary = json.loads(done.stdout)
     assert summary["power"] == pytest.approx(200, rel=1e-6)
-    assert summary["slip_threshold"] <= 0.01 * 0.5
+    assert summary["undecided"] == 0
+    assert summary["states_proven"] is True
 
 
 def test_nothing_is_overwritten_unless_asked(finished_run, tmp_path):
