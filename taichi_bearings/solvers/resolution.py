@@ -31,7 +31,7 @@ SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the
 TRIALS = 40  # rounds of Newton's method and proof
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
-NEWTON_TRIALS = 12  # of Newton's method, with contacts tied that come to rest
+NEWTON_TRIALS = 30  # of Newton's method, with contacts tied that come to rest
 COLLAPSED = (
     1e-2  # share of its slip at the start from which a contact comes to rest if the next step would turn it round
 )
