@@ -32,9 +32,7 @@ TRIALS = 40  # rounds of Newton's method and proof
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
 NEWTON_TRIALS = 30  # of Newton's method, with contacts tied that come to rest
-COLLAPSED = (
-    1e-2  # share of its slip at the start from which a contact comes to rest if the next step would turn it round
-)
+COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
 LOST = 1e-17  # slip that double precision cannot follow: of a contact if Newton's method fails, or of a whole motion
 NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
