@@ -27,7 +27,7 @@ from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
 NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
-SURELY = 10.0  # least margin over the sum of all torques that are left: no force can change by more to take them away
+SURELY = 10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
 CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
 CLOSE = 1e-22  # mean product of the two at which nothing more can be told
@@ -65,8 +65,9 @@ def bear(
         if _unbalanced(still) < BALANCED:
             whole = [placed(y, keep, new) for y, keep, new in zip(dual, kept, still.dual, strict=True)]
             margins = [(mu - length(y))[~s] for mu, y, s in zip(friction, whole, slipping, strict=True)]
-            left = max(float(np.abs(system.torques(whole)).sum()), BALANCED)
-            if min(float(m.min(initial=np.inf)) for m in margins) > SURELY * left:
+            left = np.abs(system.torques(whole))  # also on the spins held
+            least = SURELY * max(float(left.sum()), BALANCED)
+            if left.max(initial=0.0) < SURELY * BALANCED and min(float(m.min(initial=np.inf)) for m in margins) > least:
                 return whole
         ratios = [
             slip_over_margin(mu, z, y) for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
