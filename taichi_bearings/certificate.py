@@ -133,12 +133,19 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
 
 
 def relative_gap(scene: Scene, power: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """(power - lower bound) / power; 0 where the power itself is round-off of the scene's natural power."""
-    friction = np.sum([c.reshape(scene.replicas, -1).sum(axis=1) for c in scene.acting_coefficient], axis=0)
-    speed = scene.lattice.radius * max(abs(scene.spin_top), abs(scene.spin_bottom))
-    natural = scene.strength * friction * (speed if scene.law == "coulomb" else speed**2)
-    matters = power > 1e-13 * natural
-    return np.where(matters, (power - bound) / np.where(matters, power, 1.0), 0.0)
+    """(power - lower bound) / power, (R,); NaN where either is not a number, so that nothing follows from it.
+
+    Without a jump the least power is 0 and a relative gap says nothing: the power then counts by the natural one, of
+    all contacts at their limit with the imposed spin for slip, where that is larger.
+    """
+    unit = power
+    if scene.jump == 0:
+        friction = np.sum([c.reshape(scene.replicas, -1).sum(axis=1) for c in scene.acting_coefficient], axis=0)
+        speed = scene.lattice.radius * abs(scene.spin_top)
+        unit = np.maximum(power, scene.strength * friction * (speed if scene.law == "coulomb" else speed**2))
+    with np.errstate(invalid="ignore", over="ignore"):
+        gap = np.divide(power - bound, unit, out=np.full(np.shape(power), np.nan), where=unit > 0)
+    return np.where((power == 0) & (bound == 0), 0.0, gap)
 
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:

@@ -86,9 +86,17 @@ class Scene:
         return needed or self.lattice.all_spin_axes[:1]  # no frustration: one component, to have something to show
 
     def driven_values(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Staggered spin (C,) of the bottom and of the top plane."""
+        """Staggered spin (C,) of the bottom and of the top plane: zero and the jump.
+
+        All staggered spins are measured from the bottom, whose bearing state makes no contact slip (PHYSICS 3.1).
+        Where the driving is nearly equal, slips are then not lost in the rounding of the spins.
+        """
         unit = self.axis_vector[list(spin_axes)]
-        return self.spin_bottom * unit, self.spin_top * unit
+        return 0.0 * unit, (self.spin_top - self.spin_bottom) * unit
+
+    def bottom_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """(C,) what the staggered spins are measured from, 1/time."""
+        return self.spin_bottom * self.axis_vector[list(spin_axes)]
 
     @property
     def jump(self) -> float:
@@ -131,14 +139,14 @@ class Scene:
 
         Components left out go linearly from bottom to top, which is constant where the two agree.
         """
+        every = self.lattice.all_spin_axes
         if self.lattice.dimension == 2:
-            return staggered[0] * self.lattice.parity
+            return (staggered[0] + self.bottom_spin(every)[0]) * self.lattice.parity
         spin = np.empty((self.replicas, *self.lattice.shape, 3))
-        bottom, top = self.driven_values(self.lattice.all_spin_axes)
-        spin[...] = np.linspace(bottom, top, self.lattice.shape[-1])
+        spin[...] = np.linspace(*self.driven_values(every), self.lattice.shape[-1])
         for slot, component in enumerate(spin_axes):
             spin[..., component] = staggered[slot]
-        return spin * self.lattice.parity[..., None]
+        return (spin + self.bottom_spin(every)) * self.lattice.parity[..., None]
 
     def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Inverse of :meth:`laboratory_spin`: (C, R, *N) with the driven planes set to their imposed values."""
@@ -147,6 +155,7 @@ class Scene:
         else:
             staggered = np.moveaxis((spin * self.lattice.parity[..., None])[..., list(spin_axes)], -1, 0)
             staggered = np.ascontiguousarray(staggered, dtype=np.float64)
+        staggered -= self.bottom_spin(spin_axes).reshape(-1, *(1,) * (staggered.ndim - 1))
         return self.impose_driving(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:

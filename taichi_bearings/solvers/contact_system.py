@@ -152,5 +152,4 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
 
 def jump_of(scene: Scene) -> np.ndarray:
     """(C,) imposed jump of the components that the minimum needs, in units of the whole jump."""
-    bottom, top = scene.driven_values(scene.minimum_spin_axes)
-    return (top - bottom) / (scene.jump or 1.0)
+    return scene.driven_values(scene.minimum_spin_axes)[1] / (scene.jump or 1.0)

@@ -22,6 +22,7 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import (
     RestWatch,
     Saturation,
+    absolute,
     default_inertia,
     kinetic_energy,
     moving_spin_axes,
@@ -162,7 +163,7 @@ class CundallStrack:
             self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
             self.fields.clear("work")
             self.fields.clear("impulse")
-            self.energy_at_start = kinetic_energy(self.scene, staggered, self.inertia)
+            self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
 
@@ -307,9 +308,9 @@ class CundallStrack:
         work = reach * (replica_sum(self.fields.read("work")) + ends)
         pull = self.fields.read("impulse") + (self.pull_at_start - torques(force, scene.lattice, self.spin_axes)) / 2
         return Energy(
-            kinetic=kinetic_energy(self.scene, staggered, self.inertia),
+            kinetic=kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia),
             spring=spring,
-            injected=-reach * replica_sum(pull * staggered * scene.lattice.is_driven),
+            injected=-reach * replica_sum(pull * absolute(scene, staggered, self.spin_axes) * scene.lattice.is_driven),
             dissipated=work - spring,
             at_start=self.energy_at_start,
         )

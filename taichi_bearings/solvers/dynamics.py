@@ -18,8 +18,7 @@ def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
     if scene.lattice.dimension == 2:
         return needed
     full = scene.staggered_spin(spin, scene.lattice.all_spin_axes)
-    bottom, _ = scene.driven_values(scene.lattice.all_spin_axes)
-    return tuple(k for k in scene.lattice.all_spin_axes if k in needed or (full[k] != bottom[k]).any())
+    return tuple(k for k in scene.lattice.all_spin_axes if k in needed or full[k].any())
 
 
 def default_inertia(scene: Scene, mass: float) -> float:
@@ -32,9 +31,14 @@ def replica_sum(values: np.ndarray) -> np.ndarray:
     return values.sum(axis=(0, *range(2, values.ndim)))
 
 
-def kinetic_energy(scene: Scene, staggered: np.ndarray, inertia: float) -> np.ndarray:
+def absolute(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for kinetic energies."""
+    return staggered + scene.bottom_spin(spin_axes).reshape(-1, *(1,) * (staggered.ndim - 1))
+
+
+def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ...], inertia: float) -> np.ndarray:
     """(R,) of the free spheres with staggered spins (C, R, *N), energy."""
-    return inertia / 2 * replica_sum(staggered[..., 1:-1] ** 2)
+    return inertia / 2 * replica_sum(absolute(scene, staggered, spin_axes)[..., 1:-1] ** 2)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from taichi_bearings.cholesky import dissect
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Workspace
 from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
 from taichi_bearings.solvers.cundall_strack import (
@@ -79,7 +80,9 @@ class ImplicitCundallStrack:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
         options = self.options
         self.inertia = options.inertia or default_inertia(scene, options.mass)
-        self.system = _absolute_system(scene, self.spin_axes)
+        self.system = lattice_system(scene.lattice, self.spin_axes, scene.driven_values(self.spin_axes)[1])
+        self.imposed = _imposed(scene, self.system, self.spin_axes)
+        self.bottom_spins = np.tile(scene.bottom_spin(self.spin_axes), self.system.unknowns // len(self.spin_axes))
         staggered = scene.staggered_spin(spin, self.spin_axes)
         self._set_stage(float(np.abs(staggered).max()) or 1.0)
         free = np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
@@ -236,11 +239,12 @@ class ImplicitCundallStrack:
         """The new sample with the work that the mean force of the step has done on the mean slip."""
         reach, mean = self.scene.lattice.radius * span, (old.spins + new.spins) / 2
         work = sum(float((f * g.differences(mean)).sum()) for f, g in zip(force, self.groups, strict=True))
-        injected = sum(float((f * g.offset).sum()) for f, g in zip(force, self.groups, strict=True))
+        injected = sum(float((f * w).sum()) for f, w in zip(force, self.imposed, strict=True))
         return replace(new, work=old.work + reach * work, injected=old.injected + reach * injected)
 
     def _kinetic_energy(self, sample: _Sample) -> float:
-        return self.inertia / 2 * float(sample.spins @ sample.spins)
+        absolute = sample.spins + self.bottom_spins
+        return self.inertia / 2 * float(absolute @ absolute)
 
     def _spring_energy(self, sample: _Sample) -> float:
         return self.options.stiffness / 2 * sum(float((d * d).sum()) for d in sample.elongation)
@@ -327,16 +331,15 @@ class ImplicitCundallStrack:
         self._set_stage(float(state["spin_scale"]))
 
 
-def _absolute_system(scene: Scene, spin_axes: tuple[int, ...]) -> ContactSystem:
-    """Contacts between spins as they are, not measured from the bottom: a driven end adds its own spin."""
-    bottom, top = scene.driven_values(spin_axes)
-    system = lattice_system(scene.lattice, spin_axes, top - bottom)
-    groups = []
+def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) -> Groups:
+    """What the driven spheres, as they turn in the laboratory, add to the differences: (d, n) a group."""
+    bottom = scene.bottom_spin(spin_axes)
+    top = bottom + scene.driven_values(spin_axes)[1]
+    imposed = []
     for group in system.groups:
-        slots = [slot for slot, component in enumerate(spin_axes) if component != group.axis]
-        offset = top[slots, None] * (group.above < 0) - bottom[slots, None] * (group.below < 0)
-        groups.append(replace(group, offset=offset))
-    return ContactSystem(system.unknowns, tuple(groups))
+        slots = list(tangential(group.axis, spin_axes))
+        imposed.append(top[slots, None] * (group.above < 0) - bottom[slots, None] * (group.below < 0))
+    return imposed
 
 
 def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:

@@ -113,11 +113,10 @@ class InteriorPoint:
                 )
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
-        """Free spins (R, unknowns) from the bottom in units of the jump, inside the interval of the driven ones."""
+        """Free spins (R, unknowns) in units of the jump, inside the interval of the driven ones."""
         scene = self.scene
         inside = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
-        bottom = scene.driven_values(self.spin_axes)[0].reshape(-1, *(1,) * (inside.ndim - 1))
-        return np.moveaxis(((inside - bottom) / (scene.jump or 1.0))[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
+        return np.moveaxis((inside / (scene.jump or 1.0))[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
         friction = [self.scene.coefficient[g.axis][replica].ravel()[g.acting] for g in self.system.groups]
@@ -161,14 +160,13 @@ class InteriorPoint:
 
     def progress(self) -> Progress:
         scene = self.scene
-        bottom, _ = scene.driven_values(self.spin_axes)
         staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
             spins = np.moveaxis(answer.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
-            staggered[:, replica, ..., 1:-1] = bottom.reshape(-1, *(1,) * scene.lattice.dimension) + scene.jump * spins
+            staggered[:, replica, ..., 1:-1] = scene.jump * spins
             for group, dual, difference, states in zip(
                 self.system.groups, answer.dual, answer.difference, sample.states(), strict=True
             ):

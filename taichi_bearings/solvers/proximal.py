@@ -66,8 +66,7 @@ class ProximalSteps:
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float, inertia: float) -> None:
         self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
-        self.bottom, top = scene.driven_values(spin_axes)
-        self._system = lattice_system(scene.lattice, spin_axes, (top - self.bottom) / unit)
+        self._system = lattice_system(scene.lattice, spin_axes, scene.driven_values(spin_axes)[1] / unit)
         self._matrix = NewtonMatrix(self._system, dissect(free_shape(scene.lattice), spin_axes))
         groups = self._system.groups
         acting = [scene.coefficient[g.axis].reshape(scene.replicas, -1)[:, g.acting] for g in groups]
@@ -101,15 +100,13 @@ class ProximalSteps:
         return Step(after, force, slipping, creep, newton_steps, solved)
 
     def _own_spins(self, staggered: np.ndarray, replica: int) -> np.ndarray:
-        """Free spins (unknowns,) of a sample in units of `unit` above the bottom."""
-        bottom = self.bottom.reshape(-1, *(1,) * self.scene.lattice.dimension)
-        return np.moveaxis((staggered[:, replica, ..., 1:-1] - bottom) / self.unit, 0, -1).ravel()
+        """Free spins (unknowns,) of a sample in units of `unit`."""
+        return np.moveaxis(staggered[:, replica, ..., 1:-1] / self.unit, 0, -1).ravel()
 
     def _put_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
         """Inverse of `_own_spins`. No contact moves the mean about the height of a layer: nor does rounding."""
         lattice = self.scene.lattice
-        bottom = self.bottom.reshape(-1, *(1,) * lattice.dimension)
-        new = bottom + self.unit * np.moveaxis(spins.reshape(*free_shape(lattice), -1), -1, 0)
+        new = self.unit * np.moveaxis(spins.reshape(*free_shape(lattice), -1), -1, 0)
         if lattice.dimension == 3 and lattice.height_axis in self.spin_axes:
             slot, old = self.spin_axes.index(lattice.height_axis), staggered[:, replica, ..., 1:-1]
             new[slot] -= (new[slot] - old[slot]).mean(axis=(0, 1))

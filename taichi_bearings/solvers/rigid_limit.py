@@ -24,7 +24,7 @@ from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import default_inertia, kinetic_energy, moving_spin_axes, replica_sum
+from taichi_bearings.solvers.dynamics import absolute, default_inertia, kinetic_energy, moving_spin_axes, replica_sum
 from taichi_bearings.solvers.proximal import ProximalSteps, Step
 
 FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
@@ -93,7 +93,7 @@ class RigidLimit:
         self.length = self.options.time_step or FIRST_STEP * self.options.error_tolerance * self.relaxation_time
         self.last_length = self.length
         self.injected, self.dissipated = np.zeros(scene.replicas), np.zeros(scene.replicas)
-        self.energy_at_start = kinetic_energy(self.scene, self.staggered, self.inertia)
+        self.energy_at_start = kinetic_energy(self.scene, self.staggered, self.spin_axes, self.inertia)
         self.rest_time = np.zeros(scene.replicas)
         self.creep = RESOLVED * self.unit
         slips = scene.slips(self.staggered, self.spin_axes)
@@ -198,23 +198,24 @@ class RigidLimit:
         reach, mean = duration * scene.lattice.radius, (before + self.staggered) / 2
         for force, slip in zip(self.force, contact_differences(mean, scene.lattice, self.spin_axes), strict=True):
             self.dissipated = self.dissipated + reach * replica_sum(force * slip)
-        work = torques(self.force, scene.lattice, self.spin_axes) * mean * scene.lattice.is_driven
+        driven = absolute(scene, mean, self.spin_axes) * scene.lattice.is_driven
+        work = torques(self.force, scene.lattice, self.spin_axes) * driven
         self.injected = self.injected - reach * replica_sum(work)
 
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
         scene, moving = self.scene, []
+        bottom, (_, jump) = scene.bottom_spin(self.spin_axes), scene.driven_values(self.spin_axes)
         for component in self.moving:
             slot = self.spin_axes.index(component)
-            bottom, top = (float(values[slot]) for values in scene.driven_values(self.spin_axes))
             free = self.staggered[slot][..., 1:-1]
-            rest = np.full_like(free, bottom)
+            rest = np.zeros_like(free)
             if component == scene.lattice.height_axis:
                 rest = np.broadcast_to(free.mean(axis=(1, 2), keepdims=True), free.shape)
-            elif bottom != top:
+            elif jump[slot] != 0:
                 moving.append(component)
                 continue
-            energy = self.inertia / 2 * replica_sum((free**2 - rest**2)[None])
+            energy = self.inertia / 2 * replica_sum(((free - rest) * (free + rest + 2 * bottom[slot]))[None])
             unfelt = bool((np.abs(energy) <= UNFELT * self.energy_at_start).all())
             if unfelt and np.abs(free - rest).max() <= DEAD * self.unit:
                 free[...] = rest
@@ -240,7 +241,7 @@ class RigidLimit:
             unbalanced_torque=largest_unbalanced_torque(scene, self.force, self.spin_axes),
             time=self.time,
             energy=Energy(
-                kinetic=kinetic_energy(self.scene, self.staggered, self.inertia),
+                kinetic=kinetic_energy(self.scene, self.staggered, self.spin_axes, self.inertia),
                 spring=np.zeros(scene.replicas),
                 injected=self.injected,
                 dissipated=self.dissipated,

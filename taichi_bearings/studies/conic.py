@@ -56,9 +56,6 @@ def build_differences(scene: Scene) -> Differences:
     number = np.full(lattice.shape, -1)
     number[free] = np.arange(free.sum())
     driven = scene.impose_driving(np.zeros((len(axes), 1, *lattice.shape)), axes)
-    bottom, _ = scene.driven_values(axes)
-    driven[..., -1] -= bottom.reshape(-1, *(1,) * lattice.dimension)
-    driven[..., 0] = 0.0
     fixed = contact_differences(driven / (scene.jump or 1.0), lattice, axes)
     matrices, offsets, coefficients = [], [], []
     for axis, part in blocks:
@@ -104,8 +101,8 @@ class ConicProgramme:
         staggered = np.zeros((len(axes), 1, *scene.lattice.shape))
         free = ~scene.lattice.is_driven
         own = np.nan_to_num(x[: len(axes) * free.sum()]).reshape(len(axes), -1)
-        for spins, values, bottom, top in zip(staggered, own, *scene.driven_values(axes), strict=True):
-            spins[0, free] = np.clip(bottom + scene.jump * values, min(bottom, top), max(bottom, top))
+        for spins, values, top in zip(staggered, own, scene.driven_values(axes)[1], strict=True):
+            spins[0, free] = np.clip(scene.jump * values, min(0.0, top), max(0.0, top))
         return scene.impose_driving(staggered, axes)
 
     def forces(self, z: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,99 @@
+"""Upper and lower bound of the least power, rigorously, from spins and from friction.
+
+With g = n x F the torques of a contact are -R g on both its spheres, so what the friction does on any spins that obey
+the driving is R times the sum over contacts of g . (w_i + w_j), and
+
+    Coulomb:  P_min >= that least work, if no |F| exceeds mu F_n        viscous:  P_min >= 2 work - sum |F|^2 / eta
+
+The work is that of the driven planes where all free spheres are in balance. Where they are not, some minimum has its
+signed spins between those of the planes, component by component: the least that the torque left over can do there
+counts. A friction that exceeds its limit is made admissible by dividing all by the largest excess.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.verifier.enclosure import Enclosure
+from taichi_bearings.verifier.motion import length, spread
+from taichi_bearings.verifier.samples import Samples
+
+
+@dataclass(frozen=True)
+class Work:
+    """(R,) each: work of the driven planes against the friction; price, what torques left over on free spheres may take
+    from it; cost, the sum of |F|^2 / eta (viscous); all in the units of `Motion.power`.
+
+    saturation : (R,), largest |F| / (mu F_n), rounded up (Coulomb, else 0).
+    largest_torque : (R,), left over on a free sphere, over the radius and in units of `force_unit`, rounded up.
+    """
+
+    work: Enclosure
+    price: Enclosure
+    cost: Enclosure
+    saturation: np.ndarray
+    largest_torque: np.ndarray
+
+
+def work_of(samples: Samples) -> Work:
+    """What the friction of the samples proves."""
+    count = samples.count
+    work = price = cost = Enclosure.exact(np.zeros(count))
+    largest, saturation = np.zeros(count), np.zeros(count)
+    for k in samples.components:
+        jump, signed = samples.jump[k], torques(samples, k).signed(samples.sublattice)
+        top, free = signed[..., -1].reshaped((count, -1)), signed[..., 1:-1].reshaped((count, -1))
+        work = work + row_sum(top) * spread(jump, count)
+        largest = np.maximum(largest, free.most.max(axis=1, initial=0.0))
+        # the least of torque * spin for a spin from 0 to the jump: 0 where the two have the same sign for sure
+        taken = np.where(np.sign(jump.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
+        price = price + row_sum(Enclosure.exact(taken)) * spread(abs(jump), count)
+    for axis, (turning, strength) in enumerate(zip(samples.turning, samples.strength, strict=True)):
+        acts = ~samples.between_driven(axis)
+        size = length([Enclosure.exact(np.where(acts, part, 0.0)) for part in turning.values()])
+        full = (size / strength).reshaped((count, -1))
+        if samples.law == "coulomb":
+            saturation = np.maximum(saturation, full.most.max(axis=1, initial=0.0))
+        else:
+            cost = cost + row_sum(size.reshaped((count, -1)) * full)
+    if samples.law == "viscous":  # a force is damping * radius * spin
+        speed = spread(Enclosure.exact([samples.radius * samples.spin_unit]), count)
+        work, price, cost = work / speed, price / speed, cost / speed / speed
+    return Work(work, price, cost, saturation, largest)
+
+
+def lower_bound(samples: Samples, work: Work) -> np.ndarray:
+    """Of the least power, (R,), in the units of `Motion.power`; not below 0."""
+    left = work.work - work.price
+    if samples.law == "viscous":
+        return np.maximum((left + left - work.cost).lower(), 0.0)
+    return np.maximum((left / Enclosure.exact(np.maximum(work.saturation, 1.0))).lower(), 0.0)
+
+
+def torques(samples: Samples, component: int, which: tuple[np.ndarray, ...] | None = None) -> Enclosure:
+    """Sum of a component of g over the contacts of each sphere, (R, *N); those between driven spheres take no part.
+
+    which : masks (R, *contacts) an axis, of the contacts that count.
+    """
+    shape = (samples.count, *samples.shape)
+    total = Enclosure.exact(np.zeros(shape))
+    for axis, turning in enumerate(samples.turning):
+        if component in turning:
+            counts = ~samples.between_driven(axis) & (True if which is None else which[axis])
+            for end in samples.ends(axis):
+                padded = np.zeros(shape)
+                padded[end] = np.where(counts, turning[component], 0.0)
+                total = total + Enclosure.exact(padded)
+    return total
+
+
+def row_sum(values: Enclosure) -> Enclosure:
+    """(R,) from (R, n), pair by pair."""
+    while values.high.shape[1] > 1:
+        half = values.high.shape[1] // 2
+        paired = values[:, :half] + values[:, half : 2 * half]
+        odd = values[:, 2 * half :]
+        values = Enclosure(*(np.concatenate(both, axis=1) for both in zip(paired.parts, odd.parts, strict=True)))
+    return values.reshaped((-1,)) if values.high.size else Enclosure.exact(np.zeros(len(values.high)))

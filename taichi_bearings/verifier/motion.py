@@ -1,0 +1,135 @@
+"""The spins of samples as exact unknowns: which contacts do not slip at all, what moves as one, and the slips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined
+from taichi_bearings.verifier.samples import Samples
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The spins of samples, exactly: what the file says of the free spheres, and exactly what is imposed on the others.
+
+    Spheres that contacts without slip join are a domain of a component; those joined to a driven plane turn with it.
+    """
+
+    samples: Samples
+
+    @cached_property
+    def still(self) -> tuple[np.ndarray, ...]:
+        """Masks (R, *contacts) an axis: no difference of signed spins at all."""
+        found = []
+        for axis, coefficient in enumerate(self.samples.coefficient):
+            low, high = self.samples.ends(axis)
+            mask = np.ones(coefficient.shape, dtype=bool)
+            for k in self.samples.felt(axis):
+                for part in self.samples.signed_spin[k]:
+                    mask &= part[low] == part[high]
+            found.append(mask)
+        return tuple(found)
+
+    @cached_property
+    def domain(self) -> dict[int, np.ndarray]:
+        """Number (R, *N) of the domain of each sphere, component by component: 0 and 1 for all that turns with the
+        bottom and with the top, 2 and more for the others, of all samples together."""
+        return {k: self._domains(k) for k in self.samples.components}
+
+    def _domains(self, component: int) -> np.ndarray:
+        number = whole_planes(self.samples)
+        first, second = [], []
+        for axis, still in enumerate(self.still):
+            if component in self.samples.felt(axis):
+                low, high = self.samples.ends(axis)
+                first.append(number[low][still])
+                second.append(number[high][still])
+        ends, size = (np.concatenate(first), np.concatenate(second)), number.size
+        graph = sparse.coo_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(size, size))
+        label = connected_components(graph, directed=False)[1][number]
+        bottom, top = ends_of(label)
+        return np.where(label == bottom, 0, np.where(label == top, 1, label + 2))
+
+    @cached_property
+    def torn(self) -> np.ndarray:
+        """(R,), True if contacts without slip join bottom and top in a component in which they differ: impossible."""
+        jumps = [k for k in self.samples.components if self._jumps(k)]
+        joined_planes = [(self.domain[k][..., -1] == 0).reshape(self.samples.count, -1).any(axis=1) for k in jumps]
+        return np.any([np.zeros(self.samples.count, dtype=bool), *joined_planes], axis=0)
+
+    def _jumps(self, component: int) -> bool:
+        return bool(self.samples.jump[component].most[0] > 0)
+
+    @cached_property
+    def shift(self) -> dict[int, Enclosure]:
+        """(R,), what the signed spin of the top, as stored, lacks of the imposed one if that of the bottom lacks nothing."""
+        found = {}
+        for k, stored in self.samples.signed_spin.items():
+            bottom, top = (Enclosure.exact(*planes) for planes in zip(*(ends_of(part) for part in stored), strict=True))
+            found[k] = spread(self.samples.jump[k], self.samples.count) - (top - bottom).reshaped((-1,))
+        return found
+
+    @cached_property
+    def difference(self) -> tuple[dict[int, Enclosure], ...]:
+        """Differences of signed spins by component of the contacts that are not `still`, one entry an axis; (n,) each."""
+        return tuple(
+            {k: self._differences(k, axis, ~still) for k in self.samples.felt(axis)}
+            for axis, still in enumerate(self.still)
+        )
+
+    def _differences(self, component: int, axis: int, slips: np.ndarray) -> Enclosure:
+        low, high = self.samples.ends(axis)
+        stored, shift = self.samples.signed_spin[component], self.shift[component]
+        upper, lower = (Enclosure.exact(*(part[end][slips] for part in stored)) for end in (high, low))
+        at_top = [self.domain[component][end][slips] == 1 for end in (high, low)]
+        owner = np.nonzero(slips)[0]
+        return (upper - lower) + shift[owner].signed(at_top[0].astype(float) - at_top[1])
+
+    @cached_property
+    def size(self) -> tuple[Enclosure, ...]:
+        """Length of these differences, (n,) an axis."""
+        return tuple(length(list(parts.values())) for parts in self.difference)
+
+    def power(self) -> Enclosure:
+        """(R,), power that these spins dissipate in units of force unit * R spin unit (viscous: times R spin unit)."""
+        owner, cost = [], []
+        for strength, still, size in zip(self.samples.strength, self.still, self.size, strict=True):
+            owner.append(np.nonzero(~still)[0])
+            cost.append(strength[~still] * size if self.samples.law == "coulomb" else strength[~still] * size * size)
+        return grouped_sum(joined(cost), np.concatenate(owner), self.samples.count)
+
+
+def whole_planes(samples: Samples) -> np.ndarray:
+    """Numbers (R, *N) of all spheres, the same for those of one driven plane."""
+    number = np.arange(samples.count * int(np.prod(samples.shape))).reshape(samples.count, *samples.shape)
+    number[..., 0], number[..., -1] = (end[..., 0] for end in ends_of(number))
+    return number
+
+
+def ends_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of values (R, *N), those of one sphere of the bottom and of one of the top, (R, 1, ...)."""
+    corner = (slice(None), *(slice(0, 1),) * (values.ndim - 2))
+    return values[(*corner, slice(0, 1))], values[(*corner, slice(-1, None))]
+
+
+def spread(one: Enclosure, count: int) -> Enclosure:
+    """One number `count` times."""
+    return Enclosure(*(np.repeat(part, count) for part in one.parts))
+
+
+def length(parts: list[Enclosure]) -> Enclosure:
+    """Length of vectors given by their parts, (n,) each."""
+    if len(parts) == 1:
+        return abs(parts[0])
+    square = parts[0] * parts[0] + parts[1] * parts[1]
+    root = square.sqrt()
+    # along an axis the length is exactly the size of the other part, whose square may be too small a number
+    for part, other in ((parts[0], parts[1]), (parts[1], parts[0])):
+        nothing = (other.high == 0) & (other.error == 0)
+        root = Enclosure(*(np.where(nothing, a, b) for a, b in zip(abs(part).parts, root.parts, strict=True)))
+    return root

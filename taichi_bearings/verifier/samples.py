@@ -1,0 +1,154 @@
+"""Samples as a file holds them: what is imposed, the coefficients, and the spins and friction to be judged.
+
+Everything is in the laboratory frame. With n the direction of a contact, s = +1 or -1 the sublattice of a sphere, and
+w_i, w_j the spins at its lower and upper end, the upper surface slips past the lower one with v = -R (w_i + w_j) x n
+(paper, Eq. 2); friction F on the upper sphere turns both spheres alike, with the torque -R n x F. Call s w the signed
+spin: across a contact the sum w_i + w_j is, up to its sign, the difference of the signed spins, and where all signed
+spins are equal nothing slips. Such a bearing state can be added to all spins, so these are measured from the bottom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.verifier.enclosure import Enclosure
+
+Slices = tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """R samples that differ in their coefficients alone.
+
+    shape : N, spheres along each axis, height last. law : "coulomb" or "viscous".
+    coefficient : one array (R, *contacts) an axis. spin, spin_rounding : (R, *N, 3), in 2D (R, *N); the spin is the sum
+    of the two. friction : (R, *contacts, 3) an axis, on the upper sphere; in 2D the component along z x n.
+    """
+
+    shape: tuple[int, ...]
+    law: str
+    coefficient: tuple[np.ndarray, ...]
+    spin_top: float
+    spin_bottom: float
+    direction: tuple[float, float, float]
+    normal_force: float
+    radius: float
+    spin: np.ndarray
+    spin_rounding: np.ndarray
+    friction: tuple[np.ndarray, ...]
+
+    @property
+    def count(self) -> int:
+        return len(self.spin)
+
+    def one(self, number: int) -> Samples:
+        """One of them alone."""
+        pick = slice(number, number + 1)
+        return replace(
+            self,
+            coefficient=tuple(values[pick] for values in self.coefficient),
+            spin=self.spin[pick],
+            spin_rounding=self.spin_rounding[pick],
+            friction=tuple(values[pick] for values in self.friction),
+        )
+
+    @property
+    def dimension(self) -> int:
+        return len(self.shape)
+
+    @property
+    def components(self) -> tuple[int, ...]:
+        """Of the spins: about z in 2D, and about x, y and z in 3D."""
+        return (2,) if self.dimension == 2 else (0, 1, 2)
+
+    def felt(self, axis: int) -> tuple[int, ...]:
+        """Components that make contacts along `axis` slip."""
+        return tuple(k for k in self.components if k != axis)
+
+    @property
+    def needed(self) -> tuple[int, ...]:
+        """Components that some minimum needs: others are the same everywhere, or, about the height, in each layer, at
+        every minimum, but for motions that no contact feels."""
+        height = self.dimension - 1
+        return tuple(k for k in self.components if self.jump[k].most[0] > 0 and k != height)
+
+    @cached_property
+    def jump(self) -> dict[int, Enclosure]:
+        """Component by component, signed spin of the top less that of the bottom, in units of `spin_unit`; (1,) each."""
+        whole = Enclosure.exact([self.spin_top / self.spin_unit]) - Enclosure.exact([self.spin_bottom / self.spin_unit])
+        if self.dimension == 2:
+            return {2: whole}
+        largest = _power_of_two(np.max(np.abs(self.direction)))
+        parts = [Enclosure.exact([d / largest]) for d in self.direction]
+        size = (parts[0] * parts[0] + parts[1] * parts[1] + parts[2] * parts[2]).sqrt()
+        return {k: whole * part / size for k, part in enumerate(parts)}
+
+    @cached_property
+    def spin_unit(self) -> float:
+        """A power of two near the jump; 1 without one."""
+        return _power_of_two(self.spin_top - self.spin_bottom)
+
+    @cached_property
+    def force_unit(self) -> float:
+        """A power of two near the largest coefficient, times the normal force for friction."""
+        return _power_of_two(max(float(c.max()) for c in self.coefficient) * self._strength)
+
+    @property
+    def _strength(self) -> float:
+        return self.normal_force if self.law == "coulomb" else 1.0
+
+    @cached_property
+    def sublattice(self) -> np.ndarray:
+        """s = +1 or -1, (*N,)."""
+        return 1.0 - 2.0 * (np.indices(self.shape).sum(axis=0) % 2)
+
+    @cached_property
+    def signed_spin(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Component by component, spins with the sign of their sublattice: pairs (R, *N) in units of `spin_unit`."""
+        sign = self.sublattice
+        pair = Enclosure.exact(self.spin / self.spin_unit, self.spin_rounding / self.spin_unit)
+        if self.dimension == 2:
+            return {2: (sign * pair.high, sign * pair.low)}
+        return {k: (sign * pair.high[..., k], sign * pair.low[..., k]) for k in self.components}
+
+    @cached_property
+    def strength(self) -> tuple[Enclosure, ...]:
+        """Friction that each contact can bear (Coulomb), or its damping, in units of `force_unit`; (R, *contacts) an axis."""
+        unit = _power_of_two(self._strength)
+        factor = Enclosure.exact(np.array([self._strength / unit]))
+        scale = self.force_unit / unit
+        return tuple(Enclosure.exact(values / scale) * factor for values in self.coefficient)
+
+    @cached_property
+    def turning(self) -> tuple[dict[int, np.ndarray], ...]:
+        """n x F of every contact by component, in units of `force_unit`: both its spheres feel -R times that."""
+        found = []
+        for axis, values in enumerate(self.friction):
+            values = values / self.force_unit
+            if self.dimension == 2:
+                found.append({2: values})
+                continue
+            first, second = (axis + 1) % 3, (axis + 2) % 3
+            found.append({first: -values[..., second], second: values[..., first]})
+        return tuple(found)
+
+    def between_driven(self, axis: int) -> np.ndarray:
+        """Mask (R, *contacts) of those that join two driven spheres."""
+        mask = np.zeros(self.coefficient[axis].shape, dtype=bool)
+        if axis != self.dimension - 1:
+            mask[..., [0, -1]] = True
+        return mask
+
+    def ends(self, axis: int) -> tuple[Slices, Slices]:
+        """Selections of the lower and of the upper spheres of the contacts along `axis`."""
+        low, high = [slice(None)] * (1 + self.dimension), [slice(None)] * (1 + self.dimension)
+        low[1 + axis], high[1 + axis] = slice(None, -1), slice(1, None)
+        return tuple(low), tuple(high)
+
+
+def _power_of_two(value: float) -> float:
+    """The largest power of two up to |value|; 1 for 0."""
+    return float(np.ldexp(1.0, int(np.frexp(abs(value))[1]) - 1)) if value else 1.0
