@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from taichi_bearings.double_double import Pair, add, divide, exactly, multiply, square_root, two_product, two_sum
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, tangential
@@ -65,13 +66,20 @@ class Scene:
         return len(self.seeds)
 
     @cached_property
+    def axis_pair(self) -> Pair:
+        """Unit vector (3,) of the imposed spins, in twice the precision."""
+        vector = np.array([0.0, 0.0, 1.0] if self.lattice.dimension == 2 else self.direction, dtype=np.float64)
+        vector = np.ldexp(vector, -int(np.frexp(np.abs(vector).max())[1]))
+        squares = two_product(vector, vector)
+        total = exactly(np.zeros(1))
+        for k in range(3):
+            total = add(total, (squares[0][k : k + 1], squares[1][k : k + 1]))
+        return divide(exactly(vector), square_root(total))
+
+    @property
     def axis_vector(self) -> np.ndarray:
         """Unit vector (3,) of the imposed spins."""
-        if self.lattice.dimension == 2:
-            return np.array([0.0, 0.0, 1.0])
-        vector = np.asarray(self.direction, dtype=np.float64)
-        vector = vector / np.abs(vector).max()
-        return vector / np.linalg.norm(vector)
+        return self.axis_pair[0]
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:
@@ -80,7 +88,7 @@ class Scene:
         Where top and bottom agree, the staggered spin is constant (PHYSICS 3.3). Nor is the component along the height
         of a cubic lattice ever needed: contacts along the height do not feel it, so it is constant in each layer.
         """
-        jump = (self.spin_top - self.spin_bottom) * self.axis_vector
+        jump = self.jump_pair[0]
         height = self.lattice.height_axis
         needed = tuple(k for k in self.lattice.all_spin_axes if jump[k] != 0.0 and k != height)
         return needed or self.lattice.all_spin_axes[:1]  # no frustration: one component, to have something to show
@@ -91,12 +99,22 @@ class Scene:
         All staggered spins are measured from the bottom, whose bearing state makes no contact slip (PHYSICS 3.1).
         Where the driving is nearly equal, slips are then not lost in the rounding of the spins.
         """
-        unit = self.axis_vector[list(spin_axes)]
-        return 0.0 * unit, (self.spin_top - self.spin_bottom) * unit
+        top = self.jump_pair[0][list(spin_axes)]
+        return np.zeros_like(top), top
+
+    @cached_property
+    def jump_pair(self) -> Pair:
+        """Imposed staggered spin (3,) of the top above that of the bottom, in twice the precision, 1/time."""
+        return multiply(two_sum(np.array([self.spin_top]), np.array([-self.spin_bottom])), self.axis_pair)
+
+    @cached_property
+    def bottom_pair(self) -> Pair:
+        """Staggered spin (3,) of the bottom, from which all others are measured, in twice the precision, 1/time."""
+        return multiply(exactly(np.array([self.spin_bottom])), self.axis_pair)
 
     def bottom_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """(C,) what the staggered spins are measured from, 1/time."""
-        return self.spin_bottom * self.axis_vector[list(spin_axes)]
+        return self.bottom_pair[0][list(spin_axes)]
 
     @property
     def jump(self) -> float:
@@ -139,14 +157,29 @@ class Scene:
 
         Components left out go linearly from bottom to top, which is constant where the two agree.
         """
+        return self.laboratory_pair(staggered, None, spin_axes)[0]
+
+    def laboratory_pair(self, staggered: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
+        """The same in twice the precision: spins, and what their rounding leaves out.
+
+        rest : (C, R, *N), what is to be added to the staggered spins, if anything; of the driven planes it is known.
+        """
         every = self.lattice.all_spin_axes
-        if self.lattice.dimension == 2:
-            return (staggered[0] + self.bottom_spin(every)[0]) * self.lattice.parity
-        spin = np.empty((self.replicas, *self.lattice.shape, 3))
-        spin[...] = np.linspace(*self.driven_values(every), self.lattice.shape[-1])
-        for slot, component in enumerate(spin_axes):
-            spin[..., component] = staggered[slot]
-        return (spin + self.bottom_spin(every)) * self.lattice.parity[..., None]
+        high = np.empty((len(every), self.replicas, *self.lattice.shape))
+        low = np.zeros_like(high)
+        for slot, component in enumerate(every):
+            top = self.jump_pair[0][component]
+            high[slot] = np.linspace(0.0, top, self.lattice.shape[-1])
+            if component in spin_axes:
+                high[slot] = staggered[spin_axes.index(component)]
+                if rest is not None:
+                    low[slot] = rest[spin_axes.index(component)]
+            if top != 0:
+                low[slot][..., -1] = self.jump_pair[1][component]
+        bottom = tuple(part[list(every)].reshape(-1, *(1,) * (high.ndim - 1)) for part in self.bottom_pair)
+        pair = [part * self.lattice.parity for part in add((high, low), (bottom[0], bottom[1]))]
+        spin, rounding = (p[0] if self.lattice.dimension == 2 else np.ascontiguousarray(np.moveaxis(p, 0, -1)) for p in pair)
+        return spin, rounding
 
     def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Inverse of :meth:`laboratory_spin`: (C, R, *N) with the driven planes set to their imposed values."""

@@ -63,6 +63,7 @@ class Progress:
     """State of a method at one check; everything float64 on the host.
 
     staggered : (C, R, *N) spins that this check stands for, components as named by spin_axes.
+    rest : (C, R, *N), what is to be added to them, of a method that knows more than their rounding, else None.
     force : contact forces, one array (T, R, *contacts) an axis, along the spin difference of the contact.
     power, lower_bound : (R,), energy/time.
     proof : forces like `force` from which lower_bound follows, where these are others.
@@ -87,6 +88,7 @@ class Progress:
     lower_bound: np.ndarray
     resolution: float
     unbalanced_torque: np.ndarray
+    rest: np.ndarray | None = None
     proof: tuple[np.ndarray, ...] | None = None
     time: float | None = None
     energy: Energy | None = None
@@ -106,7 +108,7 @@ class Progress:
 class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
-    spin : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time.
+    spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are the sums of the two.
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
     friction : on the upper sphere of each contact, laboratory frame, (R, *contacts, 3) an axis; in 2D (R, *contacts),
         the component along z x n (lattice.grid.laboratory_forces). In balance and within the friction discs, so that it
@@ -124,6 +126,7 @@ class Solution:
     status: Status
     iterations: int
     spin: np.ndarray
+    spin_rounding: np.ndarray
     slip: tuple[np.ndarray, ...]
     power_per_contact: tuple[np.ndarray, ...]
     force: tuple[np.ndarray, ...]

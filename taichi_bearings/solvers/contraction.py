@@ -12,6 +12,10 @@ from taichi_bearings.cholesky import Part
 from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem
 
 
+class Contradiction(Exception):
+    """The contacts to be tied join bottom and top, which turn differently."""
+
+
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
@@ -20,7 +24,10 @@ class Contraction:
     """
 
     def __init__(self, whole: ContactSystem, parts: list[Part], tied: list[np.ndarray]) -> None:
-        """whole : contacts before; parts : elimination tree over their unknowns; tied : (n,) mask a group."""
+        """whole : contacts before; parts : elimination tree over their unknowns; tied : (n,) mask a group.
+
+        Raises Contradiction if the tied contacts cannot all rest.
+        """
         self._label(whole, tied)
         self.kept = [np.flatnonzero(~mask) for mask in tied]
         groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]
@@ -44,7 +51,10 @@ class Contraction:
         graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(whole.unknowns,) * 2)
         count, label = connected_components(graph, directed=False)
         imposed_value = np.full(count, np.nan)
-        imposed_value[label[np.concatenate(imposed)]] = np.concatenate(value)
+        held, held_at = label[np.concatenate(imposed)], np.concatenate(value)
+        imposed_value[held] = held_at
+        if (imposed_value[held] != held_at).any():
+            raise Contradiction
         is_free = np.isnan(imposed_value)
         number = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.unknowns = int(is_free.sum())

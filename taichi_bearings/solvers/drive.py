@@ -260,7 +260,9 @@ class _Best:
             self.progress = new
             return
         pick = better.reshape(1, -1, *(1,) * (new.staggered.ndim - 2))
-        state = slip = resolved = None
+        state = slip = resolved = rest = None
+        if new.rest is not None and old.rest is not None:
+            rest = np.where(pick, new.rest, old.rest)
         if new.state is not None and old.state is not None:
             state = tuple(np.where(pick[0], a, b) for a, b in zip(new.state, old.state, strict=True))
         if new.slip is not None and old.slip is not None:
@@ -272,6 +274,7 @@ class _Best:
             state=state,
             slip=slip,
             resolved=resolved,
+            rest=rest,
             staggered=np.where(pick, new.staggered, old.staggered),
             force=tuple(np.where(pick, a, b) for a, b in zip(new.force, old.force, strict=True)),
             power=np.where(better, new.power, old.power),
@@ -326,6 +329,7 @@ def _collect(
     seconds_compile: float,
     slip_threshold: float | None,
 ) -> Solution:
+    spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
     slip, rounding = final.slip, 0.0
     if slip is None:
         slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
@@ -338,7 +342,8 @@ def _collect(
         method=method,
         status=status,
         iterations=final.iteration,
-        spin=scene.laboratory_spin(final.staggered, final.spin_axes),
+        spin=spin,
+        spin_rounding=spin_rounding,
         slip=slip,
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),

@@ -19,12 +19,13 @@ from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.contact_state import ContactState, all_slipless
+from taichi_bearings.double_double import Pair, multiply, two_sum
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields.workspace import FieldSpec, Workspace
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.central_path import Iterate, balance, newton_step
 from taichi_bearings.solvers.cone import length
-from taichi_bearings.solvers.contact_system import free_shape, jump_of, lattice_system
+from taichi_bearings.solvers.contact_system import free_shape, lattice_system
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 from taichi_bearings.solvers.resolution import Resolved, resolve
 
@@ -38,7 +39,7 @@ TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a s
 
 @dataclass
 class _Sample:
-    """One replica: its iterate, and the mean coefficient in which its friction is measured.
+    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured.
 
     slip, margin : of the last step and of the one before, (n,) a group, relative to the jump and to the friction.
     """
@@ -99,7 +100,9 @@ class InteriorPoint:
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        jump = jump_of(scene)
+        sign, axes = np.sign(scene.spin_top - scene.spin_bottom), list(self.spin_axes)
+        self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])
+        jump = self.top[0]
         self.system = lattice_system(scene.lattice, self.spin_axes, jump)
         self.frustrated = bool((jump != 0).any())
         self.iteration = 0
@@ -120,7 +123,7 @@ class InteriorPoint:
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
         friction = [self.scene.coefficient[g.axis][replica].ravel()[g.acting] for g in self.system.groups]
-        unit = float(np.mean(np.concatenate(friction)))
+        unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate(friction))))))  # dividing by it rounds nothing
         slack = 1.0 / (self.scene.lattice.shape[-1] - 1)
         sample = _Sample(Iterate.start(self.system, spins, [mu / unit for mu in friction], slack), unit)
         sample.remember()
@@ -155,18 +158,19 @@ class InteriorPoint:
         sample.done |= not gap > CLOSEST
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
-            sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts)
+            sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.top)
             sample.done |= sample.resolved is not None
 
     def progress(self) -> Progress:
         scene = self.scene
-        staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
+        shape = (len(self.spin_axes), scene.replicas, *scene.lattice.shape)
+        staggered, rest = np.zeros(shape), np.zeros(shape)
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
-            spins = np.moveaxis(answer.spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
-            staggered[:, replica, ..., 1:-1] = scene.jump * spins
+            for part, spins in zip((staggered, rest), self._spins(sample), strict=True):
+                part[:, replica, ..., 1:-1] = np.moveaxis(spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
             for group, dual, difference, states in zip(
                 self.system.groups, answer.dual, answer.difference, sample.states(), strict=True
             ):
@@ -181,6 +185,7 @@ class InteriorPoint:
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
+            rest=rest,
             spin_axes=self.spin_axes,
             force=force,
             power=scene.power(staggered, self.spin_axes),
@@ -191,9 +196,18 @@ class InteriorPoint:
             state=state if self.frustrated else None,
             slip=slip if self.frustrated else None,
             settled=np.array([sample.resolved is not None for sample in self.samples]),
-            resolved=np.array([sample.resolved is not None and sample.resolved.proven for sample in self.samples]),
+            resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             unsettled=self.frustrated and not all(sample.done for sample in self.samples),
         )
+
+    def _spins(self, sample: _Sample) -> Pair:
+        """Staggered spins (unknowns,) in twice the precision, 1/time."""
+        high, low = sample.iterate.spins, np.zeros(self.system.unknowns)
+        if sample.resolved is not None:
+            high, low = sample.resolved.spins, sample.resolved.rest if sample.resolved.rest is not None else low
+        sign = np.sign(self.scene.spin_top - self.scene.spin_bottom)
+        jump = two_sum(np.array([sign * self.scene.spin_top]), np.array([-sign * self.scene.spin_bottom]))
+        return multiply(jump, (high, low))
 
     def _lower_bound(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
         """Quickly as long as the path is far from its end; the forces are balanced to round-off anyway."""

@@ -5,9 +5,10 @@ margins of 1e-9 can, and double precision ends before. Here
 
 1. contacts that surely stick are tied and the path goes on in the few unknowns that are left, until every contact is
    decided (contracted_path.py);
-2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum;
-3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, their forces
-   prove that the contact states are those of a minimum;
+2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
+   twice the precision (polish.py);
+3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
+   states are those of a minimum; whether that is proven is for the verifier to say;
 4. if they cannot, some were tied wrongly: a contact that slips by 1e-12 cannot be told from one that holds until its
    neighbours are. Then a motion is known that lowers the power. It is followed to the least power on its way, and all
    begins anew from there with the contacts that move in it free, and slips in units of theirs.
@@ -18,13 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.cholesky import NotPositiveDefinite, Part
+from taichi_bearings.double_double import Pair
 from taichi_bearings.solvers.central_path import Iterate, friction_stiffness
 from taichi_bearings.solvers.cone import inner, length
 from taichi_bearings.solvers.contact_system import placed
 from taichi_bearings.solvers.contracted_path import ContractedPath, precise
-from taichi_bearings.solvers.contraction import Contraction
+from taichi_bearings.solvers.contraction import Contraction, Contradiction
 from taichi_bearings.solvers.motion import Motion, largest_parts
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
+from taichi_bearings.solvers.polish import polished
 from taichi_bearings.solvers.slipless_forces import bear
 
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
@@ -44,22 +47,23 @@ TINY = np.finfo(np.float64).tiny
 class Resolved:
     """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, and slipping (n,).
 
-    The differences are more precise than those of the spins, whose rounding can be a part of the smallest slips.
-    proven : by the forces.
+    The differences are more precise than those of the spins, whose rounding can be a part of the smallest slips, unless
+    `rest` (unknowns,), what is to be added to the spins, makes up for it. borne : slipless contacts bear their load.
     """
 
     spins: np.ndarray
     difference: list[np.ndarray]
     dual: list[np.ndarray]
     slipping: list[np.ndarray]
-    proven: bool = False
+    rest: np.ndarray | None = None
+    borne: bool = False
 
 
-def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Resolved | None:
+def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], top: Pair) -> Resolved | None:
     """Spins, forces and contact states at the minimum; None if they cannot be had in double precision.
 
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
-    parts : of its system.
+    parts : of its system. top : (C,), imposed on the top, in twice the precision.
     """
     settled = None
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
@@ -69,9 +73,10 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
                 found = _minimum(iterate, parts, path) if path.decide() else None
                 if found is None:
                     break
+                found = _polished(iterate, parts, found, top)
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
                 if isinstance(borne, list):
-                    settled = replace(found, dual=borne, proven=True)
+                    settled = replace(found, dual=borne, borne=True)
                     break
                 if borne is None:
                     break
@@ -80,11 +85,20 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part]) -> Reso
                 if unit < LOST:
                     break
                 path = _freed(iterate, parts, found, motion, unit)
-        except NotPositiveDefinite:
+        except (NotPositiveDefinite, Contradiction):
             pass
     if settled is None or not -NEAR < _power(iterate, settled.difference) / iterate.power - 1 < SAME:
         return None
     return settled
+
+
+def _polished(iterate: Iterate, parts: list[Part], found: Resolved, top: Pair) -> Resolved:
+    """The same in twice the precision, if that can be had."""
+    precise = polished(iterate, parts, found.spins, found.difference, found.slipping, top)
+    if precise is None:
+        return found
+    (spins, rest), difference, dual = precise
+    return replace(found, spins=spins, rest=rest, difference=difference, dual=dual)
 
 
 def _power(iterate: Iterate, difference: list[np.ndarray]) -> float:

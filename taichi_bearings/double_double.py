@@ -1,0 +1,65 @@
+"""Numbers as sums of two doubles, some 106 bits: pairs (high, low) of arrays, for what float64 would round away.
+
+Dekker, Numer. Math. 18, 1971; Joldes, Muller and Popescu, ACM Trans. Math. Softw. 44, 2017. Equal operands give equal
+results, bit by bit.
+"""
+
+import numpy as np
+
+Pair = tuple[np.ndarray, np.ndarray]
+SPLIT = 2.0**27 + 1
+
+
+def two_sum(a: np.ndarray, b: np.ndarray) -> Pair:
+    """a + b rounded, and exactly what the rounding leaves out."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+def two_product(a: np.ndarray, b: np.ndarray) -> Pair:
+    """a * b rounded, and exactly what the rounding leaves out."""
+    product = a * b
+    (a1, a2), (b1, b2) = _halves(a), _halves(b)
+    return product, ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2
+
+
+def _halves(a: np.ndarray) -> Pair:
+    large = SPLIT * a
+    head = large - (large - a)
+    return head, a - head
+
+
+def add(x: Pair, y: Pair) -> Pair:
+    high, rest = two_sum(x[0], y[0])
+    low, more = two_sum(x[1], y[1])
+    high, rest = two_sum(high, rest + low)
+    return two_sum(high, rest + more)
+
+
+def subtract(x: Pair, y: Pair) -> Pair:
+    return add(x, (-y[0], -y[1]))
+
+
+def multiply(x: Pair, y: Pair) -> Pair:
+    high, rest = two_product(x[0], y[0])
+    return two_sum(high, rest + (x[0] * y[1] + x[1] * y[0]))
+
+
+def divide(x: Pair, y: Pair) -> Pair:
+    first = x[0] / y[0]
+    left = subtract(x, multiply((first, np.zeros_like(first)), y))
+    return two_sum(first, left[0] / y[0])
+
+
+def square_root(x: Pair) -> Pair:
+    """Of positive numbers."""
+    first = np.sqrt(x[0])
+    left = subtract(x, two_product(first, first))
+    return two_sum(first, left[0] / (2 * first))
+
+
+def exactly(values: np.ndarray) -> Pair:
+    """Doubles as pairs."""
+    values = np.asarray(values, dtype=np.float64)
+    return values, np.zeros_like(values)
