@@ -5,6 +5,7 @@ import numpy as np
 from taichi_bearings.cholesky import Cholesky, NotPositiveDefinite, Part
 from taichi_bearings.solvers.contact_system import ContactSystem, stacked
 
+REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 
 
@@ -49,15 +50,14 @@ class NewtonMatrix:
     def balanced(
         self, dual: list[np.ndarray], stiffness: list[np.ndarray], load: np.ndarray | float = 0.0
     ) -> list[np.ndarray]:
-        """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined twice.
+        """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
 
         load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
-        spins = np.zeros(self._system.unknowns)
-        for _ in range(3):
-            spins = spins + self.solve(self._system.torques(self._relaxed(dual, stiffness, spins)) - load)
-        return self._relaxed(dual, stiffness, spins)
+        for _ in range(REFINEMENTS):  # each from the forces of the last: what a stretch rounds falls with the stretch
+            dual = self._relaxed(dual, stiffness, self.solve(self._system.torques(dual) - load))
+        return dual
 
     def _relaxed(self, dual: list[np.ndarray], stiffness: list[np.ndarray], spins: np.ndarray) -> list[np.ndarray]:
         """The dual less the forces of springs stretched by a change of the spins."""

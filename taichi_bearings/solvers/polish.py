@@ -69,7 +69,7 @@ def _balanced(
             return unknown
         best, least = unknown, size
         if not factorised:
-            matrix.factorise([friction_stiffness(mu, z[0]) for mu, z in zip(friction, difference, strict=True)])
+            matrix.factorise([friction_stiffness(mu, z[0], 0.0) for mu, z in zip(friction, difference, strict=True)])
         step = matrix.solve(-torques)
         change = max(
             float((length(g.change(step)) / length(z[0])).max(initial=0.0))

@@ -2,10 +2,12 @@
 
 Let T be the contacts without any slip and S the others. Spheres joined by T are one domain of a component.
 
-1. Over motions that keep every domain in one piece the power is a convex function, smooth near these spins. If its
-   curvature H there is at least tau times a positive diagonal h, and its slope g is small against that, then within
-   |u|^2 = sum h_i u_i^2 <= rho^2, rho > 2 |g| / tau, it has exactly one minimum, and no other anywhere: on the boundary
-   of that ellipsoid it rises. Curvature changes by at most 3 (mu / |z|) (|dz| / |z|) where a slip z changes by dz.
+1. Over motions that keep every domain in one piece the power is a convex function of u, the change from these spins. Let
+   its slope here be g, and its curvature at least tau times a positive diagonal h. A contact with slip z that changes by
+   w, |w| <= |z| / 4, resists: (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, n being the direction of slip and b the part of w
+   across it. So where sum h u^2 = rho^2, rho > |g| / (0.72 tau) in the norm of 1 / h, the power rises outwards, if no slip
+   changes by more than a quarter there: all minima are inside. There directions of slip differ by little, two minima
+   would differ by slips along them, and that the curvature excludes: there is just one.
 2. At that minimum every contact of S still slips and exerts its friction along the slip; this is known closely. What
    the contacts of T bear, as the file says, balances it up to E_D, the sum of the torques left over in a domain D. Each
    domain is in balance as a whole, or held by a driven plane: so forces along the contacts that join it, none larger
@@ -251,15 +253,14 @@ def _largest_turns(contacts: Slipping) -> np.ndarray | None:
         return None
     block = _blocks(contacts)
     slope = np.bincount(block, (_slope(contacts) / root) ** 2) ** 0.5 * UP
-    radius = 2.1 * slope / tau + np.finfo(float).tiny  # rho, block by block
+    radius = 1.5 * slope / tau + np.finfo(float).tiny  # rho, block by block
     reach = np.append(radius[block] / root, 0.0)  # |u_i| at most; the last one for what is driven
     change = sum((reach[contacts.lower[slot]] + reach[contacts.upper[slot]]) ** 2 for slot in range(2)) ** 0.5
     turn = change / contacts.size.least * UP
-    softer = np.zeros(contacts.unknowns + 1)
-    loss = np.where(contacts.two, 6 * turn * (contacts.strength / contacts.size).most, 0.0)
+    loss, given_up = np.where(contacts.two, 8 * turn**2 * (contacts.strength / contacts.size).most, 0.0), np.zeros(len(reach))
     for end, _, _ in contacts.ends:
-        np.add.at(softer, end, loss)
-    return turn if (turn <= TURN).all() and (softer[:-1] * UP <= tau * scale / 2).all() else None
+        np.add.at(given_up, end, loss)
+    return turn if (turn <= TURN).all() and (given_up[:-1] * UP < tau * scale / 2).all() else None
 
 
 def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, np.ndarray]:
@@ -327,7 +328,8 @@ def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
     that elimination in floating point has found. None where a pivot is not positive.
 
     The product of the computed factors L and U differs from the matrix by at most gamma |L| |U| (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen.
+    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen. Up to rounding |L| |U| is
+    |L| D |L|^T, whose norm is bounded.
     """
     factor = _factorised(matrix)
     if factor is None or (factor.perm_r != factor.perm_c).any():
@@ -336,12 +338,22 @@ def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
     pivots = upper.diagonal()
     if not (pivots > 0).all():
         return None
-    ones = np.ones(len(pivots))
-    terms = int(np.diff(lower.indptr).max()) + 2
-    apart = abs(upper - sparse.diags_array(pivots) @ lower.T)
+    terms = np.diff(lower.indptr) + 2
     gamma = terms * EPS / (1 - terms * EPS)
-    rounding = gamma * (abs(upper) @ ones) + apart @ ones + 4 * EPS * (abs(upper) @ ones)
-    return float((abs(lower) @ rounding).max()) * UP
+    # gamma |L| |U|, with the smaller of the gammas of row and column: at most W W^T, entry by entry
+    rounding = sparse.diags_array(np.sqrt(gamma)) @ abs(lower) @ sparse.diags_array(np.sqrt(pivots))
+    apart = abs(upper - sparse.diags_array(pivots) @ lower.T)
+    seen = abs(lower) @ (apart @ np.ones(len(pivots)) + 8 * EPS * (abs(upper) @ np.ones(len(pivots))))
+    return (_largest_eigenvalue(rounding.tocsr()) + float(seen.max())) * UP
+
+
+def _largest_eigenvalue(root: sparse.csr_array) -> float:
+    """Upper bound of the largest eigenvalue of W W^T, W without negative entries (Collatz and Wielandt)."""
+    other, vector = root.T.tocsr(), np.ones(root.shape[0])
+    for _ in range(STEPS):
+        vector = root @ (other @ vector)
+        vector = vector / vector.max() + EPS
+    return float(((root @ (other @ vector)) / vector).max())
 
 
 def _blocks(contacts: Slipping) -> np.ndarray:
