@@ -1,0 +1,364 @@
+"""The minimum near given spins, where nothing but the domains of contacts without slip may move.
+
+The power is a convex function of u, the change of the domains from the given spins. Let g be its slope there, and its
+curvature at least tau times a positive diagonal h, in some variables v with u = basis v. A contact with slip z that
+changes by w, |w| <= |z| / 4, resists: (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, with n the direction of slip and b the
+part of w across it. So where sum h v^2 = rho^2, with rho > |g| / (0.72 tau) in the norm of 1 / h, the power rises
+outwards if no slip changes by more than a quarter on the way there: all minima are inside. There directions of slip
+differ by little. Two minima would differ by slips along these directions alone, which the curvature excludes: there is
+just one.
+"""
+
+from __future__ import annotations
+
+from bisect import insort
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
+from taichi_bearings.verifier.motion import Motion, length
+
+TURN = 0.25  # largest share by which a slip may change
+TRIALS = 4  # each from spins that Newton's method has improved
+STIFF = 1e2  # root of the stiffness of a contact, over that of the softest beside it, from which it is a variable
+TOO_SMALL = 1e-6  # part of a variable in the turn of a contact that cannot stand for it
+LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
+EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
+
+
+@dataclass(frozen=True)
+class Slipping:
+    """The n contacts of one sample that slip. A driven domain, and a component that is not felt, have the unknown -1.
+
+    lower, upper : (2, n), unknown of the domain at either end, component by component. two : (n,), feels both of them.
+    difference : of signed spins, two enclosures (n,). strength : friction that a contact bears.
+    spheres : (2, n), flat numbers of the lower and the upper sphere.
+    """
+
+    unknowns: int
+    lower: np.ndarray
+    upper: np.ndarray
+    two: np.ndarray
+    difference: tuple[Enclosure, Enclosure]
+    strength: Enclosure
+    spheres: np.ndarray
+
+    @classmethod
+    def of(cls, motion: Motion) -> Slipping:
+        samples = motion.samples
+        number, unknowns = [], 0
+        for k in samples.needed:
+            labels, inverse = np.unique(motion.domain[k], return_inverse=True)
+            new = np.where(labels > 1, np.cumsum(labels > 1) - 1 + unknowns, -1)
+            number.append(new[inverse.reshape(motion.domain[k].shape)])
+            unknowns += int((labels > 1).sum())
+        place = np.arange(int(np.prod(samples.shape))).reshape(1, *samples.shape)
+        lower, upper, two, spheres, strengths = [], [], [], [], []
+        parts: list[list[Enclosure]] = [[], []]
+        for axis, still in enumerate(motion.still):
+            slips, felt = ~still, [k in samples.felt(axis) for k in samples.needed]
+            low, high = samples.ends(axis)
+            nowhere, none = np.full(int(slips.sum()), -1), Enclosure.exact(np.zeros(int(slips.sum())))
+            lower.append(np.stack([n[low][slips] if f else nowhere for n, f in zip(number, felt, strict=True)]))
+            upper.append(np.stack([n[high][slips] if f else nowhere for n, f in zip(number, felt, strict=True)]))
+            for found, k, f in zip(parts, samples.needed, felt, strict=True):
+                found.append(motion.difference[axis][k] if f else none)
+            two.append(np.full(int(slips.sum()), all(felt)))
+            spheres.append(np.stack([place[low][slips], place[high][slips]]))
+            strengths.append(samples.strength[axis][slips])
+        return cls(
+            unknowns,
+            np.concatenate(lower, axis=1),
+            np.concatenate(upper, axis=1),
+            np.concatenate(two),
+            (joined(parts[0]), joined(parts[1])),
+            joined(strengths),
+            np.concatenate(spheres, axis=1),
+        )
+
+    @cached_property
+    def size(self) -> Enclosure:
+        """Length of the difference, (n,)."""
+        return length(list(self.difference))
+
+    @cached_property
+    def direction(self) -> tuple[Enclosure, Enclosure]:
+        """Of slip, (n,) each."""
+        return self.difference[0] / self.size, self.difference[1] / self.size
+
+    @cached_property
+    def stiffness(self) -> Enclosure:
+        """Friction over slip, (n,)."""
+        return self.strength / self.size
+
+    def change(self, slot: int) -> sparse.csr_array:
+        """(n, unknowns): how the difference of a component changes with the unknowns."""
+        row, column, sign = [], [], []
+        for end, value in ((self.upper[slot], 1.0), (self.lower[slot], -1.0)):
+            row.append(np.flatnonzero(end >= 0))
+            column.append(end[end >= 0])
+            sign.append(np.full(len(row[-1]), value))
+        entries = (np.concatenate(sign), (np.concatenate(row), np.concatenate(column)))
+        made = sparse.coo_array(entries, shape=(len(self.two), self.unknowns)).tocsr()
+        made.eliminate_zeros()  # both ends in one domain
+        return made
+
+    def moved(self, step: np.ndarray) -> Slipping:
+        """After a change of the unknowns (unknowns,)."""
+        by = np.append(step, 0.0)
+        difference = tuple(
+            part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))
+            for part, upper, lower in zip(self.difference, self.upper, self.lower, strict=True)
+        )
+        return replace(self, difference=(difference[0], difference[1]))
+
+    def slope(self) -> Enclosure:
+        """(unknowns,), g: what the slipping contacts leave over on each domain."""
+        owner, pulls = [], []
+        for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
+            for slot in range(2):
+                pull, free = self.strength * self.direction[slot], end[slot] >= 0
+                owner.append(end[slot][free])
+                pulls.append(pull[free].signed(sign))
+        return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
+
+    def blocks(self) -> np.ndarray:
+        """(unknowns,) number of the block of each unknown: contacts join only unknowns of one block."""
+        ends = np.concatenate([self.lower, self.upper])
+        some = ends.max(axis=0)  # an unknown if there is any
+        pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
+        first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
+        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(self.unknowns,) * 2)
+        return connected_components(graph, directed=False)[1]
+
+
+def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
+    """Contacts near the minimum, and the share (n,) by which the slip of each differs there at most; None if unknown."""
+    if contacts.unknowns == 0:
+        return contacts, np.zeros(len(contacts.two))
+    for _ in range(TRIALS):
+        curvature = Curvature.of(contacts)
+        if curvature is None:
+            return None
+        turn = _turns(contacts, curvature)
+        if turn is not None:
+            return contacts, turn
+        contacts = contacts.moved(curvature.newton_step(contacts.slope().value))
+        if not (contacts.size.least > 0).all():
+            return None
+    return None
+
+
+def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
+    """The same from these contacts as they are."""
+    root, tau, block = np.sqrt(curvature.scale), curvature.tau, contacts.blocks()
+    slope = abs(curvature.basis).T @ contacts.slope().most
+    radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
+    reach = radius[block] / root  # of each variable, at most
+    entries = [_product(contacts.change(slot), curvature.basis) for slot in range(2)]
+    turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
+    # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
+    loss = np.where(contacts.two, (2 * turn) ** 2 * contacts.stiffness.most, 0.0)
+    given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in entries)
+    return turn if (turn <= TURN).all() and (given_up * UP < tau * curvature.scale / 2).all() else None
+
+
+def _product(first: sparse.csr_array, second: sparse.csr_array) -> sparse.csr_array:
+    """|first second|, entry by entry, or a little more."""
+    return (abs(first @ second) + 8 * EPS * (abs(first) @ abs(second))).tocsr()
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """H >= tau h in variables v, u = basis v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
+
+    basis : (unknowns, unknowns). scale : h, (unknowns,). tau : proven. factor : of the scaled matrix, roughly.
+    """
+
+    basis: sparse.csr_array
+    scale: np.ndarray
+    tau: float
+    factor: Any
+
+    @classmethod
+    def of(cls, contacts: Slipping) -> Curvature | None:
+        """None if no curvature can be proven."""
+        conditions, inexact = _conditions(contacts)
+        basis = _basis(conditions)
+        rows = (conditions @ basis).tocsr()
+        scale = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
+        if not (scale > 0).all():
+            return None
+        inverse = sparse.diags_array(1 / np.sqrt(scale))
+        terms = int(np.diff(conditions.indptr).max()) + 4
+        doubt = sparse.diags_array(inexact + terms * EPS) @ (abs(conditions) @ abs(basis)) @ inverse
+        rows = (rows @ inverse).tocsr()
+        matrix = (rows.T @ rows).tocsc()
+        factor = _factorised((matrix + LEAST * sparse.eye_array(len(scale), format="csc")).tocsc())
+        if factor is None:
+            return None
+        tau = _proven(rows, doubt.tocsr(), matrix, _least_eigenvalue(matrix, factor))
+        return None if tau is None else cls(basis, scale, tau, factor)
+
+    def newton_step(self, slope: np.ndarray) -> np.ndarray:
+        """Change (unknowns,) that takes the slope away, roughly."""
+        root = np.sqrt(self.scale)
+        return -(self.basis @ (self.factor.solve((self.basis.T @ slope) / root) / root))
+
+
+def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, np.ndarray]:
+    """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and errors (n,) of
+    the rows, relative to their entries. Slips of one component have no curvature."""
+    across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
+    rows = sparse.csr_array((len(contacts.two), contacts.unknowns))
+    inexact = stiffness.error / stiffness.most + 16 * EPS
+    for slot, part in enumerate(across):
+        size = np.where(contacts.two, part.value * np.sqrt(stiffness.value), 0.0)
+        rows = rows + sparse.diags_array(size) @ contacts.change(slot)
+        inexact = inexact + 2 * part.error / np.where(part.high == 0, 1.0, np.abs(part.high))
+    rows = rows.tocsr()
+    rows.eliminate_zeros()
+    return rows, inexact
+
+
+def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
+    """Variables in which stiff contacts do not hide soft ones, as columns (unknowns, unknowns).
+
+    A contact with a tiny slip ties what it turns to next to nothing; what others resist would be lost beside it in
+    rounding. Row by row, the stiffest first, the turn of such a contact becomes a variable in place of one that it has.
+    """
+    row_of, column_of = conditions.nonzero()
+    height = np.sqrt(np.asarray(conditions.multiply(conditions).sum(axis=1)).ravel())
+    softest = np.full(conditions.shape[1], np.inf)
+    np.minimum.at(softest, column_of, height[row_of])
+    beside = np.full(conditions.shape[0], np.inf)
+    np.minimum.at(beside, row_of, softest[column_of])
+    stiff = np.flatnonzero(height > STIFF * beside)
+    chosen = _Substitutions()
+    for r in stiff[np.argsort(-height[stiff], kind="stable")]:
+        part = slice(conditions.indptr[r], conditions.indptr[r + 1])
+        chosen.replace(dict(zip(conditions.indices[part].tolist(), (conditions.data[part] / height[r]).tolist())))
+    return chosen.basis(conditions.shape[1])
+
+
+class _Substitutions:
+    """Variables expressed by others, one after the other: formulas[i] holds in those that are left after the first i.
+
+    turn : variable -> number of its formula.
+    """
+
+    def __init__(self) -> None:
+        self.turn: dict[int, int] = {}
+        self.formulas: list[tuple[int, dict[int, float]]] = []
+
+    def replace(self, row: dict[int, float]) -> None:
+        """Make the sum of coefficient * variable over a row a variable, in place of that with the largest part in it."""
+        row = self.expressed(row)
+        own = [x for x, part in row.items() if x not in self.turn and abs(part) > TOO_SMALL]
+        if own:
+            pivot = max(own, key=lambda x: abs(row[x]))
+            formula = {x: -part / row[pivot] for x, part in row.items() if x != pivot and part != 0.0}
+            self.turn[pivot] = len(self.formulas)
+            self.formulas.append((pivot, formula | {pivot: 1 / row[pivot]}))
+
+    def expressed(self, row: dict[int, float]) -> dict[int, float]:
+        """A row of coefficients of the first variables in the last ones."""
+        waiting = sorted(self.turn[x] for x in row if x in self.turn)
+        while waiting:
+            now = waiting.pop(0)
+            variable, formula = self.formulas[now]
+            amount = row.pop(variable)
+            for x, part in formula.items():
+                later = self.turn.get(x, -1)
+                if x not in row and later > now:
+                    insort(waiting, later)
+                row[x] = row.get(x, 0.0) + amount * part
+        return row
+
+    def basis(self, size: int) -> sparse.csr_array:
+        """First variables as combinations of the last ones, (size, size)."""
+        rows = [(x, self.expressed({x: 1.0})) for x in self.turn]
+        plain = np.setdiff1d(np.arange(size), list(self.turn)).astype(int)
+        row = np.concatenate([plain, np.array([x for x, parts in rows for _ in parts], dtype=int)])
+        column = np.concatenate([plain, np.array([y for _, parts in rows for y in parts], dtype=int)])
+        value = np.concatenate([np.ones(len(plain)), np.array([a for _, parts in rows for a in parts.values()])])
+        return sparse.csr_array((value, (row, column)), shape=(size, size))
+
+
+def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array, estimate: float) -> float | None:
+    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found."""
+    terms = int(np.diff(rows.tocsc().indptr).max(initial=0)) + 4
+    most = (abs(rows) + doubt).T.tocsr()
+    error = 2 * np.sqrt(_largest_eigenvalue(most) * _largest_eigenvalue(doubt.T.tocsr()))
+    error += (terms + 1) * EPS * _largest_eigenvalue(most) + EPS
+    for share in (0.5, 0.1):
+        tau = share * estimate
+        missed = _distance_from_positive((matrix - tau * sparse.eye_array(matrix.shape[0], format="csc")).tocsc())
+        if missed is not None and tau - (missed + error) * UP > tau / 2:
+            return tau / 2
+    return None
+
+
+def _least_eigenvalue(matrix: sparse.csc_array, factor: Any) -> float:
+    """A rough value of the least eigenvalue, by inverse iteration."""
+    vector = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    for _ in range(STEPS):
+        vector = factor.solve(vector / np.linalg.norm(vector))
+        if not np.isfinite(vector).all():
+            return 0.0
+    vector /= np.linalg.norm(vector)
+    return float(np.linalg.norm(matrix @ vector))
+
+
+def _factorised(matrix: sparse.csc_array) -> Any:
+    try:
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # singular
+        return None
+
+
+def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
+    """Bound, in the spectral norm, of how far a symmetric matrix is from a positive semidefinite one: L D L^T, with the
+    factors that elimination in floating point has found. None where a pivot is not positive.
+
+    The product of the computed factors L and U differs from the matrix by at most gamma |L| |U| (Higham, Accuracy and
+    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by a share of itself that is seen. |L| |U| is,
+    but for that share, W W^T with W = |L| D^(1/2).
+    """
+    factor = _factorised(matrix)
+    if factor is None or (factor.perm_r != factor.perm_c).any():
+        return None
+    lower, upper = factor.L.tocsr(), factor.U.tocsr()
+    pivots = upper.diagonal()
+    if not (pivots > 0).all():
+        return None
+    share = _largest_share(abs(upper - sparse.diags_array(pivots) @ lower.T), upper)
+    if not share < 0.5:
+        return None
+    terms = np.diff(lower.indptr) + 2
+    gamma = (terms * EPS / (1 - terms * EPS) + share) * (1 + 2 * share) + 8 * EPS
+    root = sparse.diags_array(np.sqrt(gamma)) @ abs(lower) @ sparse.diags_array(np.sqrt(pivots))
+    return _largest_eigenvalue(root.tocsr())
+
+
+def _largest_share(part: sparse.csr_array, whole: sparse.csr_array) -> float:
+    """Largest |part| / |whole|, entry by entry; infinite where only the part is there. Entries below 1e-300 are none."""
+    part = part.tocoo()
+    there = part.data > 1e-300
+    sizes = np.abs(np.asarray(whole.tocsr()[part.row[there], part.col[there]])).ravel()
+    return float(np.divide(part.data[there], sizes, out=np.full(len(sizes), np.inf), where=sizes > 0).max(initial=0.0))
+
+
+def _largest_eigenvalue(root: sparse.csr_array) -> float:
+    """Upper bound of the largest eigenvalue of W W^T, W without negative entries (Collatz and Wielandt)."""
+    other, vector = root.T.tocsr(), np.ones(root.shape[0])
+    for _ in range(STEPS):
+        vector = root @ (other @ vector)
+        vector = vector / max(float(vector.max(initial=0.0)), TINY) + EPS
+    return float(((root @ (other @ vector)) / vector).max(initial=0.0)) * UP
