@@ -10,6 +10,7 @@ pytest.importorskip("flint")
 
 from flint import arb, ctx
 
+from tests.scenes import minima, name_of, scene_of
 from tests.truth.extended_precision import DRIVEN, EITHER, SLIPLESS, SLIPPING, exact, least_viscous_power, solve
 
 
@@ -118,6 +119,18 @@ def test_a_perturbation_chooses_between_minima():
         other = solve(coefficient, 50.0, 0.5, 1.0, 0.0, perturbation=(seed, 1e-40))
         slipping = (other.state[2] == SLIPPING).sum(axis=(0, 1))
         assert sorted(slipping.tolist()) == [0, 9]
+
+
+@pytest.mark.parametrize("entry", minima((3, 3, 3)), ids=name_of)
+def test_stored_minima_of_another_solver_are_met(entry):
+    scene = scene_of(entry)
+    coefficient = [values[0] for values in scene.coefficient]
+    truth = solve(coefficient, scene.normal_force, scene.lattice.radius, scene.spin_top, scene.spin_bottom)
+    assert float(truth.power) == pytest.approx(entry["power_minimum"], rel=1e-14)
+    slipping = np.concatenate([slip[state == SLIPPING] for slip, state in zip(truth.slip, truth.state, strict=True)])
+    assert len(slipping) == entry["slipping"]
+    smallest = entry["smallest_slip_over_spin_top"] * scene.lattice.radius * entry["spin_top"]
+    assert slipping.min() == pytest.approx(smallest, rel=1e-9)
 
 
 @pytest.mark.parametrize("driving", [{"direction": (0, 0, 1)}, {"spin_bottom": 1.0}], ids=str)
