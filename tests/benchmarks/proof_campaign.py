@@ -1,0 +1,389 @@
+"""Everything that runs claim to have proven, against the least power in 700 bits, on random small scenes.
+
+    python tests/benchmarks/proof_campaign.py --scenes 1000 --kind all --seed 0 --out outputs/proofs.jsonl
+
+A scene is drawn from its kind, the seed, its number and the methods alone. With --out, results are added to a file of
+JSON lines, and scenes that it has already are not run again. Prints a table and a line for each false proof, with the
+command that repeats it; the exit code is 1 if there is one. False proofs, with their size:
+
+    bound        the lower bound is above the minimum, relative to it
+    certificate  the status is certified, but the power is further from the minimum than the tolerance
+    gap          the power is further above the minimum than the gap says
+    state        contacts of `states_proven` that are wrong at every minimum, or at some
+    perturbed    contacts of `states_proven` that are wrong once coefficients change by random factors 1 + 1e-40 u
+    slip-bound   a minimiser slips faster than `slip_bound`, relative to it
+    unique       `cut_is_unique`, but there are more minimisers
+    crash        an exception that is no InputError
+
+Those of nearly equal driving that are as small as rounding the imposed spins makes the jump wrong have `-imposed` after
+their name, and a column of their own. Beside them, `wrong states` counts contacts of unproven states that are wrong at
+every minimum, and `power below` runs whose power is below the minimum by more than 1e-12.
+"""
+
+# ruff: noqa: E402
+
+import argparse
+import json
+import os
+import shlex
+import sys
+import time
+import traceback
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from flint import arb
+
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene import Status
+from taichi_bearings.studies.run import prepare, solve_job, summarise
+from taichi_bearings.studies.settings import RunSettings
+from tests.truth import extended_precision as truths
+
+KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous")
+METHODS = {  # share of the runs
+    "auto": 0.3,
+    "interior-point": 0.34,
+    "operator-splitting": 0.14,
+    "gradient-descent": 0.12,
+    "planar-cut": 0.08,
+    "rigid-limit": 0.02,
+    "linear-solver": 1.0,
+}
+PLANAR = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 3.0), (0.0, -2.0, 1.0))  # a single component
+SHAPES_3D = (
+    "2,2,3", "2,2,3", "2,3,3", "3,2,4", "3,3,3", "3,3,3", "2,2,5", "2,2,8", "4,3,3", "4,4,3", "5,4,3", "3,3,5",
+    "2,5,4", "4,4,4",
+)  # fmt: skip
+SHAPES_2D = ("2,3", "3,3", "3,4", "4,4", "6,4", "5,5", "2,9", "8,3", "6,6")
+ITERATIONS = 20_000  # limit of every run, and its wall time in seconds
+TIME_LIMIT = 20.0
+PERTURBATION = 1e-40
+PERTURBED = 1e-12  # slip over the largest slip above which a perturbed minimum contradicts "slipless"
+ROUNDING = 1e-14  # by which the gap may be too small
+BELOW = 1e-12
+STRICT = 4e-16  # rounding of the true slips
+
+
+def draw_settings(kind: str, seed: int, number: int, methods: tuple[str, ...]) -> dict:
+    """Settings of one scene, as words of the command line."""
+    rng = np.random.default_rng([seed, KINDS.index(kind), number])
+    planar = rng.random() < 0.2
+    flat = rng.random() < 0.15
+    settings = {"shape": str(rng.choice(SHAPES_2D if flat else SHAPES_3D)), "seed": int(rng.integers(1, 10**6))}
+    settings["distribution"] = _distribution(kind, rng)
+    if kind == "viscous":
+        settings["law"] = "viscous"
+    settings |= _driving(rng, wild=kind == "driving" or rng.random() < 0.1)
+    if not flat:
+        direction = _direction(rng, planar, wild=kind == "direction" or rng.random() < 0.1)
+        if direction is not None:
+            settings["direction"] = ",".join(repr(float(v)) for v in direction)
+    single = flat or (planar and "direction" in settings)
+    usable = [m for m in methods if m in _allowed(kind, single)]
+    if not usable:
+        return {}
+    weights = np.array([METHODS[m] for m in usable])
+    settings["method"] = str(rng.choice(usable, p=weights / weights.sum()))
+    settings["tolerance"] = float(rng.choice([1e-4, 1e-6, 1e-8, 1e-10, 1e-12], p=[0.1, 0.1, 0.6, 0.1, 0.1]))
+    settings["initial"] = str(rng.choice(["linear", "random", "minimum-cut"], p=[0.7, 0.2, 0.1]))
+    if kind == "viscous" or settings["method"] in ("planar-cut", "auto"):
+        settings["initial"] = "linear"
+    if rng.random() < 0.08:
+        settings["replicas"] = 2
+    return settings | {"iterations": ITERATIONS, "time_limit": TIME_LIMIT, "threads": 1}
+
+
+def _allowed(kind: str, single: bool) -> tuple[str, ...]:
+    if kind == "viscous":
+        return ("auto", "linear-solver", "gradient-descent")
+    rest = ("auto", "interior-point", "operator-splitting", "gradient-descent", "rigid-limit")
+    return (*rest, "planar-cut") if single else rest
+
+
+def _distribution(kind: str, rng: np.random.Generator) -> str:
+    def number(value: float) -> str:
+        return repr(float(value))
+
+    if kind == "ties":
+        low, ratio = rng.choice([1.0, 0.3, 0.1]), rng.choice([2, 2, 2, 1.5, 3, 4, 10, 1e2, 1e3, 1e6, 1e9, 1e12])
+        fraction = rng.choice([0.5, 0.5, 0.1, 0.3, 0.8, 0.9])
+        pick = rng.random()
+        if pick < 0.25:
+            return f"constant:{number(low)}"
+        return f"bimodal:1.0,2.0,{number(fraction)}" if pick < 0.5 else _bimodal(low, ratio, fraction)
+    if kind == "contrast":
+        decades = rng.uniform(4, 18)
+        pick = rng.random()
+        if pick < 0.5:
+            exponent = rng.choice([-1.0, -1.0, -0.5, -2.0, 0.0])
+            return f"power-law:{number(10 ** (-decades / 2))},{number(10 ** (decades / 2))},{number(exponent)}"
+        if pick < 0.75:
+            return f"lognormal:1.0,{number(min(decades, 14) * 2.302585 / 5)}"
+        return _bimodal(10 ** (-decades / 2), 10**decades, rng.choice([0.5, 0.2, 0.8]))
+    pick = rng.random()
+    if pick < 0.5:
+        return "uniform:0.1,1.0"
+    if pick < 0.75:
+        return f"lognormal:0.5,{number(rng.choice([0.3, 1.0, 2.0]))}"
+    return f"power-law:{number(10 ** -rng.uniform(0.5, 3))},1.0,{number(rng.choice([-1.0, -1.5, 0.5]))}"
+
+
+def _bimodal(low: float, ratio: float, fraction: float) -> str:
+    return f"bimodal:{float(low)!r},{float(low * ratio)!r},{float(fraction)!r}"
+
+
+def _driving(rng: np.random.Generator, wild: bool) -> dict:
+    if not wild:
+        return {} if rng.random() < 0.7 else {"spin_bottom": float(rng.choice([0.1, -0.4, -1.0, 0.5]))}
+    pick, top = rng.random(), 1.0
+    if pick < 0.45:
+        bottom = 1 - 10 ** -rng.uniform(2, 15)
+    elif pick < 0.6:
+        bottom = float(rng.choice([0.999999999999, 1 - 1e-6, 1 + 1e-9]))
+    elif pick < 0.75:
+        bottom = -rng.uniform(0, 3)
+    else:
+        top = float(rng.choice([-1.0, 1.0])) * 10 ** rng.uniform(-14, 14)
+        bottom = float(rng.choice([0.0, 0.1, -1.0, 0.9999999])) * top
+    found = {"spin_top": top, "spin_bottom": float(bottom)}
+    if rng.random() < 0.4:
+        found["normal_force"] = float(10 ** rng.uniform(-14, 14))
+    if rng.random() < 0.3:
+        found["radius"] = float(10 ** rng.uniform(-6, 6))
+    return found
+
+
+def _direction(rng: np.random.Generator, planar: bool, wild: bool) -> tuple[float, ...] | None:
+    if planar:
+        return PLANAR[rng.integers(len(PLANAR))]
+    if not wild:
+        return None
+    small = float(10 ** -rng.uniform(2, 10))
+    choices = [
+        (1.0, small, 0.0), (small, 1.0, 0.0), (1.0, small, 0.0), (1.0, -small, 1.0), (small, small**2, 1.0),
+        (1.0, 1e-8, 0.0), (1.0, 1.0, 1.0), (2.0, -1.0, 0.5), (1.0, 1 + small, 0.0), (0.3, 0.7, 0.0),
+    ]  # fmt: skip
+    return choices[rng.integers(len(choices))]
+
+
+def command(settings: dict) -> str:
+    words = ["bearings", "run"]
+    for key, value in settings.items():
+        words += ["--" + key.replace("_", "-"), repr(value) if isinstance(value, float) else str(value)]
+    return shlex.join(words)
+
+
+@dataclass
+class Verdict:
+    """What one run claims and what of it is false: (name, size, note) each."""
+
+    imposed: float = 0.0  # relative error of the jump if imposed spins are rounded, where that is much
+    false: list = field(default_factory=list)
+    wrong_states: int = 0
+    power_below: float = 0.0
+    freedom: int = 0
+    true_gap: float = 0.0
+    unknown: int = 0
+
+    def blame(self, name: str, size: float, note: str = "") -> None:
+        if name in ("bound", "certificate", "gap", "slip-bound") and abs(size) <= self.imposed:
+            name += "-imposed"
+        self.false.append([name, float(size), note])
+
+
+def judge(solution, summary: dict, replica: int, settings: RunSettings, perturbations: int) -> Verdict:
+    """The claims about one replica."""
+    scene, verdict = solution.scene, Verdict(_imposed(settings))
+    coefficient = [values[replica] for values in scene.coefficient]
+    driving = (settings.radius, settings.spin_top, settings.spin_bottom, settings.direction)
+    if scene.law == "viscous":
+        truth, minimum = None, truths.least_viscous_power(coefficient, *driving)
+    else:
+        truth = truths.solve(coefficient, settings.normal_force, *driving)
+        minimum = truth.power
+    status = summary["status"][replica] if scene.replicas > 1 else summary["status"]
+    _judge_power(verdict, solution, replica, minimum, status == Status.CERTIFIED.value, settings.tolerance)
+    if truth is not None:
+        _judge_states(verdict, solution, replica, truth)
+        if solution.resolved[replica]:
+            for number in range(perturbations):
+                arguments = (coefficient, settings.normal_force, *driving)
+                other = truths.solve(*arguments, perturbation=(number, PERTURBATION))
+                _judge_perturbed(verdict, solution, replica, other)
+    return verdict
+
+
+def _imposed(settings: RunSettings) -> float:
+    jump = abs(settings.spin_top - settings.spin_bottom)
+    ratio = max(abs(settings.spin_top), abs(settings.spin_bottom)) / jump if jump else 0.0
+    return 4 * np.finfo(np.float64).eps * ratio if ratio > 1e2 else 0.0
+
+
+def _judge_power(verdict: Verdict, solution, replica: int, minimum: arb, certified: bool, tolerance: float) -> None:
+    power, bound = (truths.exact(float(v[replica])) for v in (solution.power, solution.lower_bound))
+    if bound > minimum:
+        verdict.blame("bound", float(((bound - minimum) / minimum).mid()) if minimum > 0 else float(bound))
+    if power == 0 or minimum == 0:
+        return
+    above = verdict.true_gap = float(((power - minimum) / power).mid())
+    verdict.power_below = max(-above, 0.0)
+    if certified and abs(above) > tolerance + ROUNDING:
+        verdict.blame("certificate", above, f"tolerance {tolerance:g}")
+    if above > solution.gap[replica] + ROUNDING:
+        verdict.blame("gap", above, f"gap {solution.gap[replica]:.2g}")
+
+
+def _judge_states(verdict: Verdict, solution, replica: int, truth: truths.Truth) -> None:
+    verdict.freedom, opposite, either, excess = truth.freedom, [], 0, [0.0]
+    for axis, (given, true) in enumerate(zip(solution.state, truth.state, strict=True)):
+        claim = given[replica]
+        slipless, slipping = claim == ContactState.SLIPLESS, claim == ContactState.SLIPPING
+        wrong = (slipless & (true == truths.SLIPPING)) | (slipping & (true == truths.SLIPLESS))
+        opposite += [(axis, *map(int, index)) for index in np.argwhere(wrong)]
+        either += int(((slipless | slipping) & (true == truths.EITHER)).sum())
+        verdict.unknown += int((true == truths.UNKNOWN).sum())
+        slip, bound = truth.slip[axis], solution.slip_bound[axis][replica]
+        faster = slip > bound * (1 + STRICT)
+        excess += (slip[faster] / np.maximum(bound[faster], 1e-300) - 1).tolist()
+    if len(excess) > 1:
+        verdict.blame("slip-bound", max(excess), f"{len(excess) - 1} contacts")
+    if solution.resolved[replica]:
+        if opposite:
+            notes = [
+                f"{'xyz'[a]}{tuple(i)} claimed to slip by {solution.slip[a][(replica, *i)]:.1e} and slips by "
+                f"{truth.slip[a][tuple(i)]:.1e}"
+                for a, *i in opposite
+            ]
+            verdict.blame("state", len(opposite), "wrong at every minimum: " + "; ".join(notes[:3]))
+        if either:
+            verdict.blame("state", either, "wrong at some minimum")
+    else:
+        verdict.wrong_states = len(opposite)
+    unique = solution.findings.get("cut_is_unique")
+    if unique is not None and unique[replica] and truth.freedom:
+        verdict.blame("unique", truth.freedom)
+
+
+def _judge_perturbed(verdict: Verdict, solution, replica: int, truth: truths.Truth) -> None:
+    largest, wrong = max(s.max(initial=0.0) for s in truth.slip), 0
+    for given, true, slip in zip(solution.state, truth.state, truth.slip, strict=True):
+        claim = given[replica]
+        moves = (true == truths.SLIPPING) & (slip > PERTURBED * largest)
+        wrong += int(((claim == ContactState.SLIPLESS) & moves).sum())
+        wrong += int(((claim == ContactState.SLIPPING) & (true == truths.SLIPLESS)).sum())
+    if wrong:
+        verdict.blame("perturbed", wrong)
+
+
+def run_scene(words: dict, perturbations: int) -> dict:
+    """One line of results."""
+    began = time.perf_counter()
+    try:
+        settings = RunSettings(**words)
+        job = prepare(settings)
+    except InputError as refused:
+        return {"refused": str(refused)}
+    try:
+        solution = solve_job(job)
+        summary = summarise(solution, settings.tolerance)
+    except Exception as error:
+        traceback.print_exc()
+        return {"false": [["crash", 1.0, f"{type(error).__name__}: {error}"]], "method": words["method"]}
+    solved = time.perf_counter()
+    verdicts = [judge(solution, summary, r, settings, perturbations) for r in range(settings.replicas)]
+    return {
+        "method": solution.method,
+        "status": summary["status"],
+        "power": summary["power"],
+        "lower_bound": summary["lower_bound"],
+        "gap": summary["gap"],
+        "proven": [bool(v) for v in solution.resolved],
+        "freedom": [v.freedom for v in verdicts],
+        "true_gap": [v.true_gap for v in verdicts],
+        "power_below": max(v.power_below for v in verdicts),
+        "wrong_states": sum(v.wrong_states for v in verdicts),
+        "unknown": sum(v.unknown for v in verdicts),
+        "false": [blame for v in verdicts for blame in v.false],
+        "seconds": solved - began,
+        "seconds_truth": time.perf_counter() - solved,
+    }
+
+
+def print_table(lines: list[dict]) -> None:
+    groups = defaultdict(list)
+    for line in lines:
+        if "refused" not in line:
+            groups[line["kind"], line["method"]].append(line)
+    columns = ("bound", "certificate", "gap", "state", "perturbed", "slip-bound", "unique", "crash", "imposed")
+    print("\n| kind | method | runs | certified | proven | " + " | ".join(columns), end="")
+    print(" | wrong states | power below | s | s truth |")
+    print("|" + "---|" * (9 + len(columns)))
+    for (kind, method), found in sorted(groups.items()):
+        row = [kind, method, len(found), sum("certified" in np.ravel(f.get("status", "")) for f in found)]
+        row.append(sum(any(f.get("proven", [])) for f in found))
+        row += [
+            sum(
+                any(name in (b[0], b[0].rpartition("-")[2] if b[0].endswith("imposed") else "") for b in f["false"])
+                for f in found
+            )
+            for name in columns
+        ]
+        row.append(sum(f.get("wrong_states", 0) for f in found))
+        row.append(sum(f.get("power_below", 0.0) > BELOW for f in found))
+        row += [f"{np.mean([f.get(k, 0.0) for f in found]):.2f}" for k in ("seconds", "seconds_truth")]
+        print("| " + " | ".join(map(str, row)) + " |")
+    refused = sum("refused" in line for line in lines)
+    print(f"\n{len(lines)} scenes, {refused} refused, {sum(line.get('unknown', 0) for line in lines)} contacts unknown")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=100, help="of each kind")
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
+    parser.add_argument("--kind", default="all", choices=("all", *KINDS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--methods", default=",".join(METHODS), help="to draw from, by commas")
+    parser.add_argument("--perturb", type=int, default=1, help="perturbed minima to compare proven states with")
+    parser.add_argument("--out", type=Path, help="file of JSON lines to add to and to go on from")
+    options = parser.parse_args()
+    kinds = KINDS if options.kind == "all" else (options.kind,)
+    methods = tuple(options.methods.split(","))
+    done = {}
+    if options.out and options.out.exists():
+        texts = options.out.read_text(encoding="utf-8").splitlines()
+        done = {line["key"]: line for line in map(json.loads, texts)}
+    lines = []
+    for number in range(options.first, options.first + options.scenes):
+        for kind in kinds:
+            key = f"{kind}/{options.seed}/{number}/{options.methods}"
+            if key not in done:
+                words = draw_settings(kind, options.seed, number, methods)
+                if not words:
+                    continue
+                line = {"key": key, "kind": kind, "command": command(words)} | run_scene(words, options.perturb)
+                for name, size, note in line.get("false", []):
+                    print(f"{kind}: {name} {size:.3g} {note}: {line['command']}", flush=True)
+                if options.out:
+                    with options.out.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(line) + "\n")
+                done[key] = line
+            lines.append(done[key])
+    print_table(lines)
+    false = [line for line in lines if line.get("false")]
+    print(f"{len(false)} runs with a false proof")
+    for line in false:
+        what = ", ".join(f"{name} {size:.2g}" + (f" ({note})" if note else "") for name, size, note in line["false"])
+        print(f"{line['kind']} | {what} | {line['command']}")
+    return 1 if false else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
