@@ -197,7 +197,7 @@ class Curvature:
             return None
         inverse = sparse.diags_array(1 / np.sqrt(scale))
         terms = int(np.diff(conditions.indptr).max()) + 4
-        doubt = sparse.diags_array(inexact + terms * EPS) @ (abs(conditions) @ abs(basis)) @ inverse
+        doubt = (inexact + terms * EPS * abs(conditions)) @ abs(basis) @ inverse
         rows = (rows @ inverse).tocsr()
         matrix = (rows.T @ rows).tocsc()
         factor = _factorised((matrix + LEAST * sparse.eye_array(len(scale), format="csc")).tocsc())
@@ -212,19 +212,20 @@ class Curvature:
         return -(self.basis @ (self.factor.solve((self.basis.T @ slope) / root) / root))
 
 
-def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, np.ndarray]:
-    """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and errors (n,) of
-    the rows, relative to their entries. Slips of one component have no curvature."""
+def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and how far they
+    may be off, entry by entry. Slips of one component have no curvature."""
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
-    rows = sparse.csr_array((len(contacts.two), contacts.unknowns))
+    root = np.where(contacts.two, np.sqrt(stiffness.value), 0.0)
     inexact = stiffness.error / stiffness.most + 16 * EPS
+    rows = doubt = sparse.csr_array((len(contacts.two), contacts.unknowns))
     for slot, part in enumerate(across):
-        size = np.where(contacts.two, part.value * np.sqrt(stiffness.value), 0.0)
-        rows = rows + sparse.diags_array(size) @ contacts.change(slot)
-        inexact = inexact + 2 * part.error / np.where(part.high == 0, 1.0, np.abs(part.high))
+        change = contacts.change(slot)
+        rows = rows + sparse.diags_array(root * part.value) @ change
+        doubt = doubt + sparse.diags_array(root * (part.error + inexact * part.most)) @ abs(change)
     rows = rows.tocsr()
     rows.eliminate_zeros()
-    return rows, inexact
+    return rows, doubt.tocsr()
 
 
 def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
@@ -328,8 +329,8 @@ def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
     factors that elimination in floating point has found. None where a pivot is not positive.
 
     The product of the computed factors L and U differs from the matrix by at most gamma |L| |U| (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by a share of itself that is seen. |L| |U| is,
-    but for that share, W W^T with W = |L| D^(1/2).
+    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen. With W = |L| D^(1/2), |L| |U|
+    is W W^T but for that.
     """
     factor = _factorised(matrix)
     if factor is None or (factor.perm_r != factor.perm_c).any():
@@ -338,21 +339,13 @@ def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
     pivots = upper.diagonal()
     if not (pivots > 0).all():
         return None
-    share = _largest_share(abs(upper - sparse.diags_array(pivots) @ lower.T), upper)
-    if not share < 0.5:
-        return None
+    apart = abs(upper - sparse.diags_array(pivots) @ lower.T)
     terms = np.diff(lower.indptr) + 2
-    gamma = (terms * EPS / (1 - terms * EPS) + share) * (1 + 2 * share) + 8 * EPS
-    root = sparse.diags_array(np.sqrt(gamma)) @ abs(lower) @ sparse.diags_array(np.sqrt(pivots))
-    return _largest_eigenvalue(root.tocsr())
-
-
-def _largest_share(part: sparse.csr_array, whole: sparse.csr_array) -> float:
-    """Largest |part| / |whole|, entry by entry; infinite where only the part is there. Entries below 1e-300 are none."""
-    part = part.tocoo()
-    there = part.data > 1e-300
-    sizes = np.abs(np.asarray(whole.tocsr()[part.row[there], part.col[there]])).ravel()
-    return float(np.divide(part.data[there], sizes, out=np.full(len(sizes), np.inf), where=sizes > 0).max(initial=0.0))
+    gamma = terms * EPS / (1 - terms * EPS) + 8 * EPS
+    own = abs(lower) @ sparse.diags_array(np.sqrt(pivots))
+    seen = (sparse.diags_array(1 / np.sqrt(pivots)) @ apart).tocsr()
+    rounding = _largest_eigenvalue((sparse.diags_array(np.sqrt(gamma)) @ own).tocsr())
+    return rounding + 2 * np.sqrt(_largest_eigenvalue(own.tocsr()) * _largest_eigenvalue(seen)) * UP
 
 
 def _largest_eigenvalue(root: sparse.csr_array) -> float:
