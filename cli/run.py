@@ -94,6 +94,7 @@ def describe(summary: dict[str, Any]) -> str:
         )
     if len(seeds) == 1:
         lines += [f"  {line}" for line in _separation(summary)]
+    lines += [f"  {line}" for line in _step_error(summary)]
     if "power_normalised" in summary and len(seeds) == 1:
         lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")
     lines.append(
@@ -116,6 +117,18 @@ def _separation(summary: dict[str, Any]) -> list[str]:
     if summary["separation_decades"] < 1:
         return [f"warning: no clear gap between the two kinds of contacts: {words}"]
     return [f"{words}: {summary['separation_decades']:.1f} decades apart"]
+
+
+def _step_error(summary: dict[str, Any]) -> list[str]:
+    """A warning where the time step is too long to follow the course."""
+    from taichi_bearings.solvers.step_error import ACCURATE
+
+    error, advised = (summary.get(key) for key in ("step_error", "accurate_time_step"))
+    error, advised = (v[0] if isinstance(v, list) else v for v in (error, advised))
+    if error is None or error <= ACCURATE:
+        return []
+    words = f"warning: the time step makes spins wrong by about {error:.1e} of the largest one on their way"
+    return [f"{words}; --time-step {advised:.2g} keeps that below {ACCURATE:g}" if advised is not None else words]
 
 
 def _number(value: float | None, form: str) -> str:

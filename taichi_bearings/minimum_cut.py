@@ -3,7 +3,7 @@
 If every sphere turns either with the bottom or with the top, the contacts between the two sides slip with the imposed
 jump d without its component along the contact n, all others not at all. The power of such a state is the weight of a
 cut, and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
-contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar.py cuts exactly. Any
+contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar/ cuts exactly. Any
 other cubic lattice takes a largest flow, by OR-tools where it is installed, else by SciPy.
 
 Weights are rounded down to multiples of a unit, 2^-51 to 2^-52 of the lightest level cut, so a flow is a number of
@@ -23,8 +23,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from taichi_bearings.planar import TIE, minimum_cuts
+from taichi_bearings.planar import minimum_cuts
 
+TIE = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
 BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
 
 
@@ -34,7 +35,7 @@ class MinimumCut:
 
     above : (R, *N), True on the top side; the contacts whose ends differ are the cut, the lowest one where some tie.
     between : (R, *N), True for the spheres that are not proven to lie on the same side of all cuts as light as this
-        one, to 1e-12 of its weight and the rounding of the weights: what lies between cuts that tie.
+        one: what lies between cuts that tie. Planar grids: exactly; else to 1e-12 of the weight and its rounding.
     weight : (R,), of this cut. lower_bound : (R,), no cut is lighter; proven, and good to about 1e-15 a contact.
     next_weight : (R,), of the lightest other cut that leaves either side in one piece, good to the same; NaN where it
         takes more than this cut to know (see :func:`next_cut`).
@@ -48,7 +49,7 @@ class MinimumCut:
 
     @property
     def unique(self) -> np.ndarray:
-        """True where every other cut is proven to be heavier by more than 1e-12, (R,)."""
+        """True where every other cut is proven to be heavier, if not planar by more than 1e-12, (R,)."""
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
@@ -134,7 +135,8 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
     for part, cuts in minimum_cuts(*grids):
         above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
         for grid in np.flatnonzero(~cuts.unique):
-            between[part][grid] = _between((cuts.sideways_shared[grid], cuts.upward_shared[grid]))
+            cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
+            between[part][grid] = _between((cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]))
     stack = (replicas, planes, columns, gaps + 1)
     bound, further = (values.reshape(replicas, planes) for values in (bound, further))
     weight = bound.sum(axis=1)

@@ -20,8 +20,8 @@ from taichi_bearings.scene.initial_spins import cut_power_unit, cut_weights
 class Interface:
     """The minimum cut of one sample.
 
-    above : N, True for the spheres that turn with the top. between : N, True for those that another cut, as light to
-        1e-12, may put on the other side.
+    above : N, True for the spheres that turn with the top. between : N, True for those that another cut, as light (in
+        3D: to 1e-12), may put on the other side.
     contacts : True for those that slip, one array a lattice axis, of the shape of its contacts.
     power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less; proven.
     next_power : of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is known
@@ -37,7 +37,7 @@ class Interface:
 
     @property
     def unique(self) -> bool:
-        """True if every other interface is proven to dissipate more by over 1e-12."""
+        """True if every other interface is proven to dissipate more, in 3D by over 1e-12."""
         return not self.between.any()
 
     @property

@@ -34,6 +34,7 @@ from taichi_bearings.solvers.gear import (
     largest_stable_step,
     largest_weighted_eigenvalue,
 )
+from taichi_bearings.solvers.step_error import Modes, StepError, laplacian_spectrum
 
 DEFAULT_STEP = 0.8  # of the stability bound
 BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
@@ -127,6 +128,8 @@ class CundallStrack:
         self.inertia = options.inertia or default_inertia(scene, options.mass)
         self.stability_bound = stability_bound(scene, self.spin_axes, options)
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
+        modes = sticking_modes(scene, self.spin_axes, options, float(np.abs(spin).max()), self.stability_bound)
+        self.step_error = StepError(modes, options.gear_order, self.time_step)
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         fields.clear("force")
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
@@ -287,6 +290,10 @@ class CundallStrack:
             energy=self._energy(staggered, force, springs) if self.options.keep_energy else None,
             slipping=saturation.slipping,
             at_rest=self.rest.at_rest,
+            findings={
+                "step_error": np.full(scene.replicas, self.step_error.within(self.iteration)),
+                "accurate_time_step": np.full(scene.replicas, self.step_error.accurate_step(self.iteration)),
+            },
         )
 
     def _contact_power(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> np.ndarray:
@@ -341,6 +348,27 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
         return largest_stable_step(options.gear_order, over * largest_weighted_eigenvalue(scene, spin_axes), 0.0)
     stiffest = over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
     return largest_stable_step(options.gear_order, options.damping * stiffest, options.stiffness * stiffest)
+
+
+def sticking_modes(
+    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrackOptions, largest_spin: float, stable: float
+) -> Modes:
+    """The modes that tell the error of a time step.
+
+    largest_spin : at the start, 1/time; the driven ones count too. stable : largest stable time step.
+    """
+    radius = scene.lattice.radius
+    over = radius**2 / (options.inertia or default_inertia(scene, options.mass))
+    spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
+    if scene.law == "viscous":  # all as much stiffer than with even contacts as the stiffest one, known by its bound
+        stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
+        decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
+        return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
+    strongest = max(float(values.max(initial=0.0)) for values in scene.acting_coefficient)
+    holds = scene.normal_force * strongest * options.static_ratio
+    fastest = max(largest_spin, abs(scene.spin_top), abs(scene.spin_bottom), np.finfo(float).tiny)
+    decay, oscillation = options.damping * spectrum, options.stiffness * spectrum
+    return Modes(decay, oscillation, options.damping, options.stiffness, holds / radius / fastest)
 
 
 def choose_time_step(bound: float, wanted: float | None) -> float:

@@ -4,7 +4,8 @@ A component k is coupled only by the contacts that are not along k, so that a sq
 of a cubic one, is a grid of its own. With one component the power is a sum of weighted |differences|, and some
 minimiser takes no other values than the two driven ones (PHYSICS 3.5): all slip happens at the interface between the
 spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
-proves it and is the friction (planar.py).
+proves it and is the friction (planar/cuts.py). Every minimum is a mixture of lightest cuts, grid by grid: a contact
+slips at all minima if it is in all of these cuts, and at some if it is in some.
 """
 
 import numpy as np
@@ -42,7 +43,7 @@ class PlanarCut:
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.state = scene.no_force(self.spin_axes), all_slipless(scene)
         planes = 1 if scene.lattice.dimension == 2 else scene.lattice.shape[self.component]
-        self.unique = np.ones((scene.replicas, planes), dtype=bool)
+        self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
         self.iteration = 0
 
@@ -67,24 +68,22 @@ class PlanarCut:
             where = replica[part], plane[part]
             self._by_plane(self.staggered[0])[where] = np.where(cuts.above, self.top, self.bottom)
             self._store(
-                sideways, where, cuts.above[:, 1:] != cuts.above[:, :-1], cuts.sideways_flow, cuts.sideways_shared
+                sideways, where, cuts.above[:, 1:] != cuts.above[:, :-1], cuts.sideways_flow, cuts.sideways_tied
             )
-            self._store(
-                height, where, cuts.above[..., 1:] != cuts.above[..., :-1], cuts.upward_flow, cuts.upward_shared
-            )
+            self._store(height, where, cuts.above[..., 1:] != cuts.above[..., :-1], cuts.upward_flow, cuts.upward_tied)
             self._note(where, cuts)
 
     def _store(
-        self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, shared: np.ndarray
+        self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
     ) -> None:
-        """Friction and states of the contacts along `axis`; the choice between cuts of equal weight is undecided."""
+        """Friction and states of the contacts along `axis`; those that slip at some minima only are undecided."""
         friction = flow * (np.sign(self.top - self.bottom) * self.scene.normal_force)
         self._by_plane(self.force[axis][0])[where] = friction
         states = self._by_plane(self.state[axis])
-        states[where] = np.where(cut, ContactState.SLIPPING, np.where(shared, ContactState.UNDECIDED, states[where]))
+        states[where] = np.where(tied, ContactState.UNDECIDED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def _note(self, where: tuple[np.ndarray, np.ndarray], cuts: MinimumCuts) -> None:
-        self.unique[where] = cuts.unique
+        self.tied[where] = cuts.tied
         self.next_over_minimum[where] = cuts.next_weight / cuts.weight
 
     def _by_plane(self, values: np.ndarray) -> np.ndarray:
@@ -95,8 +94,13 @@ class PlanarCut:
 
     def progress(self) -> Progress:
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
-        unique = np.asarray(self.unique.all(axis=1))
-        findings = {"cut_is_unique": unique, "next_cut_over_minimum": self.next_over_minimum.min(axis=1)}
+        tied = self.tied.sum(axis=1)
+        unique = tied == 0
+        findings = {
+            "cut_is_unique": unique,
+            "next_cut_over_minimum": self.next_over_minimum.min(axis=1),
+            "tied_contacts": tied,
+        }
         fastest = max(abs(scene.spin_top), abs(scene.spin_bottom))
         return Progress(
             iteration=self.iteration,

@@ -1,7 +1,7 @@
 """Figure 1 of the paper: stationary states of 10x10 discs with the bottom at rest, viscous and Coulomb.
 
 The least power of the Coulomb law is computed in three ways that share no code: the shortest path of the dual graph
-with the friction forces that it implies (planar.py), the largest flow of a general graph (minimum_cut.py), and the
+with the friction forces that it implies (planar/), the largest flow of a general graph (minimum_cut.py), and the
 interior-point method, which settles each contact by forces of its own. The paper counts states that a descent has
 reached in finitely many steps, so a descent is followed too.
 

@@ -319,13 +319,20 @@ def resume(
         if key in RunSettings.keys() and key not in CHANGEABLE:
             raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
     stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
-    reached = float((checkpoint.arrays or {}).get("last_time", 0.0))
-    if stored.duration is not None and stored.duration < reached * (1 - 1e-9):
-        raise InputError(
-            f"duration is {stored.duration:g}, but {path} has already reached {reached:g}; it must be longer"
-        )
+    if "duration" in changes and stored.duration is not None:
+        _refuse_past(path, stored.duration, checkpoint.arrays or {})
     job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
     return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
+
+
+def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) -> None:
+    """InputError if a run of this duration would have ended before what its checkpoint has reached.
+
+    Steps of fixed length, which the checkpoint then names, end a run by less than one of them late.
+    """
+    reached = float(arrays.get("last_time", 0.0))
+    if reached - duration >= max(float(arrays.get("time_step", 0.0)), 1e-9 * reached, np.finfo(float).tiny):
+        raise InputError(f"duration is {duration:g}, but {path} has already reached {reached:g}; it must be longer")
 
 
 def _solve_with_checkpoints(

@@ -79,6 +79,26 @@ def test_a_finished_run_can_go_on_for_longer(tmp_path):
     np.testing.assert_array_equal(arrays_of(tmp_path / "a")["spin"], arrays_of(tmp_path / "b")["spin"])
 
 
+def test_steps_that_end_a_run_late_leave_it_resumable_as_it_is(tmp_path):
+    """A duration that is no multiple of the step is over at the step after it; it is reached, not passed."""
+    run = tmp_path / "run"
+    words = (*SCENE, "--duration", "0.50001", "--record", "linear:0,0.5,6", "--checkpoint-every", "100")
+    assert bearings("run", *words, "--out", run).returncode == 0
+    once = arrays_of(run)
+    late = once["history/time"][-1] - 0.50001
+    assert 0 < late < 1e-4
+    for changes in (("--tolerance", "1e-3"), ("--duration", "0.50001")):
+        done = bearings("run", "--resume", run, *changes)
+        assert done.returncode == 0, done.stderr
+        again = arrays_of(run)
+        assert set(again) == set(once)
+        for name in once:
+            np.testing.assert_array_equal(again[name], once[name], err_msg=name)
+    refused = bearings("run", "--resume", run, "--duration", repr(0.50001 - 1e-4))
+    assert refused.returncode == 2
+    assert "already reached 0.500" in refused.stderr
+
+
 def test_the_analysis_of_the_answer_before_goes_and_nothing_else(tmp_path):
     stopped = (*SCENE, "--duration", "1", "--checkpoint-every", "100", "--out", tmp_path / "run")
     assert bearings("run", *stopped).returncode == 0

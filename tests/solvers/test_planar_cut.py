@@ -7,7 +7,7 @@ from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import InputError
-from taichi_bearings.scene import Status
+from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.planar_cut import PlanarCut
@@ -106,9 +106,44 @@ def test_without_disorder_other_cuts_are_undecided():
     assert not solution.resolved[0]
     assert not solution.findings["cut_is_unique"][0]
     assert solution.findings["next_cut_over_minimum"][0] == 1
-    assert np.sum(solution.state[1] == ContactState.SLIPPING) == 5
-    assert np.sum(solution.state[1] == ContactState.UNDECIDED) == 5 * 5
+    assert solution.findings["tied_contacts"][0] == 5 * 6
+    assert (solution.state[1] == ContactState.UNDECIDED).all()
     assert not np.isin(solution.state[0], [ContactState.SLIPPING, ContactState.UNDECIDED]).any()
+
+
+def test_what_slips_at_every_minimum_is_told_from_what_slips_at_some():
+    """Two cuts of weight 4: straight on at the third column, or down by one contact."""
+    upward = np.full((1, 3, 3), 9.0)
+    upward[0, :, 1] = 1, 1, 2
+    upward[0, 2, 0] = 1
+    sideways = np.full((1, 2, 4), 9.0)
+    sideways[0, 1, 1] = 1
+    scene = Scene(make_scene((3, 4)).lattice, "coulomb", (sideways, upward))
+    solution = solved(scene)
+    assert solution.power[0] == 4 * 50 * 0.5
+    assert not solution.resolved[0]
+    assert solution.findings["tied_contacts"][0] == 3
+    slipping, undecided = ([np.argwhere(s[0] == which).tolist() for s in solution.state] for which in (1, 2))
+    assert slipping == [[], [[0, 1], [1, 1]]]
+    assert undecided == [[[1, 1]], [[2, 0], [2, 1]]]
+
+
+def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
+    scene = make_scene((3, 4, 5), direction=(1, 0, 0), seeds=(1, 2))
+    for axis in (1, 2):
+        scene.coefficient[axis][1, 1] = 0.3
+    solution = solved(scene)
+    assert solution.resolved.tolist() == [True, False]
+    assert solution.findings["tied_contacts"].tolist() == [0, 4 * 4]
+    undecided = np.argwhere(solution.state[2] == ContactState.UNDECIDED)
+    assert (undecided[:, :2] == (1, 1)).all()
+
+
+def test_constant_friction_takes_no_longer_than_a_few_seconds():
+    for distribution in ("constant:1", "constant:0.3"):
+        solution = solved(make_scene((300, 300), distribution=distribution))
+        assert solution.findings["tied_contacts"][0] == 300 * 299
+        assert solution.seconds < 3
 
 
 def test_replicas_together_equal_replicas_alone_bit_by_bit():
@@ -140,6 +175,7 @@ def _plane(scene, x):
 def test_findings_are_in_the_summary():
     summary = summarise(solved(make_scene((5, 6), seeds=(1, 2))), 1e-9)
     assert summary["cut_is_unique"] == [True, True]
+    assert summary["tied_contacts"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1
 
 

@@ -1,0 +1,175 @@
+"""Shortest paths of the dual graphs of planar grids, all grids at once, and the shortest path other than these."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+
+@dataclass(frozen=True)
+class ShortestPaths:
+    """Shortest paths of B dual graphs from the left outside to the right one.
+
+    length, next_length : (B,), of the path and of the shortest other path. contacts : (B,), number that it crosses.
+    from_left : distance of each face from the left outside, (B, w + 1, h - 1), the outsides being the end columns; so
+        far inf on the right, where `length` is meant. from_right : the same from the right outside.
+    inner, upward : masks of the contacts that the path crosses, (B, w - 1, h - 2) and (B, w, h - 1).
+    """
+
+    length: np.ndarray
+    next_length: np.ndarray
+    contacts: np.ndarray
+    from_left: np.ndarray
+    from_right: np.ndarray
+    inner: np.ndarray
+    upward: np.ndarray
+
+    def pick(self, which: np.ndarray) -> "ShortestPaths":
+        """Those of some of the grids, by number."""
+        return ShortestPaths(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
+    """Distances from both outsides by Dijkstra's method, the path, and the shortest other path.
+
+    inner, upward : lengths (B, w - 1, h - 2) and (B, w, h - 1), whole numbers.
+
+    The other path leaves the first one at some node and joins it again later on. Let the block of a node be the last
+    node of the path on the way to it in the tree of shortest paths. Then the shortest other path uses one contact that
+    is off the path and leads from u to v of a later block, and its length is (left to u) + weight + (v to right), least
+    over all those contacts (Malik, Mittal and Gupta, Oper. Res. Lett. 8, 1989).
+    """
+    batch, columns, gaps = upward.shape
+    shape = (batch, columns - 1, gaps)
+    faces = batch * (columns - 1) * gaps
+    distance, before = dijkstra(_dual_graph(inner, upward), indices=[faces, faces + 1], return_predecessors=True)
+    from_left, from_right = distance[:, :faces].reshape(2, *shape)
+    ends = from_left[:, -1] + upward[:, -1]
+    last = ends.argmin(axis=1)
+
+    here, nowhere = np.zeros((batch, 1, gaps)), np.full((batch, 1, gaps), np.inf)
+    from_left = np.concatenate([here, from_left, nowhere], axis=1)
+    from_right = np.concatenate([nowhere, from_right, here], axis=1)
+    on_inner, on_upward, order, contacts = _trace(before[0], last, shape)
+    block = _blocks(before[0, :faces], order).reshape(shape)
+    outside = np.zeros((batch, 1, gaps), dtype=np.int32)
+    blocks = np.concatenate([outside, block, outside + grids(contacts)], axis=1)
+    ways = through(inner, upward, from_left, from_right)
+    later = np.diff(blocks, axis=1)
+    other = np.where(later > 0, ways.rightward, np.where(later < 0, ways.leftward, np.inf))
+    later = np.diff(block, axis=2)
+    other_inner = np.where(later > 0, ways.climbing, np.where(later < 0, ways.falling, np.inf))
+    return ShortestPaths(
+        length=ends[np.arange(batch), last],
+        next_length=np.minimum(
+            np.min(other, axis=(1, 2), where=~on_upward, initial=np.inf),
+            np.min(other_inner, axis=(1, 2), where=~on_inner, initial=np.inf),
+        ),
+        contacts=contacts,
+        from_left=from_left,
+        from_right=from_right,
+        inner=on_inner,
+        upward=on_upward,
+    )
+
+
+@dataclass(frozen=True)
+class Through:
+    """Lengths of the shortest walks across each contact in either direction.
+
+    rightward, leftward : (B, w, h - 1). climbing, falling : (B, w - 1, h - 2).
+    """
+
+    rightward: np.ndarray
+    leftward: np.ndarray
+    climbing: np.ndarray
+    falling: np.ndarray
+
+
+def through(inner: np.ndarray, upward: np.ndarray, from_left: np.ndarray, from_right: np.ndarray) -> Through:
+    """From lengths and distances as in :class:`ShortestPaths`."""
+    left, right = from_left[:, 1:-1], from_right[:, 1:-1]
+    return Through(
+        rightward=from_left[:, :-1] + upward + from_right[:, 1:],
+        leftward=from_left[:, 1:] + upward + from_right[:, :-1],
+        climbing=left[..., :-1] + inner + right[..., 1:],
+        falling=left[..., 1:] + inner + right[..., :-1],
+    )
+
+
+def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
+    """All faces of the grids, column by column, then the left and the right outside, which edges only leave."""
+    batch, columns, gaps = upward.shape
+    shape = (batch, columns - 1, gaps)
+    faces = batch * (columns - 1) * gaps
+    face = np.arange(faces, dtype=np.int32).reshape(shape)
+    beside = np.stack([face - gaps, face - 1, face + 1, face + gaps], axis=-1)
+    weight = np.zeros((*shape, 4))
+    weight[..., 0], weight[..., 3] = upward[:, :-1], upward[:, 1:]
+    weight[..., 1:, 1], weight[..., :-1, 2] = inner, inner
+    there = np.ones((*shape, 4), dtype=bool)
+    there[:, 0, :, 0] = there[:, -1, :, 3] = there[..., 0, 1] = there[..., -1, 2] = False
+    edges = np.concatenate([there.sum(axis=-1, dtype=np.int32).ravel(), np.full(2, batch * gaps, dtype=np.int32)])
+    return csr_array(
+        (
+            np.concatenate([weight[there], upward[:, 0].ravel(), upward[:, -1].ravel()]),
+            np.concatenate([beside[there], face[:, 0].ravel(), face[:, -1].ravel()]),
+            np.concatenate([[0], np.cumsum(edges)]).astype(np.int32),
+        ),
+        shape=(faces + 2, faces + 2),
+    )
+
+
+def _trace(
+    before: np.ndarray, last: np.ndarray, shape: tuple[int, int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Walk back along the paths, all at once.
+
+    before : predecessor of each face in the tree from the left; last : gap (B,) in which each path ends.
+    returns : masks of the inner and of the upward contacts that are crossed; position of each face on its path, counted
+        from 1, and 0 off it, (faces,); position (B,) of the right outside.
+    """
+    batch, across, gaps = shape
+    faces = batch * across * gaps
+    inner, upward = np.zeros((batch, across, gaps - 1), dtype=bool), np.zeros((batch, across + 1, gaps), dtype=bool)
+    grid, column, gap = np.arange(batch), np.full(batch, across - 1), last
+    upward[grid, column + 1, gap] = True
+    walked = []
+    while len(grid):
+        here = (grid * across + column) * gaps + gap
+        walked.append((grid, here))
+        previous = before[here]
+        out = previous == faces
+        new_column, new_gap = np.where(out, -1, previous // gaps % across), np.where(out, gap, previous % gaps)
+        straight = new_column != column
+        upward[grid[straight], np.maximum(column, new_column)[straight], gap[straight]] = True
+        inner[grid[~straight], column[~straight], np.minimum(gap, new_gap)[~straight]] = True
+        grid, column, gap = grid[~out], new_column[~out], new_gap[~out]
+    steps = np.zeros(batch, dtype=np.int32)
+    for grid, _ in walked:
+        steps[grid] += 1
+    order = np.zeros(faces, dtype=np.int32)
+    for back, (grid, here) in enumerate(walked):
+        order[here] = steps[grid] - back
+    return inner, upward, order, steps + 1
+
+
+def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Position of the last face of the path on the way from the left outside to each face; 0 for the outside itself."""
+    faces = len(before)
+    ancestor = np.where(order > 0, np.arange(faces, dtype=np.int32), before)
+    ancestor = np.append(ancestor, np.int32(faces))
+    while True:
+        further = ancestor[ancestor]
+        if np.array_equal(further, ancestor):
+            return np.append(order, np.int32(0))[ancestor[:-1]]
+        ancestor = further
+
+
+def grids(values: np.ndarray) -> np.ndarray:
+    """(B,) as (B, 1, 1)."""
+    return values[:, None, None]
+
+
+__all__ = ["ShortestPaths", "Through", "grids", "shortest_paths", "through"]
