@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.sparse.linalg import splu
 
 from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
@@ -26,8 +26,8 @@ from taichi_bearings.verifier.motion import Motion, length
 
 TURN = 0.25  # largest share by which a slip may change
 TRIALS = 4  # each from spins that Newton's method has improved
-STIFF = 1e2  # root of the stiffness of a contact, over that of the softest beside it, from which it is a variable
-TOO_SMALL = 1e-6  # part of a variable in the turn of a contact that cannot stand for it
+STIFF = 1e3  # stiffness of a contact, over that of most or of the softest beside it, that is kept apart from these
+TOO_SMALL = 0.05  # part of a variable in the turn of a contact that cannot stand for it
 LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
@@ -158,10 +158,10 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     """The same from these contacts as they are."""
     root, tau, block = np.sqrt(curvature.scale), curvature.tau, contacts.blocks()
-    slope = abs(curvature.basis).T @ contacts.slope().most
+    slope = abs(curvature.basis).T @ (curvature.clusters.T @ contacts.slope().most)
     radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
     reach = radius[block] / root  # of each variable, at most
-    entries = [_product(contacts.change(slot), curvature.basis) for slot in range(2)]
+    entries = [_product(contacts.change(slot) @ curvature.clusters, curvature.basis) for slot in range(2)]
     turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
     # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
     loss = np.where(contacts.two, (2 * turn) ** 2 * contacts.stiffness.most, 0.0)
@@ -171,16 +171,19 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
 
 def _product(first: sparse.csr_array, second: sparse.csr_array) -> sparse.csr_array:
     """|first second|, entry by entry, or a little more."""
-    return (abs(first @ second) + 8 * EPS * (abs(first) @ abs(second))).tocsr()
+    terms = int(np.diff(first.indptr).max(initial=0)) + 4
+    return (abs(first @ second) + terms * EPS * (abs(first) @ abs(second))).tocsr()
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """H >= tau h in variables v, u = basis v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
+    """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    basis : (unknowns, unknowns). scale : h, (unknowns,). tau : proven. factor : of the scaled matrix, roughly.
+    clusters, basis : (unknowns, unknowns), u = clusters (basis v). scale : h, (unknowns,). tau : proven; as the basis
+    is a square matrix, that proves it regular, too. factor : of the scaled matrix, roughly.
     """
 
+    clusters: sparse.csr_array
     basis: sparse.csr_array
     scale: np.ndarray
     tau: float
@@ -189,7 +192,8 @@ class Curvature:
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
         """None if no curvature can be proven."""
-        conditions, inexact = _conditions(contacts)
+        clusters = _clusters(contacts)
+        conditions, inexact = _conditions(contacts, clusters)
         basis = _basis(conditions)
         rows = (conditions @ basis).tocsr()
         scale = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
@@ -204,15 +208,49 @@ class Curvature:
         if factor is None:
             return None
         tau = _proven(rows, doubt.tocsr(), matrix, _least_eigenvalue(matrix, factor))
-        return None if tau is None else cls(basis, scale, tau, factor)
+        return None if tau is None else cls(clusters, basis, scale, tau, factor)
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""
-        root = np.sqrt(self.scale)
-        return -(self.basis @ (self.factor.solve((self.basis.T @ slope) / root) / root))
+        root, whole = np.sqrt(self.scale), self.clusters @ self.basis
+        return -(whole @ (self.factor.solve((whole.T @ slope) / root) / root))
 
 
-def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, sparse.csr_array]:
+def _clusters(contacts: Slipping) -> sparse.csr_array:
+    """(unknowns, unknowns), entries 0 and 1: unknowns as sums of changes along the trees of stiff contacts.
+
+    Domains that a tiny slip keeps apart move together on the scale of larger slips. Each but one of such a cluster is
+    counted from a neighbour, by trees of the stiffest contacts.
+    """
+    driven, source = contacts.unknowns, contacts.unknowns + 1
+    stiffness = np.where(contacts.two, contacts.stiffness.value, 0.0)
+    stiff = stiffness > STIFF * np.median(stiffness[contacts.two]) if contacts.two.any() else contacts.two
+    pairs = [np.where(end[:, stiff] < 0, driven, end[:, stiff]) for end in (contacts.lower, contacts.upper)]
+    first, second, slip = pairs[0].ravel(), pairs[1].ravel(), np.tile(1 / stiffness[stiff], 2)
+    apart = first != second
+    order = np.argsort(-slip[apart], kind="stable")  # of parallel contacts the last entry, the stiffest, is kept
+    low, high = np.minimum(first, second)[apart][order], np.maximum(first, second)[apart][order]
+    last = np.unique((low * source + high)[::-1], return_index=True)[1]
+    low, high, slip = low[::-1][last], high[::-1][last], slip[apart][order][::-1][last]
+    graph = sparse.csr_array((slip, (low, high)), shape=(source + 1, source + 1))
+    trees = minimum_spanning_tree(graph).tocoo()
+    label = connected_components(trees, directed=False)[1]
+    heads = np.unique(label[:source], return_index=True)[1]
+    heads[label[heads] == label[driven]] = driven
+    row, column = np.append(trees.row, np.full(len(heads), source)), np.append(trees.col, heads)
+    linked = sparse.csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(source + 1, source + 1))
+    before = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
+    inner = before < contacts.unknowns
+    step = sparse.csr_array(
+        (np.ones(int(inner.sum())), (np.flatnonzero(inner), before[inner])), shape=(contacts.unknowns,) * 2
+    )
+    total, further = sparse.eye_array(contacts.unknowns, format="csr"), step
+    while further.nnz:
+        total, further = (total + further).tocsr(), (further @ step).tocsr()
+    return total
+
+
+def _conditions(contacts: Slipping, clusters: sparse.csr_array) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and how far they
     may be off, entry by entry. Slips of one component have no curvature."""
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
@@ -220,7 +258,7 @@ def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, sparse.csr_array]
     inexact = stiffness.error / stiffness.most + 16 * EPS
     rows = doubt = sparse.csr_array((len(contacts.two), contacts.unknowns))
     for slot, part in enumerate(across):
-        change = contacts.change(slot)
+        change = contacts.change(slot) @ clusters  # what the two ends have in common is gone exactly
         rows = rows + sparse.diags_array(root * part.value) @ change
         doubt = doubt + sparse.diags_array(root * (part.error + inexact * part.most)) @ abs(change)
     rows = rows.tocsr()
@@ -231,8 +269,8 @@ def _conditions(contacts: Slipping) -> tuple[sparse.csr_array, sparse.csr_array]
 def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
     """Variables in which stiff contacts do not hide soft ones, as columns (unknowns, unknowns).
 
-    A contact with a tiny slip ties what it turns to next to nothing; what others resist would be lost beside it in
-    rounding. Row by row, the stiffest first, the turn of such a contact becomes a variable in place of one that it has.
+    A contact with a tiny slip hardly lets it turn; what others resist would be lost beside that in rounding. Row by row,
+    the stiffest first, the turn of such a contact becomes a variable in place of one that it has.
     """
     row_of, column_of = conditions.nonzero()
     height = np.sqrt(np.asarray(conditions.multiply(conditions).sum(axis=1)).ravel())
@@ -240,7 +278,7 @@ def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
     np.minimum.at(softest, column_of, height[row_of])
     beside = np.full(conditions.shape[0], np.inf)
     np.minimum.at(beside, row_of, softest[column_of])
-    stiff = np.flatnonzero(height > STIFF * beside)
+    stiff = np.flatnonzero(height > np.sqrt(STIFF) * beside)
     chosen = _Substitutions()
     for r in stiff[np.argsort(-height[stiff], kind="stable")]:
         part = slice(conditions.indptr[r], conditions.indptr[r + 1])
