@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.certificate import Forces, certifying_forces, dual_value, relative_gap, slip_bound
+from taichi_bearings.certificate import Forces, certifying_forces, relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.errors import FileError
 from taichi_bearings.fields import borrow
@@ -20,6 +20,8 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.samples import Samples
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,9 @@ def solve(
         final = replace(best.progress, iteration=progress.iteration)
         proof = best.proof
     return _collect(
-        scene, method.name, status, final, best.bound, proof, recorder, seconds, compiled - began, slip_threshold
-    )
+        scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds, compiled - began,
+        slip_threshold,
+    )  # fmt: skip
 
 
 class _Course:
@@ -309,18 +312,33 @@ def _states(
     )
 
 
-def _proven(scene: Scene, final: Progress, state: tuple[np.ndarray, ...]) -> np.ndarray:
-    """True (R,) where the method has proven its contact states and no threshold has changed them."""
-    if final.resolved is None or final.state is None:
+def _judged(
+    scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces, spin_axes: tuple[int, ...]
+) -> Judgement | None:
+    """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
+    samples = Samples(
+        scene.lattice.shape, scene.law, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
+        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction,
+    )  # fmt: skip
+    return Judgement(samples) if samples.can_be_judged else None
+
+
+def _proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tuple[np.ndarray, ...]) -> np.ndarray:
+    """True (R,) where the method believes to have the states of all minima, and the verifier proves them."""
+    if final.resolved is None or final.state is None or judgement is None or not final.resolved.any():
         return np.zeros(scene.replicas, dtype=bool)
-    same = [(a == b).reshape(scene.replicas, -1).all(axis=1) for a, b in zip(final.state, state, strict=True)]
-    return np.asarray(final.resolved & np.all(same, axis=0))
+    found = np.array(final.resolved)
+    for replica in np.flatnonzero(found):
+        states = judgement.one(int(replica)).states[0] if not final.resolved.all() else judgement.states[replica]
+        found[replica] = states.agree([values[replica] for values in state])
+    return found
 
 
 def _collect(
     scene: Scene,
     method: str,
     status: Status,
+    tolerance: float,
     final: Progress,
     bound: np.ndarray,
     proof: Forces,
@@ -335,8 +353,15 @@ def _collect(
         slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
     threshold = max(final.resolution, rounding) if slip_threshold is None else slip_threshold
     state = _states(scene, slip, final, threshold, slip_threshold is not None)
-    friction = certifying_forces(scene, proof, final.spin_axes, bound)
-    bound = np.maximum(bound, dual_value(scene, friction, final.spin_axes))
+    friction = laboratory_forces(
+        certifying_forces(scene, proof, final.spin_axes, bound), scene.lattice, final.spin_axes
+    )
+    power, judgement = final.power, _judged(scene, spin, spin_rounding, friction, final.spin_axes)
+    if judgement is not None:  # what the answer proves is what is reported
+        power, bound = judgement.power, judgement.lower_bound
+    gap = relative_gap(scene, power, bound)
+    if status is Status.CERTIFIED and not (gap <= tolerance).all():
+        status = Status.STALLED
     return Solution(
         scene=scene,
         method=method,
@@ -347,13 +372,13 @@ def _collect(
         slip=slip,
         power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
         force=tuple(vector_length(values) for values in final.force),
-        friction=laboratory_forces(friction, scene.lattice, final.spin_axes),
+        friction=friction,
         state=state,
-        slip_bound=slip_bound(scene, final.force, final.spin_axes, final.power) if scene.law == "coulomb" else (),
-        resolved=_proven(scene, final, state),
-        power=final.power,
+        slip_bound=slip_bound(scene, final.force, final.spin_axes, power) if scene.law == "coulomb" else (),
+        resolved=_proven(scene, final, judgement, state),
+        power=power,
         lower_bound=bound,
-        gap=relative_gap(scene, final.power, bound),
+        gap=gap,
         slip_threshold=threshold,
         unbalanced_torque=final.unbalanced_torque,
         seconds=seconds,

@@ -26,7 +26,8 @@ from taichi_bearings.verifier.motion import Motion, length
 
 TURN = 0.25  # largest share by which a slip may change
 TRIALS = 4  # each from spins that Newton's method has improved
-STIFF = 1e3  # stiffness of a contact, over that of most or of the softest beside it, that is kept apart from these
+STIFF = 1e3  # stiffness of a contact, over that of most, from which it holds a cluster together
+STIFFEST = 1e7  # stiffness, over that of the softest beside it, from which the turn of a contact is a variable
 TOO_SMALL = 0.05  # part of a variable in the turn of a contact that cannot stand for it
 LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
@@ -278,7 +279,7 @@ def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
     np.minimum.at(softest, column_of, height[row_of])
     beside = np.full(conditions.shape[0], np.inf)
     np.minimum.at(beside, row_of, softest[column_of])
-    stiff = np.flatnonzero(height > np.sqrt(STIFF) * beside)
+    stiff = np.flatnonzero(height > np.sqrt(STIFFEST) * beside)
     chosen = _Substitutions()
     for r in stiff[np.argsort(-height[stiff], kind="stable")]:
         part = slice(conditions.indptr[r], conditions.indptr[r + 1])

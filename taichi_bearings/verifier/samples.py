@@ -16,6 +16,7 @@ import numpy as np
 
 from taichi_bearings.verifier.enclosure import Enclosure
 
+LEAST, MOST = 1e-60, 1e60  # scales of a sample
 Slices = tuple[slice, ...]
 
 
@@ -53,6 +54,16 @@ class Samples:
             spin=self.spin[pick],
             spin_rounding=self.spin_rounding[pick],
             friction=tuple(values[pick] for values in self.friction),
+        )
+
+    @property
+    def can_be_judged(self) -> bool:
+        """False if a number is not finite, or so large or small that its products are."""
+        scales = [self.normal_force, self.radius, self.spin_top - self.spin_bottom or 1.0]
+        strengths = [self.normal_force * c for c in self.coefficient]
+        arrays = (self.spin, self.spin_rounding, *self.friction, *strengths)
+        return all(LEAST < abs(s) < MOST for s in scales) and all(
+            bool(np.isfinite(values).all()) and float(np.abs(values).max(initial=0.0)) < MOST for values in arrays
         )
 
     @property

@@ -32,7 +32,7 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joine
 from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_planes
 from taichi_bearings.verifier.samples import Samples
 
-UNPROVEN, SLIPLESS, SLIPPING = 0, 1, 2
+SLIPLESS, SLIPPING, UNPROVEN = 0, 1, 2
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,11 @@ class States:
     proven: tuple[np.ndarray, ...]
     unique: bool | None
     reason: str = ""
+
+    def agree(self, claimed: list[np.ndarray]) -> bool:
+        """True if all is proven, and as claimed: states (*contacts,) an axis, 0 slipless, 1 slipping, 3 driven."""
+        pairs = zip(self.proven, claimed, strict=True)
+        return all(bool(((p == np.where(c == 3, SLIPLESS, c)) & (p != UNPROVEN)).all()) for p, c in pairs)
 
 
 def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
@@ -84,8 +89,8 @@ def _rests(motion: Motion, component: int) -> np.ndarray:
 def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
     """Viscous: the power exceeds the least one by the sum of eta |z - z*|^2, so slips that would cost more do not end."""
     found = []
-    for still, size, strength in zip(motion.still, motion.size, motion.samples.strength, strict=True):
-        states = np.full(still.shape, UNPROVEN)
+    for axis, (still, size, strength) in enumerate(zip(motion.still, motion.size, motion.samples.strength, strict=True)):
+        states = np.where(motion.samples.between_driven(axis), SLIPLESS, UNPROVEN)
         costs = strength[~still].least * size.least**2 / UP
         states[~still] = np.where(costs > gap[np.nonzero(~still)[0]], SLIPPING, UNPROVEN)
         found.append(states)

@@ -1,0 +1,74 @@
+"""Power, lower bound and contact states of samples: what is rigorously true of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.verifier.bounds import Work, lower_bound, work_of
+from taichi_bearings.verifier.motion import Motion
+from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.states import States, proven_states
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Of the spins and the friction of samples. Bounds are rounded outwards; energy/time."""
+
+    samples: Samples
+
+    def one(self, number: int) -> Judgement:
+        """Of one of the samples alone."""
+        return Judgement(self.samples.one(number))
+
+    @cached_property
+    def motion(self) -> Motion:
+        return Motion(self.samples)
+
+    @cached_property
+    def work(self) -> Work:
+        return work_of(self.samples)
+
+    @property
+    def _unit(self) -> float:
+        """Of power. Powers of two but for the radius; what multiplying by it rounds is seen to in the bounds."""
+        speed = self.samples.radius * self.samples.spin_unit
+        return self.samples.force_unit * (speed if self.samples.law == "coulomb" else speed * speed)
+
+    @cached_property
+    def _power(self) -> np.ndarray:
+        return self.motion.power().upper()
+
+    @cached_property
+    def _lower_bound(self) -> np.ndarray:
+        return lower_bound(self.samples, self.work)
+
+    @property
+    def power(self) -> np.ndarray:
+        """(R,), not below what these spins dissipate, and so not below the least power."""
+        return _outwards(self._power * self._unit, np.inf)
+
+    @property
+    def lower_bound(self) -> np.ndarray:
+        """(R,), not above the least power."""
+        return np.maximum(_outwards(self._lower_bound * self._unit, -np.inf), 0.0)
+
+    @property
+    def price(self) -> np.ndarray:
+        """(R,), what torques left over on free spheres take from the lower bound, over the power; 0 without power."""
+        price, power = self.work.price.upper(), self._power
+        return np.divide(price, power, out=np.zeros_like(price), where=power > 0)
+
+    @cached_property
+    def states(self) -> list[States]:
+        """Contact states at every minimum, sample by sample."""
+        return proven_states(self.motion, np.maximum(self._power - self._lower_bound, 0.0) * (1 + 2.0**-50))
+
+
+def _outwards(values: np.ndarray, towards: float) -> np.ndarray:
+    """By four roundings, which the unit of power has at most; 0 and what is not finite stay as they are."""
+    for _ in range(4):
+        values = np.where(values != 0, np.nextafter(values, towards), values)
+    return values
