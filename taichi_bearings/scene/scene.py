@@ -178,7 +178,9 @@ class Scene:
                 low[slot][..., -1] = self.jump_pair[1][component]
         bottom = tuple(part[list(every)].reshape(-1, *(1,) * (high.ndim - 1)) for part in self.bottom_pair)
         pair = [part * self.lattice.parity for part in add((high, low), (bottom[0], bottom[1]))]
-        spin, rounding = (p[0] if self.lattice.dimension == 2 else np.ascontiguousarray(np.moveaxis(p, 0, -1)) for p in pair)
+        spin, rounding = (
+            p[0] if self.lattice.dimension == 2 else np.ascontiguousarray(np.moveaxis(p, 0, -1)) for p in pair
+        )
         return spin, rounding
 
     def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:

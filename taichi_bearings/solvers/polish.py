@@ -24,7 +24,12 @@ SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without round
 
 
 def polished(
-    whole: Iterate, parts: list[Part], spins: np.ndarray, difference: list[np.ndarray], slipping: list[np.ndarray], top: Pair
+    whole: Iterate,
+    parts: list[Part],
+    spins: np.ndarray,
+    difference: list[np.ndarray],
+    slipping: list[np.ndarray],
+    top: Pair,
 ) -> tuple[Pair, list[np.ndarray], list[np.ndarray]] | None:
     """Spins (unknowns,), slips and duals (d, n) a group near the given ones, whose slipping contacts are in balance.
 
@@ -51,9 +56,7 @@ def polished(
     )
 
 
-def _balanced(
-    system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.ndarray], unknown: Pair
-) -> Pair | None:
+def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.ndarray], unknown: Pair) -> Pair | None:
     """Newton's method until the torques do not fall any more."""
     strongest = max((float(mu.max(initial=0.0)) for mu in friction), default=0.0)
     best, least, factorised = None, np.inf, False

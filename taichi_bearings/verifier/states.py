@@ -66,7 +66,9 @@ def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
         if motion.torn[number]:
             states = _nothing(samples, "contacts without slip join the two driven planes")
         elif varies:
-            states = _nothing(samples, f"the spin component about {'xyz'[varies[0]]} varies, which it does at no minimum")
+            states = _nothing(
+                samples, f"the spin component about {'xyz'[varies[0]]} varies, which it does at no minimum"
+            )
         found.append(states)
     return found
 
@@ -89,7 +91,9 @@ def _rests(motion: Motion, component: int) -> np.ndarray:
 def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
     """Viscous: the power exceeds the least one by the sum of eta |z - z*|^2, so slips that would cost more do not end."""
     found = []
-    for axis, (still, size, strength) in enumerate(zip(motion.still, motion.size, motion.samples.strength, strict=True)):
+    for axis, (still, size, strength) in enumerate(
+        zip(motion.still, motion.size, motion.samples.strength, strict=True)
+    ):
         states = np.where(motion.samples.between_driven(axis), SLIPLESS, UNPROVEN)
         costs = strength[~still].least * size.least**2 / UP
         states[~still] = np.where(costs > gap[np.nonzero(~still)[0]], SLIPPING, UNPROVEN)
@@ -114,9 +118,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
             owner.append(np.indices(bears.high.shape, sparse=True)[0].repeat(bears.high[0].size).ravel())
     lower, upper, of_sample = (np.concatenate(parts) for parts in (below, above, owner))
     slack = joined(up), joined(down)
-    excess = sum(
-        np.bincount(of_sample, np.maximum(s.error - s.high - s.low, 0.0), samples.count) for s in slack
-    )
+    excess = sum(np.bincount(of_sample, np.maximum(s.error - s.high - s.low, 0.0), samples.count) for s in slack)
     room = ((gap / samples.jump[k].least + excess) * UP)[of_sample]
     # with more room than all have together: if the first sphere is above a lightest cut, so is the second
     held = [s.least * (s.high > 0) > room for s in slack]
@@ -134,7 +136,9 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
         apart = (is_above[a] & is_below[b]) | (is_below[a] & is_above[b])
         states = np.where(alike, SLIPLESS, np.where(apart, SLIPPING, UNPROVEN))
         found.append(states if k in samples.felt(axis) else np.full(coefficient.shape, SLIPLESS))
-    return [_of_cuts(samples, tuple(states[r] for states in found), not is_above[bottom[r]]) for r in range(samples.count)]
+    return [
+        _of_cuts(samples, tuple(states[r] for states in found), not is_above[bottom[r]]) for r in range(samples.count)
+    ]
 
 
 def _of_cuts(samples: Samples, states: tuple[np.ndarray, ...], consistent: bool) -> States:
