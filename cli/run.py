@@ -14,6 +14,9 @@ from taichi_bearings_cli.options import json_option, run_options
 @click.option("--out", metavar="DIR", default=None, help="Run directory. [default: outputs/<time>-run-<id>]")
 @click.option("--force", is_flag=True, default=None, help="Replace an existing run directory.")
 @click.option("--resume", metavar="RUN", default=None, help="Go on with a run that has a checkpoint, in its directory.")
+@click.option(
+    "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
+)
 @json_option
 @click.pass_context
 def command(
@@ -22,6 +25,7 @@ def command(
     out: str | None,
     force: bool | None,
     resume: str | None,
+    verify: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -53,7 +57,7 @@ def command(
             raise InputError(f"resume is {resume!r}: a resumed run keeps its scene and its directory; leave them out")
         with TerminalProgress() as progress:
             solution, summary = study.resume(Path(resume), given, [progress])
-        _finish(context, solution, summary, as_json)
+        _finish(context, solution, summary, verify, as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
     out, force = out or stored_out, stored_force if force is None else force
@@ -62,15 +66,26 @@ def command(
     settings = RunSettings.from_mapping(values | given, scene or "the options")
     with TerminalProgress() as progress:
         solution, summary = study.run(settings, Path(out) if out else None, force, [progress])
-    _finish(context, solution, summary, as_json)
+    _finish(context, solution, summary, verify, as_json)
 
 
-def _finish(context: click.Context, solution: Any, summary: dict[str, Any], as_json: bool) -> None:
+def _finish(context: click.Context, solution: Any, summary: dict[str, Any], verify: bool, as_json: bool) -> None:
     """Print the summary and leave with the exit code that the status asks for."""
-    click.echo(json.dumps(summary, allow_nan=False) if as_json else describe(summary))
+    verdict = {"verified": True}
+    if verify:
+        from taichi_bearings_cli.verify import describe as describe_verdict
+
+        from taichi_bearings.studies.verify import verify as verify_run
+
+        verdict = verify_run(Path(summary["run"]))
+        summary = summary | {"verification": verdict}
+    if as_json:
+        click.echo(json.dumps(summary, allow_nan=False))
+    else:
+        click.echo("\n".join([describe(summary), *([describe_verdict(verdict)] if verify else [])]))
     if solution.status.value == "interrupted":
         context.exit(130)
-    context.exit(0 if solution.status.reached else 1)
+    context.exit(0 if solution.status.reached and verdict["verified"] else 1)
 
 
 def describe(summary: dict[str, Any]) -> str:
@@ -94,6 +109,8 @@ def describe(summary: dict[str, Any]) -> str:
         )
     if len(seeds) == 1:
         lines += [f"  {line}" for line in _separation(summary)]
+        if tied := summary.get("tied_contacts"):
+            lines.append(f"  cuts tie exactly: {tied:,} contacts slip at some minima and not at others")
     lines += [f"  {line}" for line in _step_error(summary)]
     if "power_normalised" in summary and len(seeds) == 1:
         lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")

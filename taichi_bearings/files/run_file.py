@@ -79,6 +79,9 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
                 text = "largest slip speed that any minimum can have at this contact, proven"
                 put(file, f"contact/{name}/slip_bound", strip(solution.slip_bound[axis]), "length/time", text)
         put(file, "spin", strip(solution.spin), "1/time", "angular velocity in the laboratory frame")
+        if solution.spin_rounding.any():
+            text = "what rounding leaves out of the spins: they are the sums of both"
+            put(file, "spin_rounding", strip(solution.spin_rounding), "1/time", text)
         for key, column in solution.history.items():
             if one:
                 values = column[:, 0] if column.ndim == 2 else column

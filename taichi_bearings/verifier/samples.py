@@ -97,6 +97,11 @@ class Samples:
         size = (parts[0] * parts[0] + parts[1] * parts[1] + parts[2] * parts[2]).sqrt()
         return {k: whole * part / size for k, part in enumerate(parts)}
 
+    @property
+    def jump_size(self) -> float:
+        """|difference of the imposed spins|, rounded; 1/time."""
+        return abs(self.spin_top - self.spin_bottom)
+
     @cached_property
     def spin_unit(self) -> float:
         """A power of two near the jump; 1 without one."""

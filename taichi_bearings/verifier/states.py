@@ -33,6 +33,7 @@ from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_plane
 from taichi_bearings.verifier.samples import Samples
 
 SLIPLESS, SLIPPING, UNPROVEN = 0, 1, 2
+SATURATED = 1e-6  # share of the friction by which a contact that slips may miss its limit
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,8 @@ def _by_curvature(motion: Motion) -> list[States]:
 def _steps(motion: Motion) -> States:
     """Of a single sample."""
     samples, contacts = motion.samples, Slipping.of(motion)
+    if not _saturated(motion):
+        return _nothing(samples, "contacts slip whose friction is not at its limit")
     if not (contacts.size.least > 0).all():
         return _nothing(samples, "slips are lost in the rounding of the spins")
     near = nearest_minimum(contacts)
@@ -176,6 +179,16 @@ def _steps(motion: Motion) -> States:
     if not _bearable(motion, *near):
         return _nothing(samples, "slipless contacts are not known to bear what the others leave to them")
     return States(tuple(np.where(still[0], SLIPLESS, SLIPPING) for still in motion.still), True)
+
+
+def _saturated(motion: Motion) -> bool:
+    """True if the friction of all slipping contacts is about at its limit, as it is near a minimum."""
+    samples = motion.samples
+    for axis, still in enumerate(motion.still):
+        size = np.sqrt(sum(part[~still] ** 2 for part in samples.turning[axis].values()))
+        if not (size >= (1 - SATURATED) * samples.strength[axis][~still].value).all():
+            return False
+    return True
 
 
 def _bearable(motion: Motion, contacts: Slipping, turn: np.ndarray) -> bool:

@@ -1,0 +1,73 @@
+"""bearings verify"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from taichi_bearings_cli.options import json_option
+
+
+@click.command()
+@click.argument("run", metavar="RUN")
+@json_option
+@click.pass_context
+def command(context: click.Context, run: str, as_json: bool) -> None:
+    """What is rigorously true of RUN, a run directory or its run.h5, from that file alone.
+
+    Power, balance, friction limits, work of the driven planes and the slip law are evaluated anew in the laboratory
+    frame, every rounding bounded, by code that shares nothing with the solvers and their certificate. It states the
+    bounds and the contact states that follow, and where the file claims what does not follow. docs/proofs.md says what
+    is trusted and what is proven.
+
+    \b
+    Exit codes: 0 the file proves what its summary claims, 1 it does not, 2 it cannot be read.
+
+    \b
+    Example:
+      bearings run --shape 10,10,10 --out outputs/a
+      bearings verify outputs/a
+    """
+    from taichi_bearings.studies.verify import verify
+
+    report = verify(Path(run))
+    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report))
+    context.exit(0 if report["verified"] else 1)
+
+
+def describe(report: dict[str, Any]) -> str:
+    """The verdict for people."""
+    shape = "x".join(map(str, report["shape"]))
+    status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
+    lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
+    names = ("power", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
+    seeds = report["seed"] if isinstance(report["gap"], list) else [report["seed"]]
+    columns = [report[n] if isinstance(report["gap"], list) else [report[n]] for n in names]
+    rows = list(zip(seeds, *columns, strict=True))
+    for seed, power, bound, gap, states, unique, reason in rows[:10]:
+        if power is None:
+            lines.append(f"  seed {seed}: nothing can be proven")
+            continue
+        lines.append(f"  seed {seed}: {bound!r} <= least power <= {power!r}, a relative gap of {gap:.1e}")
+        proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]
+        if states["unproven"]:
+            proven.append(f"{states['unproven']:,} unproven" + (f" ({reason})" if reason else ""))
+        elif unique:
+            proven.append("there is only one")
+        lines.append(f"    contacts: {'; '.join(proven)}")
+    if len(rows) > 10:
+        lines.append(f"  ... and {len(rows) - 10} more seeds")
+    if isinstance(report["gap"], float):
+        balanced = "in balance" if report["balanced"] else "not in balance, which the bound pays for"
+        inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"
+        lines.append(f"  friction: {balanced}, {inside}")
+    lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
+    lines.append(
+        f"{'verified' if report['verified'] else 'NOT verified'} in {report['seconds']:.1f} s: "
+        f"{'the file proves' if report['verified'] else 'the file does not prove'} what it claims"
+    )
+    return "\n".join(lines)
+
+
+def _origin(report: dict[str, Any]) -> str:
+    return "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"

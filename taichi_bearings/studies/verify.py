@@ -1,0 +1,60 @@
+"""Independent verification of a run from its file alone."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
+from taichi_bearings.verifier.verdict import as_report, verdict_of
+
+REDRAWN = 1e-12  # relative difference of coefficients that are drawn again from their seed
+
+
+def verify(path: Path) -> dict[str, Any]:
+    """Report on a run directory or its run.h5, as in `--json` of `verify`; "verified" is True without contradictions.
+
+    Raises FileError if the file cannot be read.
+    """
+    began = time.perf_counter()
+    run = read_stored_run(path)
+    report = as_report(verdict_of(run), run.samples.count)
+    report["contradictions"] += _coefficients(run)
+    return {
+        "verified": not report["contradictions"],
+        **report,
+        "status": run.attributes["status"],
+        "law": run.samples.law,
+        "shape": list(run.samples.shape),
+        "seed": np.asarray(run.attributes.get("seed", -1)).tolist(),
+        "coefficients": "drawn" if _is_drawn(run) else "given",
+        "run": str(path),
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def _is_drawn(run: StoredRun) -> bool:
+    return run.settings.get("coefficients") is None and "distribution" in run.settings
+
+
+def _coefficients(run: StoredRun) -> list[str]:
+    """Coefficients that the scene says to be drawn from seeds are those of the seeds."""
+    if not _is_drawn(run):
+        return []
+    lattice = Lattice(run.samples.shape)
+    try:
+        distribution = Distribution.parse(str(run.settings["distribution"]))
+        seeds = [int(seed) for seed in run.claimed("seed")]
+    except (InputError, TypeError, ValueError):
+        return ["the scene names no distribution and seed that coefficients can be drawn from"]
+    found = []
+    for number, seed in enumerate(seeds):
+        for axis, drawn in enumerate(draw_coefficients(lattice, distribution, seed)):
+            stored = run.samples.coefficient[axis][number]
+            if not (np.abs(stored - drawn) <= REDRAWN * drawn).all():
+                found.append(f"coefficients along {'xyz'[axis]} are not those of seed {seed}")
+    return found

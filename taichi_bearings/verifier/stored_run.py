@@ -1,0 +1,125 @@
+"""run.h5 as its own reader sees it: the numbers to be judged, and what the file claims of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.verifier.samples import Samples
+
+AXES = "xyz"
+NEEDED = (
+    "law",
+    "shape",
+    "spin_top",
+    "spin_bottom",
+    "normal_force",
+    "radius",
+    "scene",
+    "power",
+    "lower_bound",
+    "status",
+)
+REPORTED = ("slip", "power", "force", "state")
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """attributes : of the file. settings : its scene. reported : by name, one array (R, *contacts) an axis.
+
+    history : columns (checks,) or (R, checks).
+    """
+
+    path: Path
+    samples: Samples
+    attributes: dict[str, Any]
+    settings: dict[str, Any]
+    reported: dict[str, tuple[np.ndarray, ...]]
+    history: dict[str, np.ndarray]
+
+    def claimed(self, name: str) -> list[Any]:
+        """An attribute, sample by sample; None where the file leaves it open."""
+        value = np.asarray(self.attributes.get(name, "")).reshape(-1)
+        values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
+        return [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
+
+
+def read_stored_run(run: Path) -> StoredRun:
+    """A run directory or its run.h5; FileError in one sentence where it cannot be read."""
+    path = run / "run.h5" if run.is_dir() else run
+    if not path.is_file():
+        raise FileError(f"{run} is not a run: there is no {path}")
+    try:
+        with h5py.File(path, "r") as file:
+            return _read(path, file)
+    except FileError:
+        raise
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError) as error:
+        raise FileError(f"{path} cannot be read as a run: {str(error).strip(chr(39))}") from None
+
+
+def _read(path: Path, file: h5py.File) -> StoredRun:
+    attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
+    if attributes.get("schema") != "taichi_bearings.run":
+        raise FileError(f"{path} was not written by taichi_bearings")
+    for name in NEEDED:
+        if name not in attributes:
+            raise FileError(f"{path} lacks the attribute {name!r}; it is damaged or was changed")
+    shape = tuple(int(n) for n in attributes["shape"])
+    if len(shape) not in (2, 3) or min(shape) < 2 or shape[-1] < 3:
+        raise FileError(f"{path} has the shape {list(shape)}; a lattice has two or three sides of 2 or more, height 3")
+    axes = AXES[: len(shape)]
+    count = 1 if file["coefficient/x"].ndim == len(shape) else len(file["coefficient/x"])
+    parts = () if len(shape) == 2 else (3,)
+    contacts = [tuple(n - (a == axis) for a, n in enumerate(shape)) for axis in range(len(shape))]
+
+    def get(name: str, expected: tuple[int, ...]) -> np.ndarray:
+        if name not in file:
+            raise FileError(f"{path} lacks the data set {name}, without which nothing can be verified")
+        stored, whole = file[name], (count, *expected)
+        if stored.shape != whole and (count > 1 or stored.shape != expected):
+            raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice needs {expected}")
+        return np.asarray(stored[()], dtype=np.float64).reshape(whole)
+
+    def by_axis(name: str, parts: tuple[int, ...] = ()) -> tuple[np.ndarray, ...]:
+        return tuple(get(name.format(axis), (*n, *parts)) for axis, n in zip(axes, contacts, strict=True))
+
+    settings = _settings(path, str(attributes["scene"]))
+    direction = [float(d) for d in settings.get("direction", (1.0, 1.0, 0.0))]
+    spin = get("spin", (*shape, *parts))
+    samples = Samples(
+        shape=shape,
+        law=str(attributes["law"]),
+        coefficient=by_axis("coefficient/{}"),
+        spin_top=float(attributes["spin_top"]),
+        spin_bottom=float(attributes["spin_bottom"]),
+        direction=(direction[0], direction[1], direction[2]),
+        normal_force=float(attributes["normal_force"]),
+        radius=float(attributes["radius"]),
+        spin=spin,
+        spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
+        friction=by_axis("contact/{}/friction", parts),
+    )
+    if samples.law not in ("coulomb", "viscous"):
+        raise FileError(f"{path} has the law {samples.law!r}; coulomb and viscous can be verified")
+    reported = {name: by_axis(f"contact/{{}}/{name}") for name in REPORTED}
+    history = {name: np.asarray(values[()]) for name, values in file.get("history", {}).items()}
+    return StoredRun(path, samples, attributes, settings, reported, history)
+
+
+def _settings(path: Path, text: str) -> dict[str, Any]:
+    import sys
+
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"the scene in {path} is not valid TOML: {error}") from None

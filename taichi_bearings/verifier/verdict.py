@@ -1,0 +1,269 @@
+"""Does a run prove what it claims? Everything that its file says, held against what follows from its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.verifier.enclosure import Enclosure
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.motion import Motion
+from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN, States
+from taichi_bearings.verifier.stored_run import StoredRun
+
+ARITHMETIC = (
+    "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
+    "elimination with a bound on its error"
+)
+ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
+EPS = np.finfo(np.float64).eps
+BALANCED = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
+DRIVEN = 3  # state of a contact between driven spheres, in the file
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Sample by sample: power and lower bound (rigorous), their relative gap, and how many contacts are proven to be in
+    which state. contradictions : sentences, empty if the file proves what it claims."""
+
+    power: list[float | None]
+    lower_bound: list[float | None]
+    gap: list[float | None]
+    balanced: list[bool]
+    inside_discs: list[bool]
+    largest_balance_residual: list[float | None]
+    states: list[dict[str, int]]
+    unique: list[bool | None]
+    reasons: list[str]
+    contradictions: list[str]
+
+
+def verdict_of(run: StoredRun) -> Verdict:
+    """All checks of a run."""
+    samples = run.samples
+    count, nothing = samples.count, [None] * samples.count
+    contacts = sum(int((~samples.between_driven(axis))[0].sum()) for axis in range(samples.dimension))
+    unproven = [{"slipless": 0, "slipping": 0, "unproven": contacts} for _ in range(count)]
+    if not samples.can_be_judged:
+        text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
+        false = [False] * count
+        return Verdict(nothing, nothing, nothing, false, false, nothing, unproven, nothing, [text] * count, [text])
+    judgement = Judgement(samples)
+    power, bound, states = judgement.power, judgement.lower_bound, judgement.states
+    gap = [_gap(p, b) for p, b in zip(power, bound, strict=True)]
+    torque = judgement.work.largest_torque * samples.force_unit * samples.radius
+    found = [*_driving(samples), *_numbers(run, judgement), *_states(run, judgement.motion, states)]
+    found += [*_summary(run, power, bound, gap), *_history(run, power, bound)]
+    return Verdict(
+        power=power.tolist(),
+        lower_bound=bound.tolist(),
+        gap=gap,
+        balanced=(judgement.price <= BALANCED).tolist(),
+        inside_discs=(judgement.work.saturation <= 1).tolist(),
+        largest_balance_residual=torque.tolist(),
+        states=[_counted(samples, s) for s in states],
+        unique=[s.unique for s in states],
+        reasons=[s.reason for s in states],
+        contradictions=found,
+    )
+
+
+def _gap(power: float, bound: float) -> float | None:
+    return (power - bound) / power if power > 0 else 0.0
+
+
+def _counted(samples: Samples, states: States) -> dict[str, int]:
+    names = {"slipless": SLIPLESS, "slipping": SLIPPING, "unproven": UNPROVEN}
+    acting = [~samples.between_driven(axis)[0] for axis in range(samples.dimension)]
+    return {
+        name: sum(int((s[a] == value).sum()) for s, a in zip(states.proven, acting, strict=True))
+        for name, value in names.items()
+    }
+
+
+def _driving(samples: Samples) -> Iterator[str]:
+    """The imposed spins are those that the scene imposes."""
+    for plane, name, imposed in ((0, "bottom", samples.spin_bottom), (-1, "top", samples.spin_top)):
+        for k in samples.components:
+            high, low = samples.signed_spin[k]
+            stored = Enclosure.exact(high[..., plane], low[..., plane])
+            reference = Enclosure.exact(high[..., plane].reshape(samples.count, -1)[:, 0])
+            expected = _imposed(samples, imposed, k)
+            off = np.abs(stored.high - expected).max() > 4 * EPS * abs(imposed / samples.spin_unit)
+            uneven = (stored.high != reference.high.reshape(-1, *(1,) * (stored.high.ndim - 1))).any()
+            if off or uneven:
+                yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
+
+
+def _imposed(samples: Samples, spin: float, component: int) -> float:
+    if samples.dimension == 2:
+        return spin / samples.spin_unit
+    direction = np.asarray(samples.direction) / np.max(np.abs(samples.direction))
+    return float(spin / samples.spin_unit * direction[component] / np.linalg.norm(direction))
+
+
+def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
+    """Slip, power and force of every contact follow from spins, coefficients and friction."""
+    samples, motion, speed = run.samples, judgement.motion, run.samples.radius * run.samples.spin_unit
+    rounding = 64 * EPS * speed * max(float(np.abs(part[0]).max()) for part in samples.signed_spin.values())
+    rounding = min(rounding, 64 * EPS * speed * _largest_departure(samples))
+    slack = max(_ratio(run), 1.0) * (1 + 1e-6)
+    for axis, name in enumerate("xyz"[: samples.dimension]):
+        slip, power, force, state = (run.reported[key][axis] for key in ("slip", "power", "force", "state"))
+        actual = np.zeros(slip.shape)
+        actual[~motion.still[axis]] = motion.size[axis].value * speed
+        acts = ~samples.between_driven(axis)
+        if (np.abs(slip - np.where(acts, actual, 0.0)) > ROUNDED * actual + rounding).any():
+            yield f"slips of contacts along {name} are not those of the spins"
+        strength = samples.coefficient[axis] * (samples.normal_force if samples.law == "coulomb" else 1.0)
+        expected = np.where(acts, strength * slip if samples.law == "coulomb" else strength * slip**2, 0.0)
+        if not (np.abs(power - expected) <= ROUNDED * expected).all():
+            yield f"powers of contacts along {name} are not friction or damping times slip"
+        friction = samples.friction[axis]
+        if not acts.all() and np.abs(friction[~acts]).max() > 0:
+            yield f"friction along {name} acts between driven spheres"
+        if (state == DRIVEN).sum() != (~acts).sum() or not (state[~acts] == DRIVEN).all():
+            yield f"states of contacts along {name} do not name those between driven spheres"
+        if not np.isin(state, (0, 1, 2, DRIVEN)).all():
+            yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
+        if not (np.isfinite(force) & (force >= 0)).all():
+            yield f"forces of contacts along {name} are not finite or negative"
+        if samples.law == "coulomb" and (force > slack * strength).any():
+            yield f"forces of contacts along {name} exceed their friction"
+
+
+def _largest_departure(samples: Samples) -> float:
+    """Of signed spins from those of the bottom."""
+    return max(
+        float(
+            np.abs(high - high[..., :1].reshape(samples.count, -1)[:, :1].reshape(-1, *(1,) * len(samples.shape))).max()
+        )
+        for high, _ in samples.signed_spin.values()
+    )
+
+
+def _ratio(run: StoredRun) -> float:
+    """Static over kinetic friction."""
+    return float(run.settings.get("static_ratio", 1.0))
+
+
+def _states(run: StoredRun, motion: Motion, states: list[States]) -> Iterator[str]:
+    """The states that the file gives are not refuted, and proven where it says so."""
+    proven = run.claimed("states_proven")
+    tied, unique = run.claimed("tied_contacts"), run.claimed("minimum_is_unique")
+    for number, found in enumerate(states):
+        which = f" of sample {number}" if len(states) > 1 else ""
+        given = [run.reported["state"][axis][number] for axis in range(run.samples.dimension)]
+        wrong = sum(
+            int(((p == SLIPLESS) & (g == SLIPPING)).sum() + ((p == SLIPPING) & (g == SLIPLESS)).sum())
+            for p, g in zip(found.proven, given, strict=True)
+        )
+        if wrong and run.samples.law == "coulomb" and _is_minimum(run):
+            yield f"{wrong} contact states{which} are not those of any minimum"
+        if proven[number] and not found.agree(given):
+            reason = f": {found.reason}" if found.reason else ""
+            yield f"the contact states{which} are said to be proven, and are not{reason}"
+        if found.unique and tied[number]:
+            yield f"{tied[number]} contacts{which} are said to differ between minima, and there is only one minimum"
+        if unique[number] is not None and unique[number] != found.unique and (unique[number] or found.unique):
+            yield f"minimum_is_unique{which} is {bool(unique[number])}, and that is not so, or not proven"
+        if proven[number]:
+            yield from _saturated(run, number, given, which)
+
+
+def _is_minimum(run: StoredRun) -> bool:
+    """A dynamics on its way gives the states of its own motion."""
+    return bool(run.attributes.get("status") == "certified")
+
+
+def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str) -> Iterator[str]:
+    """At a proven minimum the reported forces are those of the friction."""
+    samples = run.samples
+    if samples.law != "coulomb":
+        return
+    for axis, state in enumerate(given):
+        strength = samples.coefficient[axis][number] * samples.normal_force
+        force = run.reported["force"][axis][number]
+        friction = np.abs(samples.friction[axis][number])
+        size = friction if samples.dimension == 2 else np.sqrt((friction**2).sum(axis=-1))
+        slips = state == SLIPPING
+        if (np.abs(force - size)[state != DRIVEN] > 1e-6 * strength[state != DRIVEN]).any() or (
+            np.abs(force - strength)[slips] > 1e-6 * strength[slips]
+        ).any():
+            yield f"forces{which} along {'xyz'[axis]} are not those that the friction proves"
+
+
+def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[float | None]) -> Iterator[str]:
+    """Power, bound, gap, status and counts of the summary."""
+    tolerance = float(run.settings.get("tolerance", 1e-8))
+    claimed = {name: run.claimed(name) for name in ("power", "lower_bound", "gap", "status")}
+    counts = {name: run.claimed(name) for name in ("slipless", "slipping", "undecided")}
+    for number in range(run.samples.count):
+        which = f" of sample {number}" if run.samples.count > 1 else ""
+        p, b, g, status = (claimed[name][number] for name in ("power", "lower_bound", "gap", "status"))
+        if p is not None and not abs(p - power[number]) <= ROUNDED * power[number]:
+            yield f"the power{which} is said to be {p!r}; the spins dissipate {power[number]!r}"
+        if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
+            yield f"the lower bound{which} is said to be {b!r}; the friction proves {bound[number]!r}"
+        own = gap[number]
+        if (
+            g is not None
+            and own is not None
+            and run.samples.jump_size > 0
+            and not own <= g * (1 + 1e-9) + ROUNDED / 100
+        ):
+            yield f"the gap{which} is said to be {g!r}; what is proven leaves {own!r}"
+        if g is not None and g < -ROUNDED / 100:
+            yield f"the gap{which} is negative: {g!r}"
+        if (
+            status == "certified"
+            and own is not None
+            and run.samples.jump_size > 0
+            and not own <= tolerance * (1 + 1e-9)
+        ):
+            yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {own!r}"
+        for value, name in enumerate(("slipless", "slipping", "undecided")):
+            there = sum(int((states[number] == value).sum()) for states in run.reported["state"])
+            if counts[name][number] is not None and counts[name][number] != there:
+                yield f"{name} contacts{which} are said to be {counts[name][number]}; {there} are marked so"
+        if bound[number] > power[number]:
+            yield f"the lower bound{which} is above the power: the numbers contradict themselves"
+
+
+def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[str]:
+    """No bound of the history is above the power, no power below the bound."""
+    for number in range(run.samples.count):
+        bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", "power"))
+        if bounds is not None and (bounds > power[number] * (1 + ROUNDED)).any():
+            yield "a lower bound of the history is above the least power"
+        if powers is not None and (powers < bound[number] * (1 - ROUNDED)).any():
+            yield "a power of the history is below the least power"
+
+
+def _row(column: np.ndarray | None, number: int) -> np.ndarray | None:
+    return None if column is None else np.asarray(column if column.ndim == 1 else column[number], dtype=float)
+
+
+def as_report(verdict: Verdict, count: int) -> dict[str, Any]:
+    """The verdict as `--json` of `verify` has it: lists where there are several samples."""
+
+    def per_sample(values: list[Any]) -> Any:
+        return values if count > 1 else values[0]
+
+    return {
+        "power": per_sample(verdict.power),
+        "lower_bound": per_sample(verdict.lower_bound),
+        "gap": per_sample(verdict.gap),
+        "balanced": per_sample(verdict.balanced),
+        "inside_discs": per_sample(verdict.inside_discs),
+        "largest_balance_residual": per_sample(verdict.largest_balance_residual),
+        "states_proven": per_sample(verdict.states),
+        "minimum_is_unique": per_sample(verdict.unique),
+        "unproven_because": per_sample(verdict.reasons),
+        "contradictions": verdict.contradictions,
+        "arithmetic": ARITHMETIC,
+    }
