@@ -108,7 +108,7 @@ class Progress:
 class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
-    spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are the sums of the two.
+    spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
     friction : on the upper sphere of each contact, laboratory frame, (R, *contacts, 3) an axis; in 2D (R, *contacts),
         the component along z x n (lattice.grid.laboratory_forces). In balance and within the friction discs, so that it

@@ -44,13 +44,13 @@ def polished(
     unknown = exactly(tied.contracted(spins))
     if min((float(length(z).min(initial=1.0)) for z in tracked), default=1.0) < VISIBLE:
         unknown = _fitted(system, matrix, unknown, tracked)
-    unknown = _balanced(system, matrix, friction, unknown)
-    if unknown is None:
+    balanced = _balanced(system, matrix, friction, unknown)
+    if balanced is None:
         return None
-    slips = [z[0] for z in system.differences(unknown)]
-    forces = [_along(mu, z)[0] for mu, z in zip(friction, system.differences(unknown), strict=True)]
+    slips = [z[0] for z in system.differences(balanced)]
+    forces = [_along(mu, z)[0] for mu, z in zip(friction, system.differences(balanced), strict=True)]
     return (
-        system.expanded(unknown),
+        system.expanded(balanced),
         [_scattered(z, kept, len(s)) for z, kept, s in zip(slips, tied.kept, slipping, strict=True)],
         [_scattered(-f, kept, len(s)) for f, kept, s in zip(forces, tied.kept, slipping, strict=True)],
     )

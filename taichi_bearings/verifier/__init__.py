@@ -1,1 +1,1 @@
-"""What is rigorously true of a run, from its numbers alone, by code that shares nothing with solvers and certificate."""
+"""What is rigorously true of a run, from its numbers alone; shares no code with solvers and certificate."""

@@ -140,7 +140,7 @@ class Slipping:
 
 
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
-    """Contacts near the minimum, and the share (n,) by which the slip of each differs there at most; None if unknown."""
+    """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.two))
     for _ in range(TRIALS):
@@ -270,8 +270,8 @@ def _conditions(contacts: Slipping, clusters: sparse.csr_array) -> tuple[sparse.
 def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
     """Variables in which stiff contacts do not hide soft ones, as columns (unknowns, unknowns).
 
-    A contact with a tiny slip hardly lets it turn; what others resist would be lost beside that in rounding. Row by row,
-    the stiffest first, the turn of such a contact becomes a variable in place of one that it has.
+    A contact with a tiny slip hardly lets it turn; what others resist would be lost beside that in rounding. Row by
+    row, the stiffest first, the turn of such a contact becomes a variable in place of one that it has.
     """
     row_of, column_of = conditions.nonzero()
     height = np.sqrt(np.asarray(conditions.multiply(conditions).sum(axis=1)).ravel())
@@ -283,7 +283,8 @@ def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
     chosen = _Substitutions()
     for r in stiff[np.argsort(-height[stiff], kind="stable")]:
         part = slice(conditions.indptr[r], conditions.indptr[r + 1])
-        chosen.replace(dict(zip(conditions.indices[part].tolist(), (conditions.data[part] / height[r]).tolist())))
+        entries = zip(conditions.indices[part].tolist(), (conditions.data[part] / height[r]).tolist(), strict=True)
+        chosen.replace(dict(entries))
     return chosen.basis(conditions.shape[1])
 
 
@@ -298,7 +299,7 @@ class _Substitutions:
         self.formulas: list[tuple[int, dict[int, float]]] = []
 
     def replace(self, row: dict[int, float]) -> None:
-        """Make the sum of coefficient * variable over a row a variable, in place of that with the largest part in it."""
+        """Make the sum of coefficient * variable over a row a variable, in place of one with a large part in it."""
         row = self.expressed(row)
         own = [x for x, part in row.items() if x not in self.turn and abs(part) > TOO_SMALL]
         if own:
@@ -332,7 +333,7 @@ class _Substitutions:
 
 
 def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array, estimate: float) -> float | None:
-    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found."""
+    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if unknown."""
     terms = int(np.diff(rows.tocsc().indptr).max(initial=0)) + 4
     most = (abs(rows) + doubt).T.tocsr()
     error = 2 * np.sqrt(_largest_eigenvalue(most) * _largest_eigenvalue(doubt.T.tocsr()))
@@ -368,8 +369,8 @@ def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
     factors that elimination in floating point has found. None where a pivot is not positive.
 
     The product of the computed factors L and U differs from the matrix by at most gamma |L| |U| (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen. With W = |L| D^(1/2), |L| |U|
-    is W W^T but for that.
+    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen. With W = |L| D^(1/2),
+    |L| |U| is W W^T but for that.
     """
     factor = _factorised(matrix)
     if factor is None or (factor.perm_r != factor.perm_c).any():

@@ -2,15 +2,17 @@
 
 A result of +, -, *, / or sqrt encloses the exact result for all numbers in the operands. The pairs carry some 106 bits
 (Dekker, Numer. Math. 18, 1971; error bounds of Joldes, Muller and Popescu, ACM Trans. Math. Softw. 44, 2017: below
-2^-100 of the result here, several times what they prove). Bounds on errors are themselves rounded up by a factor. Products
-that may underflow have a larger error; numbers beyond 1e140 in size are not allowed.
+2^-100 of the result here, several times what they prove). Bounds on errors are themselves rounded up by a factor.
+Products that may underflow have a larger error; numbers beyond 1e140 in size are not allowed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 ROUNDING = 2.0**-100  # relative error of one operation on pairs
 UP = 1 + 2.0**-40  # factor that makes up for the rounding of a bound itself, of up to some thousand operations
@@ -28,7 +30,7 @@ class Enclosure:
     error: np.ndarray
 
     @classmethod
-    def exact(cls, high: np.ndarray, low: np.ndarray | float = 0.0) -> Enclosure:
+    def exact(cls, high: ArrayLike, low: np.ndarray | float = 0.0) -> Enclosure:
         """These numbers, or these sums of two, without any error."""
         high = np.asarray(high, dtype=np.float64)
         total, rest = _two_sum(high, np.broadcast_to(np.asarray(low, dtype=np.float64), high.shape))
@@ -82,7 +84,7 @@ class Enclosure:
         """Times +1, -1 or 0."""
         return Enclosure(sign * self.high, sign * self.low, np.abs(sign) * self.error)
 
-    def __getitem__(self, where: object) -> Enclosure:
+    def __getitem__(self, where: Any) -> Enclosure:
         return Enclosure(*(part[where] for part in self.parts))
 
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:

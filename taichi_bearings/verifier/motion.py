@@ -67,7 +67,7 @@ class Motion:
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """(R,), what the signed spin of the top, as stored, lacks of the imposed one if that of the bottom lacks nothing."""
+        """(R,), what the signed spin of the top, as stored, lacks of the imposed one, measured from the bottom."""
         found = {}
         for k, stored in self.samples.signed_spin.items():
             bottom, top = (Enclosure.exact(*planes) for planes in zip(*(ends_of(part) for part in stored), strict=True))
@@ -76,7 +76,7 @@ class Motion:
 
     @cached_property
     def difference(self) -> tuple[dict[int, Enclosure], ...]:
-        """Differences of signed spins by component of the contacts that are not `still`, one entry an axis; (n,) each."""
+        """Differences of signed spins of the contacts that are not `still`, by component; (n,) each, an entry an axis."""
         return tuple(
             {k: self._differences(k, axis, ~still) for k in self.samples.felt(axis)}
             for axis, still in enumerate(self.still)
@@ -114,7 +114,7 @@ def whole_planes(samples: Samples) -> np.ndarray:
 def ends_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of values (R, *N), those of one sphere of the bottom and of one of the top, (R, 1, ...)."""
     corner = (slice(None), *(slice(0, 1),) * (values.ndim - 2))
-    return values[(*corner, slice(0, 1))], values[(*corner, slice(-1, None))]
+    return values[corner + (slice(0, 1),)], values[corner + (slice(-1, None),)]
 
 
 def spread(one: Enclosure, count: int) -> Enclosure:

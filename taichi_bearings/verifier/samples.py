@@ -88,7 +88,7 @@ class Samples:
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """Component by component, signed spin of the top less that of the bottom, in units of `spin_unit`; (1,) each."""
+        """By component, signed spin of the top less that of the bottom, in units of `spin_unit`; (1,) each."""
         whole = Enclosure.exact([self.spin_top / self.spin_unit]) - Enclosure.exact([self.spin_bottom / self.spin_unit])
         if self.dimension == 2:
             return {2: whole}
@@ -132,7 +132,7 @@ class Samples:
 
     @cached_property
     def strength(self) -> tuple[Enclosure, ...]:
-        """Friction that each contact can bear (Coulomb), or its damping, in units of `force_unit`; (R, *contacts) an axis."""
+        """Friction that a contact can bear, or its damping, in units of `force_unit`; (R, *contacts) an axis."""
         unit = _power_of_two(self._strength)
         factor = Enclosure.exact(np.array([self._strength / unit]))
         scale = self.force_unit / unit

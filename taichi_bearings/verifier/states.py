@@ -38,8 +38,8 @@ SATURATED = 1e-6  # share of the friction by which a contact that slips may miss
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. proven : one array (*contacts,) an axis of UNPROVEN, SLIPLESS or SLIPPING. unique : is there only one
-    minimum? None if that is not known. reason : why not all is proven, or "".
+    """Of one sample. proven : one array (*contacts,) an axis of UNPROVEN, SLIPLESS or SLIPPING. unique : is there only
+    one minimum? None if that is not known. reason : why not all is proven, or "".
     """
 
     proven: tuple[np.ndarray, ...]
@@ -90,7 +90,7 @@ def _rests(motion: Motion, component: int) -> np.ndarray:
 
 
 def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
-    """Viscous: the power exceeds the least one by the sum of eta |z - z*|^2, so slips that would cost more do not end."""
+    """Viscous: the power exceeds the least one by the sum of eta |z - z*|^2: slips that would cost more do not end."""
     found = []
     for axis, (still, size, strength) in enumerate(
         zip(motion.still, motion.size, motion.samples.strength, strict=True)
@@ -116,7 +116,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
             down.append((samples.strength[axis] + bears).reshaped((-1,)))
             below.append(place[low].ravel())
             above.append(place[high].ravel())
-            owner.append(np.indices(bears.high.shape, sparse=True)[0].repeat(bears.high[0].size).ravel())
+            owner.append(np.repeat(np.arange(samples.count), bears.high[0].size))
     lower, upper, of_sample = (np.concatenate(parts) for parts in (below, above, owner))
     slack = joined(up), joined(down)
     excess = sum(np.bincount(of_sample, np.maximum(s.error - s.high - s.low, 0.0), samples.count) for s in slack)

@@ -45,7 +45,8 @@ class Verdict:
 def verdict_of(run: StoredRun) -> Verdict:
     """All checks of a run."""
     samples = run.samples
-    count, nothing = samples.count, [None] * samples.count
+    count = samples.count
+    nothing: list[Any] = [None] * count
     contacts = sum(int((~samples.between_driven(axis))[0].sum()) for axis in range(samples.dimension))
     unproven = [{"slipless": 0, "slipping": 0, "unproven": contacts} for _ in range(count)]
     if not samples.can_be_judged:
