@@ -156,11 +156,13 @@ def mean_product(primal: list[Point], dual: list[Point]) -> float:
     return total / max(1, sum(len(p[0]) for p in primal))
 
 
-def friction_stiffness(friction: np.ndarray, difference: np.ndarray, weak: float = WEAK) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference|, plus weak / slip^2 along the slip."""
+def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
+    """Second derivative (d, d, n) of friction * |difference|, plus the weak WEAK / slip^2 along the slip, which is at
+    most `share` of that across it."""
     size = length(difference)
     along = difference / size
-    stiffness = (weak / size**2) * along[:, None] * along[None, :]
+    weak = np.minimum(WEAK / size**2, share * friction / size) if share < np.inf else WEAK / size**2
+    stiffness = weak * along[:, None] * along[None, :]
     if len(along) == 2:
         across = np.stack([-along[1], along[0]])
         stiffness = stiffness + (friction / size) * across[:, None] * across[None, :]

@@ -40,6 +40,7 @@ LOST = 1e-25  # slip that double precision cannot follow: of a contact if Newton
 NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
+HARDLY = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
 TINY = np.finfo(np.float64).tiny
 
 
@@ -149,7 +150,7 @@ def _newton(
         left = float(np.abs(torques).max(initial=0.0))
         if left < (BALANCED if count < STEPS - 1 else ROUGHLY):
             return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping)
-        matrix.factorise([friction_stiffness(mu, z) for mu, z in zip(friction, difference, strict=True)])
+        matrix.factorise([friction_stiffness(mu, z, HARDLY) for mu, z in zip(friction, difference, strict=True)])
         step = matrix.solve(torques)
         steps = [g.change(step) for g in system.groups]
         at_rest = [

@@ -76,7 +76,7 @@ class Motion:
 
     @cached_property
     def difference(self) -> tuple[dict[int, Enclosure], ...]:
-        """Differences of signed spins of the contacts that are not `still`, by component; (n,) each, an entry an axis."""
+        """Differences of signed spins by component, of contacts that are not `still`; (n,) each, an entry an axis."""
         return tuple(
             {k: self._differences(k, axis, ~still) for k in self.samples.felt(axis)}
             for axis, still in enumerate(self.still)
