@@ -1,7 +1,7 @@
 """The minimum near given spins, where nothing but the domains of contacts without slip may move.
 
 The power is a convex function of u, the change of the domains from the given spins. Let g be its slope there, and its
-curvature at least tau times a positive diagonal h, in some variables v with u = basis v. A contact with slip z that
+curvature at least tau times a positive diagonal h, in variables v of which u are sums. A contact with slip z that
 changes by w, |w| <= |z| / 4, resists: (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, with n the direction of slip and b the
 part of w across it. So where sum h v^2 = rho^2, with rho > |g| / (0.72 tau) in the norm of 1 / h, the power rises
 outwards if no slip changes by more than a quarter on the way there: all minima are inside. There directions of slip
@@ -11,7 +11,6 @@ just one.
 
 from __future__ import annotations
 
-from bisect import insort
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,8 +26,7 @@ from taichi_bearings.verifier.motion import Motion, length
 TURN = 0.25  # largest share by which a slip may change
 TRIALS = 4  # each from spins that Newton's method has improved
 STIFF = 1e3  # stiffness of a contact, over that of most, from which it holds a cluster together
-STIFFEST = 1e7  # stiffness, over that of the softest beside it, from which the turn of a contact is a variable
-TOO_SMALL = 0.05  # part of a variable in the turn of a contact that cannot stand for it
+GUESS = 1e-7  # of the least curvature
 LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
@@ -159,10 +157,10 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     """The same from these contacts as they are."""
     root, tau, block = np.sqrt(curvature.scale), curvature.tau, contacts.blocks()
-    slope = abs(curvature.basis).T @ (curvature.clusters.T @ contacts.slope().most)
+    slope = curvature.clusters.T @ contacts.slope().most
     radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
     reach = radius[block] / root  # of each variable, at most
-    entries = [_product(contacts.change(slot) @ curvature.clusters, curvature.basis) for slot in range(2)]
+    entries = [abs(contacts.change(slot) @ curvature.clusters) for slot in range(2)]  # zeros and ones, exactly
     turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
     # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
     loss = np.where(contacts.two, (2 * turn) ** 2 * contacts.stiffness.most, 0.0)
@@ -170,22 +168,15 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     return turn if (turn <= TURN).all() and (given_up * UP < tau * curvature.scale / 2).all() else None
 
 
-def _product(first: sparse.csr_array, second: sparse.csr_array) -> sparse.csr_array:
-    """|first second|, entry by entry, or a little more."""
-    terms = int(np.diff(first.indptr).max(initial=0)) + 4
-    return (abs(first @ second) + terms * EPS * (abs(first) @ abs(second))).tocsr()
-
-
 @dataclass(frozen=True)
 class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    clusters, basis : (unknowns, unknowns), u = clusters (basis v). scale : h, (unknowns,). tau : proven; as the basis
-    is a square matrix, that proves it regular, too. factor : of the scaled matrix, roughly.
+    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. factor : of the scaled matrix,
+    roughly.
     """
 
     clusters: sparse.csr_array
-    basis: sparse.csr_array
     scale: np.ndarray
     tau: float
     factor: Any
@@ -194,27 +185,20 @@ class Curvature:
     def of(cls, contacts: Slipping) -> Curvature | None:
         """None if no curvature can be proven."""
         clusters = _clusters(contacts)
-        conditions, inexact = _conditions(contacts, clusters)
-        basis = _basis(conditions)
-        rows = (conditions @ basis).tocsr()
+        rows, doubt = _conditions(contacts, clusters)
         scale = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
         if not (scale > 0).all():
             return None
         inverse = sparse.diags_array(1 / np.sqrt(scale))
-        terms = int(np.diff(conditions.indptr).max()) + 4
-        doubt = (inexact + terms * EPS * abs(conditions)) @ abs(basis) @ inverse
-        rows = (rows @ inverse).tocsr()
+        rows, doubt = (rows @ inverse).tocsr(), (doubt @ inverse).tocsr()
         matrix = (rows.T @ rows).tocsc()
-        factor = _factorised((matrix + LEAST * sparse.eye_array(len(scale), format="csc")).tocsc())
-        if factor is None:
-            return None
-        tau = _proven(rows, doubt.tocsr(), matrix, _least_eigenvalue(matrix, factor))
-        return None if tau is None else cls(clusters, basis, scale, tau, factor)
+        found = _proven(rows, doubt, matrix)
+        return None if found is None else cls(clusters, scale, *found)
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""
-        root, whole = np.sqrt(self.scale), self.clusters @ self.basis
-        return -(whole @ (self.factor.solve((whole.T @ slope) / root) / root))
+        root = np.sqrt(self.scale)
+        return -(self.clusters @ (self.factor.solve((self.clusters.T @ slope) / root) / root))
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
@@ -267,94 +251,31 @@ def _conditions(contacts: Slipping, clusters: sparse.csr_array) -> tuple[sparse.
     return rows, doubt.tocsr()
 
 
-def _basis(conditions: sparse.csr_array) -> sparse.csr_array:
-    """Variables in which stiff contacts do not hide soft ones, as columns (unknowns, unknowns).
-
-    A contact with a tiny slip hardly lets it turn; what others resist would be lost beside that in rounding. Row by
-    row, the stiffest first, the turn of such a contact becomes a variable in place of one that it has.
-    """
-    row_of, column_of = conditions.nonzero()
-    height = np.sqrt(np.asarray(conditions.multiply(conditions).sum(axis=1)).ravel())
-    softest = np.full(conditions.shape[1], np.inf)
-    np.minimum.at(softest, column_of, height[row_of])
-    beside = np.full(conditions.shape[0], np.inf)
-    np.minimum.at(beside, row_of, softest[column_of])
-    stiff = np.flatnonzero(height > np.sqrt(STIFFEST) * beside)
-    chosen = _Substitutions()
-    for r in stiff[np.argsort(-height[stiff], kind="stable")]:
-        part = slice(conditions.indptr[r], conditions.indptr[r + 1])
-        entries = zip(conditions.indices[part].tolist(), (conditions.data[part] / height[r]).tolist(), strict=True)
-        chosen.replace(dict(entries))
-    return chosen.basis(conditions.shape[1])
-
-
-class _Substitutions:
-    """Variables expressed by others, one after the other: formulas[i] holds in those that are left after the first i.
-
-    turn : variable -> number of its formula.
-    """
-
-    def __init__(self) -> None:
-        self.turn: dict[int, int] = {}
-        self.formulas: list[tuple[int, dict[int, float]]] = []
-
-    def replace(self, row: dict[int, float]) -> None:
-        """Make the sum of coefficient * variable over a row a variable, in place of one with a large part in it."""
-        row = self.expressed(row)
-        own = [x for x, part in row.items() if x not in self.turn and abs(part) > TOO_SMALL]
-        if own:
-            pivot = max(own, key=lambda x: abs(row[x]))
-            formula = {x: -part / row[pivot] for x, part in row.items() if x != pivot and part != 0.0}
-            self.turn[pivot] = len(self.formulas)
-            self.formulas.append((pivot, formula | {pivot: 1 / row[pivot]}))
-
-    def expressed(self, row: dict[int, float]) -> dict[int, float]:
-        """A row of coefficients of the first variables in the last ones."""
-        waiting = sorted(self.turn[x] for x in row if x in self.turn)
-        while waiting:
-            now = waiting.pop(0)
-            variable, formula = self.formulas[now]
-            amount = row.pop(variable)
-            for x, part in formula.items():
-                later = self.turn.get(x, -1)
-                if x not in row and later > now:
-                    insort(waiting, later)
-                row[x] = row.get(x, 0.0) + amount * part
-        return row
-
-    def basis(self, size: int) -> sparse.csr_array:
-        """First variables as combinations of the last ones, (size, size)."""
-        rows = [(x, self.expressed({x: 1.0})) for x in self.turn]
-        plain = np.setdiff1d(np.arange(size), list(self.turn)).astype(int)
-        row = np.concatenate([plain, np.array([x for x, parts in rows for _ in parts], dtype=int)])
-        column = np.concatenate([plain, np.array([y for _, parts in rows for y in parts], dtype=int)])
-        value = np.concatenate([np.ones(len(plain)), np.array([a for _, parts in rows for a in parts.values()])])
-        return sparse.csr_array((value, (row, column)), shape=(size, size))
-
-
-def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array, estimate: float) -> float | None:
-    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if unknown."""
+def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array) -> tuple[float, Any] | None:
+    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most, and a factorisation of
+    about A^T A; None if no such tau is found. The first guess saves a factorisation where it will do."""
     terms = int(np.diff(rows.tocsc().indptr).max(initial=0)) + 4
     most = (abs(rows) + doubt).T.tocsr()
     error = 2 * np.sqrt(_largest_eigenvalue(most) * _largest_eigenvalue(doubt.T.tocsr()))
     error += (terms + 1) * EPS * _largest_eigenvalue(most) + EPS
-    for share in (0.5, 0.1):
-        tau = share * estimate
-        missed = _distance_from_positive((matrix - tau * sparse.eye_array(matrix.shape[0], format="csc")).tocsc())
+    one = sparse.eye_array(matrix.shape[0], format="csc")
+    for guess in (lambda: GUESS, lambda: _least_eigenvalue((matrix + LEAST * one).tocsc()) / 2):
+        tau = guess()
+        factor = _factorised((matrix - tau * one).tocsc())
+        missed = _distance_from_positive(factor)
         if missed is not None and tau - (missed + error) * UP > tau / 2:
-            return tau / 2
+            return tau / 2, factor
     return None
 
 
-def _least_eigenvalue(matrix: sparse.csc_array, factor: Any) -> float:
+def _least_eigenvalue(matrix: sparse.csc_array) -> float:
     """A rough value of the least eigenvalue, by inverse iteration."""
-    vector = np.random.default_rng(0).standard_normal(matrix.shape[0])
-    for _ in range(STEPS):
+    factor, vector = _factorised(matrix), np.random.default_rng(0).standard_normal(matrix.shape[0])
+    for _ in range(STEPS if factor is not None else 0):
         vector = factor.solve(vector / np.linalg.norm(vector))
         if not np.isfinite(vector).all():
             return 0.0
-    vector /= np.linalg.norm(vector)
-    return float(np.linalg.norm(matrix @ vector))
+    return float(1 / np.linalg.norm(vector)) if factor is not None else 0.0
 
 
 def _factorised(matrix: sparse.csc_array) -> Any:
@@ -364,15 +285,14 @@ def _factorised(matrix: sparse.csc_array) -> Any:
         return None
 
 
-def _distance_from_positive(matrix: sparse.csc_array) -> float | None:
+def _distance_from_positive(factor: Any) -> float | None:
     """Bound, in the spectral norm, of how far a symmetric matrix is from a positive semidefinite one: L D L^T, with the
-    factors that elimination in floating point has found. None where a pivot is not positive.
+    factors that elimination in floating point has found. None where there are none, or a pivot is not positive.
 
     The product of the computed factors L and U differs from the matrix by at most gamma |L| |U| (Higham, Accuracy and
     Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen. With W = |L| D^(1/2),
     |L| |U| is W W^T but for that.
     """
-    factor = _factorised(matrix)
     if factor is None or (factor.perm_r != factor.perm_c).any():
         return None
     lower, upper = factor.L.tocsr(), factor.U.tocsr()
