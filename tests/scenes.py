@@ -12,8 +12,8 @@ from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 MINIMA = json.loads((Path(__file__).parent / "reference" / "minima.json").read_text())["scenes"]
 
 
-def make_scene(shape, law="coulomb", seeds=(4711,), distribution="uniform:0.1,1.0", **driving):
-    lattice = Lattice(tuple(shape))
+def make_scene(shape, law="coulomb", seeds=(4711,), distribution="uniform:0.1,1.0", radius=0.5, **driving):
+    lattice = Lattice(tuple(shape), radius)
     drawn = [draw_coefficients(lattice, Distribution.parse(distribution), seed) for seed in seeds]
     coefficient = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
     return Scene(lattice, law, coefficient, seeds=tuple(seeds), **driving)

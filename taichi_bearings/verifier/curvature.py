@@ -172,8 +172,8 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
 class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. factor : of the scaled matrix,
-    roughly.
+    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. factor : of the scaled
+    matrix, roughly.
     """
 
     clusters: sparse.csr_array

@@ -107,7 +107,8 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     )
     if samples.law not in ("coulomb", "viscous"):
         raise FileError(f"{path} has the law {samples.law!r}; coulomb and viscous can be verified")
-    reported = {name: by_axis(f"contact/{{}}/{name}") for name in REPORTED}
+    names = [*REPORTED, *(["slip_bound"] if "contact/z/slip_bound" in file or "contact/y/slip_bound" in file else [])]
+    reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
     history = {name: np.asarray(values[()]) for name, values in file.get("history", {}).items()}
     return StoredRun(path, samples, attributes, settings, reported, history)
 

@@ -192,6 +192,9 @@ def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str)
         friction = np.abs(samples.friction[axis][number])
         size = friction if samples.dimension == 2 else np.sqrt((friction**2).sum(axis=-1))
         slips = state == SLIPPING
+        slowest = run.reported["slip"][axis][number] * (1 - ROUNDED)
+        if "slip_bound" in run.reported and (run.reported["slip_bound"][axis][number] < slowest).any():
+            yield f"bounds of the slip{which} along {'xyz'[axis]} are below the slip of the minimum"
         if (np.abs(force - size)[state != DRIVEN] > 1e-6 * strength[state != DRIVEN]).any() or (
             np.abs(force - strength)[slips] > 1e-6 * strength[slips]
         ).any():
@@ -211,12 +214,7 @@ def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[flo
         if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
             yield f"the lower bound{which} is said to be {b!r}; the friction proves {bound[number]!r}"
         own = gap[number]
-        if (
-            g is not None
-            and own is not None
-            and run.samples.jump_size > 0
-            and not own <= g * (1 + 1e-9) + ROUNDED / 100
-        ):
+        if g is not None and own is not None and run.samples.jump_size > 0 and not own <= g * (1 + 1e-9) + 4 * EPS:
             yield f"the gap{which} is said to be {g!r}; what is proven leaves {own!r}"
         if g is not None and g < -ROUNDED / 100:
             yield f"the gap{which} is negative: {g!r}"

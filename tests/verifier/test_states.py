@@ -1,0 +1,137 @@
+"""Contact states that the verifier proves are those of every minimum, by an oracle in 200 digits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taichi_bearings.contact_state import ContactState
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN
+from tests.scenes import make_scene
+from tests.verifier.test_bounds import samples_of
+
+pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+
+# shape, options, method; is all to be proven? None: it need not be, but nothing false may be
+SCENES = [
+    ((3, 3, 4), {"seeds": (1,)}, "interior-point", True),
+    ((2, 4, 4), {"seeds": (17,), "spin_bottom": -0.4, "direction": (1, 2, -1)}, "interior-point", True),
+    ((3, 2, 4), {"seeds": (5,), "distribution": "lognormal:0.5,2.0"}, "interior-point", True),
+    ((5, 5), {"seeds": (3,)}, "planar-cut", True),
+    ((3, 3, 4), {"seeds": (3,), "direction": (0, 1, 0)}, "planar-cut", True),
+    # proofs that the first version got wrong: contacts said to hold join both planes, nearly collinear slips, ties
+    (
+        (2, 2, 3),
+        {"seeds": (7,), "distribution": "power-law:1e-3,1e3,-1", "direction": (1, 1e-8, 0)},
+        "interior-point",
+        True,
+    ),
+    (
+        (3, 3, 3),
+        {"seeds": (3,), "distribution": "bimodal:0.1,1,0.5", "direction": (1, 1e-6, 0)},
+        "interior-point",
+        None,
+    ),
+    ((3, 3, 3), {"seeds": (6,), "distribution": "bimodal:1e-3,1e3,0.5"}, "interior-point", None),
+    ((3, 3, 3), {"seeds": (35,), "distribution": "bimodal:1e-3,1e3,0.5"}, "interior-point", None),
+    ((3, 2, 3), {"seeds": (25,), "distribution": "bimodal:1e-9,1e9,0.5"}, "interior-point", None),
+    ((2, 2, 5), {"seeds": (312656,), "distribution": "bimodal:1.0,2.0,0.5"}, "interior-point", None),
+    ((3, 3, 3), {"seeds": (4,), "distribution": "constant:1.0"}, "interior-point", False),
+    ((4, 4), {"seeds": (4,), "distribution": "constant:0.3"}, "planar-cut", False),
+    ((5, 4), {"seeds": (2,), "distribution": "bimodal:0.25,1,0.5"}, "planar-cut", None),
+]
+
+
+def minimum(shape, options, method):
+    scene = make_scene(shape, **options)
+    return solve(scene, method_class(method)(), initial_spin(scene, "linear"), StopRule(1e-10))
+
+
+@pytest.mark.parametrize(("shape", "options", "method", "wanted"), SCENES, ids=str)
+def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
+    truth = pytest.importorskip("tests.truth.extended_precision", reason="python-flint is not installed")
+    solution = minimum(shape, options, method)
+    scene, states = solution.scene, Judgement(samples_of(solution)).states[0]
+    exact = truth.solve(
+        [c[0] for c in scene.coefficient], scene.normal_force, scene.lattice.radius, scene.spin_top, scene.spin_bottom,
+        scene.direction,
+    )  # fmt: skip
+    for proven, found in zip(states.proven, exact.state, strict=True):
+        assert (found[proven == SLIPPING] == truth.SLIPPING).all()
+        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, truth.DRIVEN)).all()
+    everything = all((p != UNPROVEN).all() for p in states.proven)
+    assert everything == wanted if wanted is not None else True
+    assert states.unique is (True if everything else None)
+    assert bool(solution.resolved[0]) == everything
+    assert float(solution.lower_bound[0]) <= float(exact.power.upper())
+    assert float(exact.power.lower()) <= float(solution.power[0])
+
+
+@pytest.fixture(scope="module")
+def sample():
+    solution = minimum((3, 3, 4), {"seeds": (1,)}, "interior-point")
+    assert solution.resolved[0]
+    return samples_of(solution), solution.state
+
+
+def all_proven(samples):
+    return all((p != UNPROVEN).all() for p in Judgement(samples).states[0].proven)
+
+
+def test_a_spin_that_is_off_loses_the_proof(sample):
+    samples, _ = sample
+    assert all_proven(samples)
+    for change in (1e-3, 1e-9, 1e-13):
+        spin = samples.spin.copy()
+        spin[0, 1, 2, 1, 0] += change
+        assert not all_proven(replace(samples, spin=spin))
+    rounding = samples.spin_rounding.copy()
+    rounding[0, 1, 2, 1, 0] += 1e-20  # contacts said to hold then slip
+    assert not all_proven(replace(samples, spin_rounding=rounding))
+
+
+def test_friction_that_is_out_of_balance_loses_the_proof(sample):
+    """One contact that holds bears more: by less than others have room for that can be mended, by more it cannot."""
+    samples, state = sample
+    holds = tuple(np.argwhere(state[2][0] == ContactState.SLIPLESS)[3])
+    for share, proven in ((1e-12, True), (0.9, False)):
+        friction = [f.copy() for f in samples.friction]
+        limit = samples.normal_force * samples.coefficient[2][(0, *holds)]
+        friction[2][(0, *holds)] += share * limit * np.array([1.0, 1.0, 0.0])
+        assert all_proven(replace(samples, friction=tuple(friction))) == proven
+
+
+def test_other_coefficients_lose_the_proof(sample):
+    samples, state = sample
+    slips = tuple(np.argwhere(state[2][0] == ContactState.SLIPPING)[2])
+    coefficient = [c.copy() for c in samples.coefficient]
+    coefficient[2][(0, *slips)] *= 1.0 + 1e-4
+    assert not all_proven(replace(samples, coefficient=tuple(coefficient)))
+
+
+def test_contacts_without_slip_cannot_join_the_planes(sample):
+    samples, _ = sample
+    spin, rounding = samples.spin.copy(), samples.spin_rounding.copy()
+    sign = samples.sublattice[1, 1, :, None]
+    spin[0, 1, 1, :, 0] = sign[:, 0] * spin[0, 1, 1, 0, 0] * samples.sublattice[1, 1, 0]
+    rounding[0, 1, 1, :, 0] = 0.0
+    spin[0, :, :, -1] = 0.0  # as if the top stood still, too
+    rounding[0, :, :, -1] = 0.0
+    spin[0], rounding[0] = 0.0, 0.0
+    states = Judgement(replace(samples, spin=spin, spin_rounding=rounding)).states[0]
+    assert states.unique is None
+    assert "join" in states.reason
+
+
+def test_viscous_contacts_slip_where_the_gap_allows_nothing_else():
+    solution = minimum((4, 5, 4), {"law": "viscous"}, "linear-solver")
+    states = Judgement(samples_of(solution)).states[0]
+    for axis, proven in enumerate(states.proven):
+        driven = solution.scene.lattice.between_driven(axis)
+        assert (proven[driven] == SLIPLESS).all()
+        assert (proven[~driven] == SLIPPING).all()

@@ -1,0 +1,163 @@
+"""Files that prove what they claim are verified; with one number changed where it matters, they are not."""
+
+import shutil
+
+import h5py
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.studies.run import run
+from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.studies.verify import verify
+
+pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+KEPT = {
+    "spheres": {"shape": (4, 3, 5), "seed": 12, "spin_bottom": 0.1},
+    "discs": {"shape": (6, 7), "seed": 5},
+    "dampers": {"shape": (3, 4, 4), "seed": 2, "law": "viscous"},
+    "samples": {"shape": (3, 3, 4), "seed": 3, "replicas": 2},
+    "descent": {"shape": (4, 4, 4), "method": "gradient-descent", "tolerance": 1e-3},
+    "given": {"shape": (3, 3, 4), "distribution": "constant:1"},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    there = tmp_path_factory.mktemp("verify")
+    for name, settings in KEPT.items():
+        run(RunSettings(threads=1, **settings), there / name)
+    return there
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_a_run_proves_what_it_claims(folder, name):
+    report = verify(folder / name)
+    assert report["contradictions"] == []
+    assert report["verified"]
+    gaps = np.atleast_1d(report["gap"])
+    assert (gaps >= 0).all()
+    assert (gaps < (1e-3 if name == "descent" else 1e-8)).all()
+    if name in ("spheres", "discs"):
+        assert report["states_proven"]["unproven"] == 0
+        assert report["minimum_is_unique"] is True
+
+
+def places(values, rng, count, where=None):
+    """Some positions in an array, of those that `where` allows."""
+    allowed = np.argwhere(np.ones(values.shape, dtype=bool) if where is None else where)
+    return [tuple(allowed[i]) for i in rng.integers(0, len(allowed), count)]
+
+
+def changes(path):
+    """(name, function of an open file) of one number changed each."""
+    rng = np.random.default_rng(1)
+    with h5py.File(path, "r") as file:
+        axes = [axis for axis in "xyz" if axis in file["coefficient"]]
+        state = {axis: file[f"contact/{axis}/state"][()] for axis in axes}
+        spin = file["spin"][()]
+        limit = {axis: file[f"coefficient/{axis}"][()] * file.attrs["normal_force"] for axis in axes}
+        has_rounding = "spin_rounding" in file
+        parts = spin.ndim - len(axes)
+
+    def put(name, where, value):
+        def change(file):
+            file[name][where] = value(file[name][where])
+
+        return f"{name}{list(map(int, where))}", change
+
+    free = np.zeros(spin.shape, dtype=bool)
+    free[(slice(None),) * (len(axes) - 1) + (slice(1, -1),)] = True
+    if parts:
+        free[..., 2] = False
+    for where in places(spin, rng, 6, free):
+        yield put("spin", where, lambda v: v + 1e-9)
+    for where in places(spin, rng, 2, ~free & ((np.arange(3) < 2) if parts else True)):
+        yield put("spin", where, lambda v: v + 1e-6)
+    if has_rounding:
+        for where in places(spin, rng, 4, free):
+            yield put("spin_rounding", where, lambda v: v + 1e-13)
+    for axis in axes:
+        acts = state[axis] != 3
+        for where in places(state[axis], rng, 2):
+            yield put(f"coefficient/{axis}", where, lambda v: v * (1 + 1e-6))
+        for where in places(state[axis], rng, 3, acts):
+            size = 1e-4 * limit[axis][where]
+            tangent = 0 if axis == "z" else 2  # along z it turns spheres about components that the driving needs
+            yield put(f"contact/{axis}/friction", (*where, tangent) if parts else where, lambda v, s=size: v + s)
+        for where in places(state[axis], rng, 2, acts):
+            yield put(f"contact/{axis}/slip", where, lambda v: v + 1e-8)
+        for where in places(state[axis], rng, 2, acts):
+            yield put(f"contact/{axis}/power", where, lambda v: v * (1 + 1e-6) + 1e-9)
+        for where in places(state[axis], rng, 2, acts):
+            yield put(f"contact/{axis}/force", where, lambda v, s=limit[axis][where]: v - 1e-4 * s)
+        for where in places(state[axis], rng, 3, acts):
+            yield put(f"contact/{axis}/state", where, lambda v: 1 - v)
+    for name, value in (
+        ("power", lambda v: v * (1 + 1e-9)), ("power", lambda v: v * (1 - 1e-9)),
+        ("lower_bound", lambda v: v * (1 + 1e-9)), ("gap", lambda v: v / 100), ("gap", lambda v: -1e-3),
+        ("slipping", lambda v: v + 1), ("slipless", lambda v: v - 1),
+        ("normal_force", lambda v: v * (1 + 1e-9)), ("radius", lambda v: v * (1 - 1e-9)), ("seed", lambda v: v + 1),
+        ("spin_top", lambda v: v * (1 + 1e-9)), ("spin_bottom", lambda v: v + 1e-9),
+    ):  # fmt: skip
+
+        def change(file, name=name, value=value):
+            file.attrs[name] = value(file.attrs[name])
+
+        yield f"attribute {name}", change
+
+    def history(file):
+        file["history/lower_bound"][-1] = 1.01 * file.attrs["power"]
+
+    yield "history/lower_bound", history
+
+
+@pytest.mark.parametrize("name", ["spheres", "discs"])
+def test_one_number_changed_where_it_matters_is_found(folder, tmp_path, name):
+    tried, missed = 0, []
+    for what, change in changes(folder / name / "run.h5"):
+        path = tmp_path / "run.h5"
+        shutil.copy(folder / name / "run.h5", path)
+        with h5py.File(path, "r+") as file:
+            change(file)
+        tried += 1
+        if verify(path)["verified"]:
+            missed.append(what)
+    assert missed == []
+    assert tried >= 50
+
+
+def test_claims_beyond_what_is_proven_are_found(folder, tmp_path):
+    """A descent that says more than it knows."""
+    path = tmp_path / "run.h5"
+    for name, value in (("states_proven", True), ("minimum_is_unique", True), ("gap", 1e-12), ("lower_bound", 1e9)):
+        shutil.copy(folder / "descent" / "run.h5", path)
+        with h5py.File(path, "r+") as file:
+            file.attrs[name] = value
+        report = verify(path)
+        assert not report["verified"], name
+        assert len(report["contradictions"]) >= 1
+
+
+@pytest.mark.parametrize("damage", ["contact/z/friction", "spin", "coefficient/x"])
+def test_a_file_without_what_is_needed_is_refused_in_one_sentence(folder, tmp_path, damage):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        del file[damage]
+    with pytest.raises(FileError, match=r"lacks|cannot be read"):
+        verify(path)
+    path.write_bytes(b"no HDF5 file")
+    with pytest.raises(FileError, match="cannot be read"):
+        verify(path)
+
+
+def test_numbers_that_are_not_finite_prove_nothing(folder, tmp_path):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        file["spin"][1, 1, 2, 0] = np.nan
+    report = verify(path)
+    assert not report["verified"]
+    assert report["lower_bound"] is None
+    assert report["states_proven"]["unproven"] == sum(report["states_proven"].values())
