@@ -25,7 +25,7 @@ from taichi_bearings.verifier.motion import Motion, length
 
 TURN = 0.25  # largest share by which a slip may change
 TRIALS = 4  # each from spins that Newton's method has improved
-STIFF = 1e3  # stiffness of a contact, over that of most, from which it holds a cluster together
+STIFF = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
 GUESS = 1e-7  # of the least curvature
 LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
@@ -172,14 +172,13 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
 class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. factor : of the scaled
-    matrix, roughly.
+    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. matrix : about H, scaled.
     """
 
     clusters: sparse.csr_array
     scale: np.ndarray
     tau: float
-    factor: Any
+    matrix: sparse.csc_array
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
@@ -192,13 +191,13 @@ class Curvature:
         inverse = sparse.diags_array(1 / np.sqrt(scale))
         rows, doubt = (rows @ inverse).tocsr(), (doubt @ inverse).tocsr()
         matrix = (rows.T @ rows).tocsc()
-        found = _proven(rows, doubt, matrix)
-        return None if found is None else cls(clusters, scale, *found)
+        tau = _proven(rows, doubt, matrix)
+        return None if tau is None else cls(clusters, scale, tau, matrix)
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""
-        root = np.sqrt(self.scale)
-        return -(self.clusters @ (self.factor.solve((self.clusters.T @ slope) / root) / root))
+        root, factor = np.sqrt(self.scale), _factorised(self.matrix)
+        return -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
@@ -251,9 +250,9 @@ def _conditions(contacts: Slipping, clusters: sparse.csr_array) -> tuple[sparse.
     return rows, doubt.tocsr()
 
 
-def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array) -> tuple[float, Any] | None:
-    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most, and a factorisation of
-    about A^T A; None if no such tau is found. The first guess saves a factorisation where it will do."""
+def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array) -> float | None:
+    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
+    matrix : A^T A. The first guess saves a factorisation where it will do."""
     terms = int(np.diff(rows.tocsc().indptr).max(initial=0)) + 4
     most = (abs(rows) + doubt).T.tocsr()
     error = 2 * np.sqrt(_largest_eigenvalue(most) * _largest_eigenvalue(doubt.T.tocsr()))
@@ -261,10 +260,9 @@ def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_
     one = sparse.eye_array(matrix.shape[0], format="csc")
     for guess in (lambda: GUESS, lambda: _least_eigenvalue((matrix + LEAST * one).tocsc()) / 2):
         tau = guess()
-        factor = _factorised((matrix - tau * one).tocsc())
-        missed = _distance_from_positive(factor)
+        missed = _distance_from_positive(_factorised((matrix - tau * one).tocsc()))
         if missed is not None and tau - (missed + error) * UP > tau / 2:
-            return tau / 2, factor
+            return tau / 2
     return None
 
 

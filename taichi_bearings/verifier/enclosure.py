@@ -9,6 +9,7 @@ Products that may underflow have a larger error; numbers beyond 1e140 in size ar
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,19 @@ class Enclosure:
     error: np.ndarray
 
     @classmethod
-    def exact(cls, high: ArrayLike, low: np.ndarray | float = 0.0) -> Enclosure:
+    def exact(cls, high: ArrayLike, low: ArrayLike = 0.0) -> Enclosure:
         """These numbers, or these sums of two, without any error."""
         high = np.asarray(high, dtype=np.float64)
         total, rest = _two_sum(high, np.broadcast_to(np.asarray(low, dtype=np.float64), high.shape))
         return cls(total, rest, np.zeros_like(total))
+
+    @classmethod
+    def of_decimals(cls, values: list[Decimal]) -> Enclosure:
+        """Numbers with many more digits than two doubles have."""
+        high = [float(v) for v in values]
+        low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
+        pair = cls.exact(high, low)
+        return cls(pair.high, pair.low, ROUNDING * np.abs(pair.high))
 
     def __neg__(self) -> Enclosure:
         return Enclosure(-self.high, -self.low, self.error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal, localcontext
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.samples import DIGITS, Samples
 
 
 @dataclass(frozen=True)
@@ -67,11 +68,21 @@ class Motion:
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """(R,), what the signed spin of the top, as stored, lacks of the imposed one, measured from the bottom."""
+        """(R,), what the signed spin of the top, as stored, lacks of the imposed one, measured from the bottom.
+
+        It is far below the rounding of the spins and yet not of the smallest slips.
+        """
         found = {}
-        for k, stored in self.samples.signed_spin.items():
-            bottom, top = (Enclosure.exact(*planes) for planes in zip(*(ends_of(part) for part in stored), strict=True))
-            found[k] = spread(self.samples.jump[k], self.samples.count) - (top - bottom).reshaped((-1,))
+        with localcontext() as context:
+            context.prec = DIGITS
+            for k, stored in self.samples.signed_spin.items():
+                corners = np.concatenate([end.reshape(1, -1) for part in stored for end in ends_of(part)])
+                missing = [
+                    self.samples.exact_jump[k]
+                    - sum(sign * Decimal(float(v)) for sign, v in zip((-1, 1, -1, 1), of_one, strict=True))
+                    for of_one in corners.T
+                ]
+                found[k] = Enclosure.of_decimals(missing)
         return found
 
     @cached_property

@@ -10,12 +10,14 @@ spins are equal nothing slips. Such a bearing state can be added to all spins, s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from decimal import Decimal, localcontext
 from functools import cached_property
 
 import numpy as np
 
 from taichi_bearings.verifier.enclosure import Enclosure
 
+DIGITS = 300
 LEAST, MOST = 1e-60, 1e60  # scales of a sample
 Slices = tuple[slice, ...]
 
@@ -87,15 +89,21 @@ class Samples:
         return tuple(k for k in self.components if self.jump[k].most[0] > 0 and k != height)
 
     @cached_property
+    def exact_jump(self) -> dict[int, Decimal]:
+        """By component, signed spin of the top less that of the bottom, in units of `spin_unit`, to DIGITS digits."""
+        with localcontext() as context:
+            context.prec = DIGITS
+            whole = (Decimal(self.spin_top) - Decimal(self.spin_bottom)) / Decimal(self.spin_unit)
+            if self.dimension == 2:
+                return {2: whole}
+            parts = [Decimal(d) for d in self.direction]
+            size = sum((part * part for part in parts), Decimal(0)).sqrt()
+            return {k: whole * part / size for k, part in enumerate(parts)}
+
+    @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """By component, signed spin of the top less that of the bottom, in units of `spin_unit`; (1,) each."""
-        whole = Enclosure.exact([self.spin_top / self.spin_unit]) - Enclosure.exact([self.spin_bottom / self.spin_unit])
-        if self.dimension == 2:
-            return {2: whole}
-        largest = _power_of_two(np.max(np.abs(self.direction)))
-        parts = [Enclosure.exact([d / largest]) for d in self.direction]
-        size = (parts[0] * parts[0] + parts[1] * parts[1] + parts[2] * parts[2]).sqrt()
-        return {k: whole * part / size for k, part in enumerate(parts)}
+        """The same in doubles, (1,) each."""
+        return {k: Enclosure.of_decimals([value]) for k, value in self.exact_jump.items()}
 
     @property
     def jump_size(self) -> float:

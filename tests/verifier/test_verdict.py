@@ -70,7 +70,7 @@ def changes(path):
     free[(slice(None),) * (len(axes) - 1) + (slice(1, -1),)] = True
     if parts:
         free[..., 2] = False
-    for where in places(spin, rng, 6, free):
+    for where in places(spin, rng, 8, free):
         yield put("spin", where, lambda v: v + 1e-9)
     for where in places(spin, rng, 2, ~free & ((np.arange(3) < 2) if parts else True)):
         yield put("spin", where, lambda v: v + 1e-6)
