@@ -20,7 +20,6 @@ from taichi_bearings.analysis.torque_flow import (
     self_stress,
     torque_flow,
 )
-from taichi_bearings.analysis.uniqueness import Uniqueness, uniqueness
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.scene import Scene, Solution
@@ -33,7 +32,7 @@ class Structure:
     scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
     slip, state : one array (*contacts) an axis. power, lower_bound : energy/time.
     friction : laboratory frame, one array (*contacts, 3) an axis, in 2D (*contacts); None if it is not known.
-    states_proven : True if `state` is proven to be that of a minimum, slipless contacts bearing less than their limit.
+    states_proven : True if `state` is proven to be that of every minimum. minimum_is_unique : None if it is not known.
     """
 
     scene: Scene
@@ -44,6 +43,7 @@ class Structure:
     lower_bound: float
     friction: tuple[np.ndarray, ...] | None = None
     states_proven: bool = False
+    minimum_is_unique: bool | None = None
 
     @cached_property
     def staggered(self) -> np.ndarray:
@@ -75,13 +75,6 @@ class Structure:
     @cached_property
     def domains(self) -> RigidDomains:
         return rigid_domains(self.network, self.staggered, self.scene.minimum_spin_axes)
-
-    @cached_property
-    def uniqueness(self) -> Uniqueness | None:
-        """Whether other slips have the least power too; None where contact states are not proven (Coulomb)."""
-        if self.scene.law != "coulomb" or not self.states_proven or self.force is None:
-            return None
-        return uniqueness(self.scene.lattice, self.domains, self.force, self.state)
 
     @cached_property
     def view(self) -> View:
@@ -140,6 +133,7 @@ def structures_of(solution: Solution) -> list[Structure]:
             lower_bound=float(solution.lower_bound[r]),
             friction=tuple(values[r] for values in solution.friction),
             states_proven=bool(solution.resolved[r]),
+            minimum_is_unique=solution.minimum_is_unique[r],
         )
         for r in range(scene.replicas)
     ]

@@ -111,9 +111,9 @@ class Solution:
     spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
     slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
     friction : on the upper sphere of each contact, laboratory frame, (R, *contacts, 3) an axis; in 2D (R, *contacts),
-        the component along z x n (lattice.grid.laboratory_forces). In balance and within the friction discs, so that it
-        certifies (certificate.certifying_forces); made from the forces of the best bound, of a dynamics from the last.
-    resolved : (R,), True where the contact states are proven to be those of a minimum.
+        the component along z x n (lattice.grid.laboratory_forces). The lower bound follows from it: within the friction
+        discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
+    resolved : (R,), True where the contact states are proven to be those of every minimum.
     slip_bound : Coulomb, one array (R, *contacts) an axis: no minimiser slips faster there; proven. Else empty.
     power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
     findings : what else the method has found, by name, (R,) each.
@@ -144,3 +144,9 @@ class Solution:
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     snapshots: Snapshots | None = None
+
+    @property
+    def minimum_is_unique(self) -> list[bool | None]:
+        """(R,), True where it is proven that no other slips have the least power, False that others do, else None."""
+        tied = self.findings.get("tied_contacts", np.zeros(len(self.resolved)))
+        return [True if proven else False if ties else None for proven, ties in zip(self.resolved, tied, strict=True)]

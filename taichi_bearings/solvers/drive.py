@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.certificate import Forces, certifying_forces, relative_gap, slip_bound
+from taichi_bearings.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.errors import FileError
 from taichi_bearings.fields import borrow
@@ -100,7 +100,7 @@ class _Course:
     ) -> None:
         self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
-        self.best, self.recorder, self.pace = _Best(method.keeps_best), Recorder(scene, recording), _Pace()
+        self.best, self.recorder, self.pace = _Best(scene, method.keeps_best), Recorder(scene, recording), _Pace()
         self.target = 0  # iteration of the next look at the progress
         self.began = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
@@ -108,7 +108,7 @@ class _Course:
             try:
                 method.restore(resume)
                 self.recorder.restore(resume)
-                self.best.bound = np.array(resume["lower_bound"])
+                self.best.restore(resume)
                 self.began = time.perf_counter() - float(resume["elapsed"])
                 looked = bool(resume["looked"])
             except (KeyError, ValueError, IndexError, TypeError) as error:
@@ -171,8 +171,8 @@ class _Course:
         """Write a checkpoint. looked : this state has been recorded and judged."""
         if self.checkpoints is None or not is_dynamics(self.method):
             return
-        own = {"lower_bound": self.best.bound, "elapsed": np.array(self.elapsed), "looked": np.array(looked)}
-        self.checkpoints.write(self.method.state() | self.recorder.state() | own)
+        own = {"elapsed": np.array(self.elapsed), "looked": np.array(looked)}
+        self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
 
@@ -227,13 +227,13 @@ class _Pace:
 class _Best:
     """The state that counts, replica by replica, and the best lower bound seen.
 
-    proof : forces (T, R, *contacts) an axis from which that bound follows; of a dynamics, those of its last state.
+    proof : forces (T, R, *contacts) an axis from which that bound follows.
     """
 
-    def __init__(self, keeps_best: bool) -> None:
-        self.keeps_best = keeps_best
+    def __init__(self, scene: Scene, keeps_best: bool) -> None:
+        self.scene, self.keeps_best = scene, keeps_best
         self.progress: Progress
-        self.proof: Forces
+        self.proof: Forces = ()
         self.bound = np.zeros(0)  # none yet
         self._gap, self._improved_at = np.inf, 0
 
@@ -250,8 +250,10 @@ class _Best:
 
     def take(self, new: Progress) -> None:
         first = len(self.bound) == 0
-        self._take_proof(new, first)
-        self.bound = new.lower_bound if first else np.maximum(self.bound, new.lower_bound)
+        if first and self.proof:  # restored: what was proven before is proven anew
+            self.bound = lower_bound(self.scene, self.proof, new.spin_axes)
+        self._take_proof(new)
+        self.bound = np.maximum(self.bound, new.lower_bound) if len(self.bound) else new.lower_bound
         if first or not self.keeps_best:
             self.progress = new
             return
@@ -285,9 +287,17 @@ class _Best:
             resolution=new.resolution if better.any() else old.resolution,
         )
 
-    def _take_proof(self, new: Progress, first: bool) -> None:
+    def state(self) -> dict[str, np.ndarray]:
+        """The forces that prove the bound, for a checkpoint; the bound itself is not believed."""
+        return {f"proof_{axis}": force for axis, force in enumerate(self.proof)}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        axes = range(self.scene.lattice.dimension)
+        self.proof = tuple(np.array(state[f"proof_{axis}"]) for axis in axes)
+
+    def _take_proof(self, new: Progress) -> None:
         proof = new.force if new.proof is None else new.proof
-        if first or not self.keeps_best:
+        if len(self.bound) == 0:
             self.proof = proof
             return
         better = new.lower_bound >= self.bound

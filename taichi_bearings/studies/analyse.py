@@ -48,7 +48,8 @@ def structure_of(run: StoredRun, replica: int, threshold: float | None = None) -
     _check_arrays(run, scene)
     power, bound = (float(np.atleast_1d(run.attribute(key))[replica]) for key in ("power", "lower_bound"))
     friction = None if run.friction is None else tuple(values[replica] for values in run.friction)
-    return Structure(scene, run.spin[replica], slip, state, power, bound, friction, proven)
+    unique = _minimum_is_unique(run)[replica] if threshold is None else None
+    return Structure(scene, run.spin[replica], slip, state, power, bound, friction, proven, unique)
 
 
 def _check_arrays(run: StoredRun, scene: Scene) -> None:
@@ -148,6 +149,12 @@ def _origin_of_states(run: StoredRun) -> str:
 def _states_proven(run: StoredRun) -> np.ndarray:
     """For each sample whether its contact states are proven."""
     return np.broadcast_to(run.attributes.get("states_proven", False), len(run.spin)).astype(bool)
+
+
+def _minimum_is_unique(run: StoredRun) -> list[bool | None]:
+    """For each sample, None if the run does not know."""
+    told = np.broadcast_to(run.attributes.get("minimum_is_unique", np.nan), len(run.spin)).tolist()
+    return [None if value == "" or value != value else bool(value) for value in told]
 
 
 def _flat(report: Mapping[str, Any]) -> dict[str, Any]:

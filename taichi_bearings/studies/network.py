@@ -125,7 +125,7 @@ def sample_of(structure: Structure) -> Sample:
         below_cut=bool(structure.power < structure.interface.lower_bound * (1 - SAME)),
         slipless_fraction=view.slipless / scene.lattice.contacts,
         states_proven=structure.states_proven,
-        unique=structure.uniqueness is not None and structure.uniqueness.unique,
+        unique=structure.minimum_is_unique is True,
         spans=view.spans,
         reached_fraction=view.reached_fraction,
         spanning_fraction=view.spanning_fraction,

@@ -250,9 +250,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
     if scene.law == "coulomb" and unit > 0:
         summary["power_normalised"] = per_seed(solution.power / unit)
     summary |= {name: per_seed(values) for name, values in solution.findings.items()}
-    tied = solution.findings.get("tied_contacts", np.zeros(scene.replicas))
-    only = [True if proven else False if ties else None for proven, ties in zip(solution.resolved, tied, strict=True)]
-    summary["minimum_is_unique"] = per_seed(only)
+    summary["minimum_is_unique"] = per_seed(solution.minimum_is_unique)
     if "time" in solution.history:
         summary["time"] = float(solution.history["time"][-1])
     if "energy_residual" in solution.history:

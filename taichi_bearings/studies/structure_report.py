@@ -30,7 +30,7 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
         "slipless_fraction": slipless / scene.lattice.contacts,
         **_interface_numbers(structure),
         **_network_numbers(structure),
-        "minimum_is_unique": None if structure.uniqueness is None else structure.uniqueness.unique,
+        "minimum_is_unique": structure.minimum_is_unique,
         **_domain_numbers(structure),
         **_bottleneck_numbers(structure),
         **_force_numbers(structure),
