@@ -40,7 +40,7 @@ def describe(report: dict[str, Any]) -> str:
     shape = "x".join(map(str, report["shape"]))
     status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
     lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
-    names = ("power", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
+    names = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
     seeds = report["seed"] if isinstance(report["gap"], list) else [report["seed"]]
     columns = [report[n] if isinstance(report["gap"], list) else [report[n]] for n in names]
     rows = list(zip(seeds, *columns, strict=True))

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.verifier.bounds import Work, lower_bound, work_of
+from taichi_bearings.verifier.enclosure import Enclosure
 from taichi_bearings.verifier.motion import Motion
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.states import States, proven_states
@@ -15,7 +16,7 @@ from taichi_bearings.verifier.states import States, proven_states
 
 @dataclass(frozen=True)
 class Judgement:
-    """Of the spins and the friction of samples. Bounds are rounded outwards; energy/time."""
+    """Of the spins and the friction of samples, energy/time. Bounds are rounded outwards."""
 
     samples: Samples
 
@@ -38,8 +39,8 @@ class Judgement:
         return self.samples.force_unit * (speed if self.samples.law == "coulomb" else speed * speed)
 
     @cached_property
-    def _power(self) -> np.ndarray:
-        return self.motion.power().upper()
+    def _power(self) -> Enclosure:
+        return self.motion.power()
 
     @cached_property
     def _lower_bound(self) -> np.ndarray:
@@ -47,8 +48,13 @@ class Judgement:
 
     @property
     def power(self) -> np.ndarray:
-        """(R,), not below what these spins dissipate, and so not below the least power."""
-        return _outwards(self._power * self._unit, np.inf)
+        """(R,), what these spins dissipate, to the nearest doubles."""
+        return np.asarray(self._power.value * self._unit)
+
+    @property
+    def upper_bound(self) -> np.ndarray:
+        """(R,), not below that, and so not below the least power."""
+        return _outwards(self._power.upper() * self._unit, np.inf)
 
     @property
     def lower_bound(self) -> np.ndarray:
@@ -58,17 +64,17 @@ class Judgement:
     @property
     def price(self) -> np.ndarray:
         """(R,), what torques left over on free spheres take from the lower bound, over the power; 0 without power."""
-        price, power = self.work.price.upper(), self._power
+        price, power = self.work.price.upper(), self._power.value
         return np.divide(price, power, out=np.zeros_like(price), where=power > 0)
 
     @cached_property
     def states(self) -> list[States]:
         """Contact states at every minimum, sample by sample."""
-        return proven_states(self.motion, np.maximum(self._power - self._lower_bound, 0.0) * (1 + 2.0**-50))
+        return proven_states(self.motion, np.maximum(self._power.upper() - self._lower_bound, 0.0) * (1 + 2.0**-50))
 
 
 def _outwards(values: np.ndarray, towards: float) -> np.ndarray:
-    """By four roundings, which the unit of power has at most; 0 and what is not finite stay as they are."""
-    for _ in range(4):
+    """By two roundings, which the unit of power has at most; 0 stays as it is."""
+    for _ in range(2):
         values = np.where(values != 0, np.nextafter(values, towards), values)
     return values

@@ -27,10 +27,11 @@ DRIVEN = 3  # state of a contact between driven spheres, in the file
 
 @dataclass(frozen=True)
 class Verdict:
-    """Sample by sample: power and lower bound (rigorous), their relative gap, and how many contacts are proven to be in
-    which state. contradictions : sentences, empty if the file proves what it claims."""
+    """Sample by sample: power, rigorous bounds of the least power, their relative gap, and how many contacts are proven
+    to be in which state. contradictions : sentences, empty if the file proves what it claims."""
 
     power: list[float | None]
+    upper_bound: list[float | None]
     lower_bound: list[float | None]
     gap: list[float | None]
     balanced: list[bool]
@@ -52,15 +53,19 @@ def verdict_of(run: StoredRun) -> Verdict:
     if not samples.can_be_judged:
         text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
         false = [False] * count
-        return Verdict(nothing, nothing, nothing, false, false, nothing, unproven, nothing, [text] * count, [text])
+        return Verdict(
+            nothing, nothing, nothing, nothing, false, false, nothing, unproven, nothing, [text] * count, [text]
+        )
     judgement = Judgement(samples)
     power, bound, states = judgement.power, judgement.lower_bound, judgement.states
-    gap = [_gap(p, b) for p, b in zip(power, bound, strict=True)]
+    upper = judgement.upper_bound
+    gap = [_gap(p, b) for p, b in zip(upper, bound, strict=True)]
     torque = judgement.work.largest_torque * samples.force_unit * samples.radius
     found = [*_driving(samples), *_numbers(run, judgement), *_states(run, judgement.motion, states)]
-    found += [*_summary(run, power, bound, gap), *_history(run, power, bound)]
+    found += [*_summary(run, power, bound, gap), *_history(run, upper, bound)]
     return Verdict(
         power=power.tolist(),
+        upper_bound=upper.tolist(),
         lower_bound=bound.tolist(),
         gap=gap,
         balanced=(judgement.price <= BALANCED).tolist(),
@@ -229,7 +234,7 @@ def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[flo
             there = sum(int((states[number] == value).sum()) for states in run.reported["state"])
             if counts[name][number] is not None and counts[name][number] != there:
                 yield f"{name} contacts{which} are said to be {counts[name][number]}; {there} are marked so"
-        if bound[number] > power[number]:
+        if bound[number] > power[number] * (1 + 2 * EPS):
             yield f"the lower bound{which} is above the power: the numbers contradict themselves"
 
 
@@ -255,6 +260,7 @@ def as_report(verdict: Verdict, count: int) -> dict[str, Any]:
 
     return {
         "power": per_sample(verdict.power),
+        "upper_bound": per_sample(verdict.upper_bound),
         "lower_bound": per_sample(verdict.lower_bound),
         "gap": per_sample(verdict.gap),
         "balanced": per_sample(verdict.balanced),

@@ -311,7 +311,8 @@ def test_equal_coefficients_are_resolved(tmp_path):
     summary = json.loads(done.stdout)
     assert summary["power"] == pytest.approx(200, rel=1e-6)
     assert summary["undecided"] == 0
-    assert summary["states_proven"] is True
+    assert summary["states_proven"] is False  # any layer between bottom and top may slip
+    assert summary["minimum_is_unique"] is None
 
 
 def test_nothing_is_overwritten_unless_asked(finished_run, tmp_path):
