@@ -19,7 +19,8 @@ class Contradiction(Exception):
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
-    system : contacts that are not tied, over the new unknowns; kept : per group, their positions in the old system.
+    whole : the system before. system : contacts that are not tied, over the new unknowns; kept : per group, their
+    positions in the old system.
     parts : elimination tree over the new unknowns.
     """
 
@@ -28,6 +29,7 @@ class Contraction:
 
         Raises Contradiction if the tied contacts cannot all rest.
         """
+        self.whole = whole
         self._label(whole, tied)
         self.kept = [np.flatnonzero(~mask) for mask in tied]
         groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]

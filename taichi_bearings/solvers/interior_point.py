@@ -31,7 +31,6 @@ from taichi_bearings.solvers.resolution import Resolved, resolve
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
-SHARPLY = 1e-9  # relative gap up to which the bound is worth all the means of the certificate
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
@@ -210,7 +209,7 @@ class InteriorPoint:
         return multiply(jump, (high, low))
 
     def _lower_bound(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Quickly as long as the path is far from its end; the forces are balanced to round-off anyway."""
-        if self.frustrated and max(sample.iterate.gap for sample in self.samples) > SHARPLY:
+        """Quickly until the end of the path; the forces are balanced to round-off anyway."""
+        if self.frustrated and not all(sample.done for sample in self.samples):
             return work_and_bound(self.scene, force, self.spin_axes)[1]
         return lower_bound(self.scene, force, self.spin_axes)

@@ -8,52 +8,46 @@ in balance to some 1e-30 of the friction.
 
 import numpy as np
 
-from taichi_bearings.cholesky import Part
+from taichi_bearings.cholesky import NotPositiveDefinite
 from taichi_bearings.double_double import Pair, add, divide, exactly, multiply, square_root, subtract
-from taichi_bearings.solvers.central_path import Iterate, friction_stiffness
+from taichi_bearings.solvers.central_path import friction_stiffness
 from taichi_bearings.solvers.cone import length
-from taichi_bearings.solvers.contact_system import ContactSystem
 from taichi_bearings.solvers.contraction import Contraction
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 STEPS, ENOUGH = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
 FAITHFUL = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
+FAINT = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
 LONGEST = 0.5  # largest such change that is allowed
 VISIBLE = 1e-10  # slips below which differences are to be trusted more than spins
 SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
 
 
 def polished(
-    whole: Iterate,
-    parts: list[Part],
+    tied: Contraction,
+    matrix: NewtonMatrix,
+    friction: list[np.ndarray],
     spins: np.ndarray,
     difference: list[np.ndarray],
-    slipping: list[np.ndarray],
     top: Pair,
 ) -> tuple[Pair, list[np.ndarray], list[np.ndarray]] | None:
-    """Spins (unknowns,), slips and duals (d, n) a group near the given ones, whose slipping contacts are in balance.
+    """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance.
 
-    difference : (d, n) a group, of the slipping contacts more precise than those of the spins. slipping : (n,) masks.
-    top : (C,), imposed on the top. Returns None where some slip is lost.
+    matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
+    may be more precise than those of the spins. top : (C,), imposed on the top. Returns None where some slip is lost.
     """
-    tied = Contraction(whole.system, parts, [~s for s in slipping])
-    system = _PreciseSystem(whole.system, tied, top)
-    friction = [mu[kept] for mu, kept in zip(whole.friction, tied.kept, strict=True)]
-    tracked = [z[:, kept] for z, kept in zip(difference, tied.kept, strict=True)]
-    matrix = NewtonMatrix(tied.system, tied.parts)
-    unknown = exactly(tied.contracted(spins))
-    if min((float(length(z).min(initial=1.0)) for z in tracked), default=1.0) < VISIBLE:
-        unknown = _fitted(system, matrix, unknown, tracked)
-    balanced = _balanced(system, matrix, friction, unknown)
+    system, unknown = _PreciseSystem(tied, top), exactly(spins)
+    try:
+        if min((float(length(z).min(initial=1.0)) for z in difference), default=1.0) < VISIBLE:
+            unknown = _fitted(system, matrix, unknown, difference)
+        balanced = _balanced(system, matrix, friction, unknown)
+    except NotPositiveDefinite:
+        return None
     if balanced is None:
         return None
-    slips = [z[0] for z in system.differences(balanced)]
-    forces = [_along(mu, z)[0] for mu, z in zip(friction, system.differences(balanced), strict=True)]
-    return (
-        system.expanded(balanced),
-        [_scattered(z, kept, len(s)) for z, kept, s in zip(slips, tied.kept, slipping, strict=True)],
-        [_scattered(-f, kept, len(s)) for f, kept, s in zip(forces, tied.kept, slipping, strict=True)],
-    )
+    slips = system.differences(balanced)
+    forces = [_along(mu, z)[0] for mu, z in zip(friction, slips, strict=True)]
+    return system.expanded(balanced), [z[0] for z in slips], [-f for f in forces]
 
 
 def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.ndarray], unknown: Pair) -> Pair | None:
@@ -72,7 +66,7 @@ def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.
             return unknown
         best, least = unknown, size
         if not factorised:
-            matrix.factorise([friction_stiffness(mu, z[0], 0.0) for mu, z in zip(friction, difference, strict=True)])
+            matrix.factorise([friction_stiffness(mu, z[0], FAINT) for mu, z in zip(friction, difference, strict=True)])
         step = matrix.solve(-torques)
         change = max(
             float((length(g.change(step)) / length(z[0])).max(initial=0.0))
@@ -104,11 +98,11 @@ class _PreciseSystem:
     multiple : (d, n) a group, what the imposed spins add to the differences, in units of the jump: -1, 0 or 1.
     """
 
-    def __init__(self, whole: ContactSystem, tied: Contraction, top: Pair) -> None:
+    def __init__(self, tied: Contraction, top: Pair) -> None:
         self.groups, self.top, self._tied, self._system = tied.system.groups, top, tied, tied.system
-        self.slot = np.arange(whole.unknowns) % len(top[0])
+        self.slot = np.arange(len(tied.number)) % len(top[0])
         self.multiple, self.jump = [], []
-        for before, group, kept in zip(whole.groups, self.groups, tied.kept, strict=True):
+        for before, group, kept in zip(tied.whole.groups, self.groups, tied.kept, strict=True):
             slot = np.maximum(before.below, before.above)[:, kept] % len(top[0])
             jump = (top[0][slot], top[1][slot])
             self.jump.append(jump)
@@ -156,13 +150,6 @@ def _along(friction: np.ndarray, difference: Pair) -> Pair:
         squares = multiply(difference, difference)
         size = square_root(add((squares[0][0], squares[1][0]), (squares[0][1], squares[1][1])))
     return multiply(exactly(friction), divide(difference, size))
-
-
-def _scattered(values: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
-    """Values (d, n) at their places among `count` contacts, 0 at the others."""
-    whole = np.zeros((len(values), count))
-    whole[:, places] = values
-    return whole
 
 
 __all__ = ["polished"]

@@ -71,10 +71,9 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], top: Pa
         try:
             path = ContractedPath(iterate, parts, tied)
             for _ in range(TRIALS):
-                found = _minimum(iterate, parts, path) if path.decide() else None
+                found = _minimum(iterate, parts, path, top) if path.decide() else None
                 if found is None:
                     break
-                found = _polished(iterate, parts, found, top)
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
                 if isinstance(borne, list):
                     settled = replace(found, dual=borne, borne=True)
@@ -93,26 +92,17 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], top: Pa
     return settled
 
 
-def _polished(iterate: Iterate, parts: list[Part], found: Resolved, top: Pair) -> Resolved:
-    """The same in twice the precision, if that can be had."""
-    precise = polished(iterate, parts, found.spins, found.difference, found.slipping, top)
-    if precise is None:
-        return found
-    (spins, rest), difference, dual = precise
-    return replace(found, spins=spins, rest=rest, difference=difference, dual=dual)
-
-
 def _power(iterate: Iterate, difference: list[np.ndarray]) -> float:
     return sum(float(mu @ length(z)) for mu, z in zip(iterate.friction, difference, strict=True))
 
 
-def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath) -> Resolved | None:
+def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath, top: Pair) -> Resolved | None:
     """The least power if just the contacts that slip at the end of the path do."""
     none = [np.zeros_like(y) for y in whole.dual]
     difference = [placed(z, kept, now) for z, kept, now in zip(none, path.kept, path.point.difference, strict=True)]
     slipping = [placed(z[0] > 0, kept, mask) for z, kept, mask in zip(none, path.kept, path.slipping, strict=True)]
     for _ in range(NEWTON_TRIALS):
-        found = _newton(whole, parts, path.spins, difference, slipping)
+        found = _newton(whole, parts, path.spins, difference, slipping, top)
         if isinstance(found, Resolved):
             return found
         if not any(at_rest.any() for at_rest in found):
@@ -122,7 +112,12 @@ def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath) -> Resolve
 
 
 def _newton(
-    whole: Iterate, parts: list[Part], spins: np.ndarray, tracked: list[np.ndarray], slipping: list[np.ndarray]
+    whole: Iterate,
+    parts: list[Part],
+    spins: np.ndarray,
+    tracked: list[np.ndarray],
+    slipping: list[np.ndarray],
+    top: Pair,
 ) -> Resolved | list[np.ndarray]:
     """Newton's method on the power of the slipping contacts, all others tied. The minimum, or if that fails masks (n,)
     of contacts that come to rest: between spheres that others tie, or that the next step would turn round.
@@ -149,7 +144,11 @@ def _newton(
         torques = system.torques(dual)
         left = float(np.abs(torques).max(initial=0.0))
         if left < (BALANCED if count < STEPS - 1 else ROUGHLY):
-            return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping)
+            better = polished(last, matrix, friction, spins, difference, top)
+            if better is None:
+                return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping)
+            (high, low), difference, dual = better
+            return Resolved(high, everywhere(difference), everywhere(dual), slipping, low)
         matrix.factorise([friction_stiffness(mu, z, HARDLY) for mu, z in zip(friction, difference, strict=True)])
         step = matrix.solve(torques)
         steps = [g.change(step) for g in system.groups]

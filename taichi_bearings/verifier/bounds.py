@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import Enclosure
+from taichi_bearings.verifier.enclosure import Enclosure, row_sum
 from taichi_bearings.verifier.motion import length, spread
 from taichi_bearings.verifier.samples import Samples
 
@@ -27,7 +27,8 @@ class Work:
     from it; cost, the sum of |F|^2 / eta (viscous); all in the units of `Motion.power`.
 
     saturation : (R,), largest |F| / (mu F_n), rounded up (Coulomb, else 0).
-    largest_torque : (R,), left over on a free sphere, over the radius and in units of `force_unit`, rounded up.
+    largest_torque : (R,), left over on a free sphere in the components that are driven, over the radius and in units of
+    `force_unit`, rounded up.
     """
 
     work: Enclosure
@@ -43,6 +44,8 @@ def work_of(samples: Samples) -> Work:
     work = price = cost = Enclosure.exact(np.zeros(count))
     largest, saturation = np.zeros(count), np.zeros(count)
     for k in samples.components:
+        if samples.jump[k].most[0] == 0:
+            continue  # nothing that turns about it does any work
         jump, signed = samples.jump[k], torques(samples, k).signed(samples.sublattice)
         top, free = signed[..., -1].reshaped((count, -1)), signed[..., 1:-1].reshaped((count, -1))
         work = work + row_sum(top) * spread(jump, count)
@@ -87,13 +90,3 @@ def torques(samples: Samples, component: int, which: tuple[np.ndarray, ...] | No
                 padded[end] = np.where(counts, turning[component], 0.0)
                 total = total + Enclosure.exact(padded)
     return total
-
-
-def row_sum(values: Enclosure) -> Enclosure:
-    """(R,) from (R, n), pair by pair."""
-    while values.high.shape[1] > 1:
-        half = values.high.shape[1] // 2
-        paired = values[:, :half] + values[:, half : 2 * half]
-        odd = values[:, 2 * half :]
-        values = Enclosure(*(np.concatenate(both, axis=1) for both in zip(paired.parts, odd.parts, strict=True)))
-    return values.reshaped((-1,)) if values.high.size else Enclosure.exact(np.zeros(len(values.high)))

@@ -34,6 +34,8 @@ class Enclosure:
     def exact(cls, high: ArrayLike, low: ArrayLike = 0.0) -> Enclosure:
         """These numbers, or these sums of two, without any error."""
         high = np.asarray(high, dtype=np.float64)
+        if np.isscalar(low) and low == 0:
+            return cls(high, np.zeros_like(high), np.zeros_like(high))
         total, rest = _two_sum(high, np.broadcast_to(np.asarray(low, dtype=np.float64), high.shape))
         return cls(total, rest, np.zeros_like(total))
 
@@ -133,8 +135,20 @@ def joined(members: list[Enclosure]) -> Enclosure:
     return Enclosure(*(np.concatenate(parts) for parts in zip(*(m.parts for m in members), strict=True)))
 
 
+def row_sum(values: Enclosure) -> Enclosure:
+    """(R,) from (R, n), pair by pair."""
+    while values.high.shape[1] > 1:
+        half = values.high.shape[1] // 2
+        paired = values[:, :half] + values[:, half : 2 * half]
+        odd = values[:, 2 * half :]
+        values = Enclosure(*(np.concatenate(both, axis=1) for both in zip(paired.parts, odd.parts, strict=True)))
+    return values.reshaped((-1,)) if values.high.size else Enclosure.exact(np.zeros(len(values.high)))
+
+
 def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
     """Sum of the values (n,) of each owner (n,) from 0 to count - 1, pair by pair; (count,)."""
+    if count == 1:
+        return row_sum(values.reshaped((1, -1)))
     order = np.argsort(owner, kind="stable")
     values, owner = values[order], owner[order]
     while (owner[1:] == owner[:-1]).any():
