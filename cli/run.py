@@ -131,6 +131,8 @@ def _separation(summary: dict[str, Any]) -> list[str]:
     words = f"slipless contacts slip at most {largest:.1e}, slipping ones at least {smallest:.1e}"
     if summary["states_proven"]:
         return [f"{words}; the contact states are proven"]
+    if summary["separation_decades"] is None:
+        return [f"{words}; not certified, so this says little of a minimum"]
     if summary["separation_decades"] < 1:
         return [f"warning: no clear gap between the two kinds of contacts: {words}"]
     return [f"{words}: {summary['separation_decades']:.1f} decades apart"]

@@ -217,6 +217,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
 
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
     separation = separate(scene, solution.slip, solution.state)
+    close = solution.gap <= tolerance  # far from a minimum slips that are far apart say nothing
     summary = {
         "power": per_seed(solution.power),
         "lower_bound": per_seed(solution.lower_bound),
@@ -238,7 +239,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
         "states_proven": per_seed(solution.resolved),
         "largest_slipless_slip": per_seed(separation.largest_slipless),
         "smallest_slipping_slip": per_seed(separation.smallest_slipping),
-        "separation_decades": per_seed(separation.decades),
+        "separation_decades": per_seed(np.where(close, separation.decades, np.nan)),
         "slip_threshold": solution.slip_threshold,
         "largest_balance_residual": per_seed(solution.unbalanced_torque),
         "spin_top": scene.spin_top,

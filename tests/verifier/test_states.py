@@ -13,6 +13,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN
 from tests.scenes import make_scene
+from tests.truth import oracle_or_skip
 from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -54,7 +55,7 @@ def minimum(shape, options, method):
 
 @pytest.mark.parametrize(("shape", "options", "method", "wanted"), SCENES, ids=str)
 def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
-    truth = pytest.importorskip("tests.truth.extended_precision", reason="python-flint is not installed")
+    truth = oracle_or_skip()
     solution = minimum(shape, options, method)
     scene, states = solution.scene, Judgement(samples_of(solution)).states[0]
     exact = truth.solve(
