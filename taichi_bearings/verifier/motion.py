@@ -107,12 +107,16 @@ class Motion:
         return tuple(length(list(parts.values())) for parts in self.difference)
 
     def power(self) -> Enclosure:
-        """(R,), power that these spins dissipate in units of force unit * R spin unit (viscous: times R spin unit)."""
+        """(R,), power that these spins dissipate in units of force unit * R spin unit (viscous: times R spin unit).
+
+        Infinite where the motion is torn: what is stored then has no jump at all.
+        """
         owner, cost = [], []
         for strength, still, size in zip(self.samples.strength, self.still, self.size, strict=True):
             owner.append(np.nonzero(~still)[0])
             cost.append(strength[~still] * size if self.samples.law == "coulomb" else strength[~still] * size * size)
-        return grouped_sum(joined(cost), np.concatenate(owner), self.samples.count)
+        total = grouped_sum(joined(cost), np.concatenate(owner), self.samples.count)
+        return Enclosure(np.where(self.torn, np.inf, total.high), total.low, total.error)
 
 
 def whole_planes(samples: Samples) -> np.ndarray:

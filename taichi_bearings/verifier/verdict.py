@@ -64,8 +64,8 @@ def verdict_of(run: StoredRun) -> Verdict:
     found = [*_driving(samples), *_numbers(run, judgement), *_states(run, judgement.motion, states)]
     found += [*_summary(run, power, bound, gap), *_history(run, upper, bound)]
     return Verdict(
-        power=power.tolist(),
-        upper_bound=upper.tolist(),
+        power=[_finite(value) for value in power],
+        upper_bound=[_finite(value) for value in upper],
         lower_bound=bound.tolist(),
         gap=gap,
         balanced=(judgement.price <= BALANCED).tolist(),
@@ -78,8 +78,13 @@ def verdict_of(run: StoredRun) -> Verdict:
     )
 
 
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
 def _gap(power: float, bound: float) -> float | None:
-    return (power - bound) / power if power > 0 else 0.0
+    """Relative; None without an upper bound."""
+    return None if not np.isfinite(power) else float((power - bound) / power) if power > 0 else 0.0
 
 
 def _counted(samples: Samples, states: States) -> dict[str, int]:
@@ -214,21 +219,18 @@ def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[flo
     for number in range(run.samples.count):
         which = f" of sample {number}" if run.samples.count > 1 else ""
         p, b, g, status = (claimed[name][number] for name in ("power", "lower_bound", "gap", "status"))
-        if p is not None and not abs(p - power[number]) <= ROUNDED * power[number]:
+        if p is not None and not abs(p - power[number]) <= ROUNDED * abs(p):
             yield f"the power{which} is said to be {p!r}; the spins dissipate {power[number]!r}"
         if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
             yield f"the lower bound{which} is said to be {b!r}; the friction proves {bound[number]!r}"
-        own = gap[number]
-        if g is not None and own is not None and run.samples.jump_size > 0 and not own <= g * (1 + 1e-9) + 4 * EPS:
+        found = gap[number]
+        own = float("inf") if found is None else found
+        jumps = run.samples.jump_size > 0  # without a jump no relative gap says anything
+        if g is not None and jumps and not own <= g * (1 + 1e-9) + 4 * EPS:
             yield f"the gap{which} is said to be {g!r}; what is proven leaves {own!r}"
         if g is not None and g < -ROUNDED / 100:
             yield f"the gap{which} is negative: {g!r}"
-        if (
-            status == "certified"
-            and own is not None
-            and run.samples.jump_size > 0
-            and not own <= tolerance * (1 + 1e-9)
-        ):
+        if status == "certified" and jumps and not own <= tolerance * (1 + 1e-9):
             yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {own!r}"
         for value, name in enumerate(("slipless", "slipping", "undecided")):
             there = sum(int((states[number] == value).sum()) for states in run.reported["state"])

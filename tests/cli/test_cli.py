@@ -38,7 +38,9 @@ def test_help_answers_at_once():
     assert min(times) < 0.5
 
 
-@pytest.mark.parametrize("command", ["run", "scan", "analyse", "histogram", "plot", "reproduce", "info", "benchmark"])
+@pytest.mark.parametrize(
+    "command", ["run", "scan", "verify", "analyse", "histogram", "plot", "reproduce", "info", "benchmark"]
+)
 def test_every_command_has_help_with_an_example(command):
     done = bearings(command, "--help")
     assert done.returncode == 0

@@ -90,3 +90,18 @@ def test_samples_in_one_judgement_are_judged_as_alone():
         assert alone.lower_bound[0] == together.lower_bound[r]
         for a, b in zip(alone.states[0].proven, together.states[r].proven, strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def test_spins_without_the_jump_prove_no_upper_bound(sample_at_rest):
+    judgement = Judgement(sample_at_rest)
+    assert judgement.power[0] == np.inf
+    assert judgement.upper_bound[0] == np.inf
+    assert judgement.lower_bound[0] > 0
+    assert judgement.states[0].unique is None
+
+
+@pytest.fixture
+def sample_at_rest():
+    """All stored spins are those of the bottom."""
+    whole = samples_of(solved((3, 2, 4), {}, "interior-point"))
+    return replace(whole, spin=np.zeros_like(whole.spin), spin_rounding=np.zeros_like(whole.spin))

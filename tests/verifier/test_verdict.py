@@ -161,3 +161,15 @@ def test_numbers_that_are_not_finite_prove_nothing(folder, tmp_path):
     assert not report["verified"]
     assert report["lower_bound"] is None
     assert report["states_proven"]["unproven"] == sum(report["states_proven"].values())
+
+
+def test_a_file_without_motion_is_not_verified(folder, tmp_path):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        file["spin"][...] = 0.0
+        file["spin_rounding"][...] = 0.0
+    report = verify(path)
+    assert not report["verified"]
+    assert report["power"] is None
+    assert report["gap"] is None
