@@ -66,7 +66,7 @@ def bear(
             whole = [placed(y, keep, new) for y, keep, new in zip(dual, kept, still.dual, strict=True)]
             margins = [(mu - length(y))[~s] for mu, y, s in zip(friction, whole, slipping, strict=True)]
             left = np.abs(system.torques(whole))  # also on the spins held
-            least = SURELY * max(float(left.sum()), BALANCED)
+            least = SURELY * float(left.sum())
             if left.max(initial=0.0) < SURELY * BALANCED and min(float(m.min(initial=np.inf)) for m in margins) > least:
                 return whole
         ratios = [

@@ -117,6 +117,11 @@ class Slipping:
         )
         return replace(self, difference=(difference[0], difference[1]))
 
+    def improved(self) -> Slipping:
+        """After a step of Newton's method, if there is one."""
+        curvature = Curvature.of(self) if self.unknowns else None
+        return self if curvature is None else self.moved(curvature.newton_step(self.slope().value))
+
     def slope(self) -> Enclosure:
         """(unknowns,), g: what the slipping contacts leave over on each domain."""
         owner, pulls = [], []

@@ -176,8 +176,10 @@ def _steps(motion: Motion) -> States:
     near = nearest_minimum(contacts)
     if near is None:
         return _nothing(samples, "the power is not known to rise in all directions")
-    if not _bearable(motion, *near):
-        return _nothing(samples, "slipless contacts are not known to bear what the others leave to them")
+    if not _bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
+        near = nearest_minimum(near[0].improved())
+        if near is None or not _bearable(motion, *near):
+            return _nothing(samples, "slipless contacts are not known to bear what the others leave to them")
     return States(tuple(np.where(still[0], SLIPLESS, SLIPPING) for still in motion.still), True)
 
 
@@ -199,9 +201,12 @@ def _bearable(motion: Motion, contacts: Slipping, turn: np.ndarray) -> bool:
         rests, felt = still & ~samples.between_driven(axis), [k for k in samples.needed if k in samples.felt(axis)]
         if felt:
             low, _ = samples.ends(axis)
-            borne = length([Enclosure.exact(samples.turning[axis][k][rests]) for k in felt]).most
-            correction = np.sqrt(sum(left[k][low][rests] ** 2 for k in felt))
-            if not ((borne + correction) * UP < samples.strength[axis][rests].least).all():
+            borne = length([Enclosure.exact(samples.turning[axis][k][rests]) for k in felt])
+            room, correction = (
+                samples.strength[axis][rests] - borne,
+                np.sqrt(sum(left[k][low][rests] ** 2 for k in felt)),
+            )
+            if not ((room.high > 0) & (room.least > correction * UP)).all():
                 return False
     return True
 
