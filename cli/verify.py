@@ -60,7 +60,7 @@ def describe(report: dict[str, Any]) -> str:
     if isinstance(report["gap"], float):
         balanced = "in balance" if report["balanced"] else "not in balance, which the bound pays for"
         inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"
-        lines.append(f"  friction: {balanced}, {inside}")
+        lines.append(f"  friction: {balanced}, {inside}" if report["law"] == "coulomb" else f"  damping: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
     lines.append(
         f"{'verified' if report['verified'] else 'NOT verified'} in {report['seconds']:.1f} s: "

@@ -119,6 +119,7 @@ class LinearSolver:
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
+            rest=np.where(staggered == self.spin, self.rest, 0.0),  # none where clipping has moved a spin
             spin_axes=self.spin_axes,
             force=force,
             power=scene.power(staggered, self.spin_axes),
