@@ -142,6 +142,7 @@ class Slipping:
         return connected_components(graph, directed=False)[1]
 
 
+@np.errstate(all="ignore")  # what is not finite proves nothing
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
     if contacts.unknowns == 0:

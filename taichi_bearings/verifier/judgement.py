@@ -70,7 +70,10 @@ class Judgement:
     @cached_property
     def states(self) -> list[States]:
         """Contact states at every minimum, sample by sample."""
-        return proven_states(self.motion, np.maximum(self._power.upper() - self._lower_bound, 0.0) * (1 + 2.0**-50))
+        proven = self._lower_bound
+        if self.samples.law == "coulomb":  # what the friction does as it is: below 0, and beyond its discs, if need be
+            proven = (self.work.work - self.work.price).lower()
+        return proven_states(self.motion, (self._power.upper() - proven) * (1 + 2.0**-50))
 
 
 def _outwards(values: np.ndarray, towards: float) -> np.ndarray:

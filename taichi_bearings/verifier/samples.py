@@ -19,6 +19,7 @@ from taichi_bearings.verifier.enclosure import Enclosure
 
 DIGITS = 300
 LEAST, MOST = 1e-60, 1e60  # scales of a sample
+SMALLEST = 1e-140  # component of the jump, of the whole
 Slices = tuple[slice, ...]
 
 
@@ -60,12 +61,16 @@ class Samples:
 
     @property
     def can_be_judged(self) -> bool:
-        """False if a number is not finite, or so large or small that its products are."""
-        scales = [self.normal_force, self.radius, self.spin_top - self.spin_bottom or 1.0]
+        """False if a number is not finite, too large or small for products, or not positive where it must be."""
+        scales = [self.normal_force, self.radius, abs(self.spin_top - self.spin_bottom) or 1.0]
         strengths = [self.normal_force * c for c in self.coefficient]
         arrays = (self.spin, self.spin_rounding, *self.friction, *strengths)
-        return all(LEAST < abs(s) < MOST for s in scales) and all(
-            bool(np.isfinite(values).all()) and float(np.abs(values).max(initial=0.0)) < MOST for values in arrays
+        sizes = [float(np.abs(values).max(initial=0.0)) for values in arrays]
+        return (
+            all(LEAST < scale < MOST for scale in scales)
+            and all(size < MOST for size in sizes)  # False for what is no number
+            and all(bool((values > LEAST).all()) for values in strengths)
+            and all(value == 0 or abs(value) > SMALLEST for value in self.exact_jump.values())
         )
 
     @property
@@ -131,12 +136,20 @@ class Samples:
 
     @cached_property
     def signed_spin(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """Component by component, spins with the sign of their sublattice: pairs (R, *N) in units of `spin_unit`."""
-        sign = self.sublattice
+        """Component by component, spins with the sign of their sublattice: pairs (R, *N) in units of `spin_unit`.
+
+        A driven plane turns as one, as its first sphere says.
+        """
         pair = Enclosure.exact(self.spin / self.spin_unit, self.spin_rounding / self.spin_unit)
-        if self.dimension == 2:
-            return {2: (sign * pair.high, sign * pair.low)}
-        return {k: (sign * pair.high[..., k], sign * pair.low[..., k]) for k in self.components}
+        found = {}
+        for k in self.components:
+            high, low = (self.sublattice * (part if self.dimension == 2 else part[..., k]) for part in pair.parts[:2])
+            for part in (high, low):
+                for plane in (0, -1):
+                    first = part[(slice(None),) + (0,) * (self.dimension - 1) + (plane,)]
+                    part[..., plane] = first.reshape(-1, *(1,) * (self.dimension - 1))
+            found[k] = (high, low)
+        return found
 
     @cached_property
     def strength(self) -> tuple[Enclosure, ...]:

@@ -53,7 +53,8 @@ class States:
 
 
 def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
-    """gap : (R,), upper bound of power - least power, in the units of `Motion.power`."""
+    """gap : (R,), power of the spins less the work of the friction, price of its torques paid (Coulomb), or less the
+    lower bound (viscous); rounded up, in the units of `Motion.power`."""
     samples = motion.samples
     if samples.law == "viscous":
         return _by_distance(motion, gap)
@@ -120,7 +121,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     lower, upper, of_sample = (np.concatenate(parts) for parts in (below, above, owner))
     slack = joined(up), joined(down)
     excess = sum(np.bincount(of_sample, np.maximum(s.error - s.high - s.low, 0.0), samples.count) for s in slack)
-    room = ((gap / samples.jump[k].least + excess) * UP)[of_sample]
+    room = ((np.maximum(gap, 0.0) / samples.jump[k].least + excess) * UP)[of_sample]
     # with more room than all have together: if the first sphere is above a lightest cut, so is the second
     held = [s.least * (s.high > 0) > room for s in slack]
     first = np.concatenate([upper[held[0]], lower[held[1]]])

@@ -45,6 +45,8 @@ class StoredRun:
     def claimed(self, name: str) -> list[Any]:
         """An attribute, sample by sample; None where the file leaves it open."""
         value = np.asarray(self.attributes.get(name, "")).reshape(-1)
+        if len(value) not in (1, self.samples.count):
+            raise FileError(f"{self.path} has {len(value)} values of {name!r} for {self.samples.count} samples")
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
         return [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
 
@@ -75,6 +77,8 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         raise FileError(f"{path} has the shape {list(shape)}; a lattice has two or three sides of 2 or more, height 3")
     axes = AXES[: len(shape)]
     count = 1 if file["coefficient/x"].ndim == len(shape) else len(file["coefficient/x"])
+    if count < 1:
+        raise FileError(f"{path} holds no sample")
     parts = () if len(shape) == 2 else (3,)
     contacts = [tuple(n - (a == axis) for a, n in enumerate(shape)) for axis in range(len(shape))]
 

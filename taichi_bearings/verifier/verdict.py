@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import Enclosure
 from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.motion import Motion
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN, States
 from taichi_bearings.verifier.stored_run import StoredRun
@@ -59,10 +57,10 @@ def verdict_of(run: StoredRun) -> Verdict:
     judgement = Judgement(samples)
     power, bound, states = judgement.power, judgement.lower_bound, judgement.states
     upper = judgement.upper_bound
-    gap = [_gap(p, b) for p, b in zip(upper, bound, strict=True)]
+    gap = [_gap(p, b, unit) for p, b, unit in zip(upper, bound, _natural_power(samples), strict=True)]
     torque = judgement.work.largest_torque * samples.force_unit * samples.radius
-    found = [*_driving(samples), *_numbers(run, judgement), *_states(run, judgement.motion, states)]
-    found += [*_summary(run, power, bound, gap), *_history(run, upper, bound)]
+    found = [*_scene(run), *_driving(samples), *_numbers(run, judgement), *_states(run, states)]
+    found += [*_summary(run, power, bound, gap), *_counts(run), *_history(run, upper, bound)]
     return Verdict(
         power=[_finite(value) for value in power],
         upper_bound=[_finite(value) for value in upper],
@@ -82,9 +80,19 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _gap(power: float, bound: float) -> float | None:
-    """Relative; None without an upper bound."""
-    return None if not np.isfinite(power) else float((power - bound) / power) if power > 0 else 0.0
+def _gap(power: float, bound: float, natural: float) -> float | None:
+    """Relative, without a jump to the natural power if that is larger; None without an upper bound."""
+    unit = max(power, natural)
+    return None if not np.isfinite(power) else float((power - bound) / unit) if unit > 0 else 0.0
+
+
+def _natural_power(samples: Samples) -> np.ndarray:
+    """(R,), of all contacts with the imposed spin for slip, where there is no jump; else 0."""
+    speed = samples.radius * abs(samples.spin_top) if samples.jump_size == 0 else 0.0
+    total = np.zeros(samples.count)
+    for axis, coefficient in enumerate(samples.coefficient):
+        total += np.where(samples.between_driven(axis), 0.0, coefficient).reshape(samples.count, -1).sum(axis=1)
+    return total * (samples.normal_force * speed if samples.law == "coulomb" else speed**2)
 
 
 def _counted(samples: Samples, states: States) -> dict[str, int]:
@@ -97,17 +105,36 @@ def _counted(samples: Samples, states: States) -> dict[str, int]:
 
 
 def _driving(samples: Samples) -> Iterator[str]:
-    """The imposed spins are those that the scene imposes."""
+    """The spins of the driven spheres are those that the scene imposes, and each plane turns as one."""
     for plane, name, imposed in ((0, "bottom", samples.spin_bottom), (-1, "top", samples.spin_top)):
         for k in samples.components:
-            high, low = samples.signed_spin[k]
-            stored = Enclosure.exact(high[..., plane], low[..., plane])
-            reference = Enclosure.exact(high[..., plane].reshape(samples.count, -1)[:, 0])
-            expected = _imposed(samples, imposed, k)
-            off = np.abs(stored.high - expected).max() > 4 * EPS * abs(imposed / samples.spin_unit)
-            uneven = (stored.high != reference.high.reshape(-1, *(1,) * (stored.high.ndim - 1))).any()
-            if off or uneven:
+            spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
+            high, low = ((samples.sublattice * part)[..., plane] for part in spins)
+            expected = _imposed(samples, imposed, k) * samples.spin_unit
+            uneven = any((part != part.reshape(samples.count, -1)[:, :1].reshape(-1, *(1,) * (part.ndim - 1))).any()
+                         for part in (high, low))  # fmt: skip
+            if uneven or np.abs(high - expected).max() > 4 * EPS * abs(imposed):
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
+
+
+def _scene(run: StoredRun) -> Iterator[str]:
+    """The scene in the file, from which it can be run again, is the one whose numbers these are."""
+    settings, samples = run.settings, run.samples
+    expected = {
+        "law": samples.law,
+        "shape": list(samples.shape),
+        "spin_top": samples.spin_top,
+        "spin_bottom": samples.spin_bottom,
+        "normal_force": samples.normal_force,
+        "radius": samples.radius,
+        "seed": run.claimed("seed")[0],
+        "replicas": samples.count,
+    }
+    for name, value in expected.items():
+        if settings.get(name) != value:
+            yield f"the scene has {name} = {settings.get(name)!r}, and the file {value!r}"
+    if (settings.get("coefficients") is None) != (run.claimed("coefficients")[0] is None):
+        yield "scene and summary do not agree whether coefficients are given or drawn"
 
 
 def _imposed(samples: Samples, spin: float, component: int) -> float:
@@ -139,6 +166,9 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             yield f"friction along {name} acts between driven spheres"
         if (state == DRIVEN).sum() != (~acts).sum() or not (state[~acts] == DRIVEN).all():
             yield f"states of contacts along {name} do not name those between driven spheres"
+        threshold = run.attributes.get("slip_threshold", 0.0)
+        if (slip[state == SLIPLESS] > threshold * (1 + ROUNDED) + rounding).any():
+            yield f"contacts along {name} that are said not to slip are faster than the threshold"
         if not np.isin(state, (0, 1, 2, DRIVEN)).all():
             yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
         if not (np.isfinite(force) & (force >= 0)).all():
@@ -162,7 +192,7 @@ def _ratio(run: StoredRun) -> float:
     return float(run.settings.get("static_ratio", 1.0))
 
 
-def _states(run: StoredRun, motion: Motion, states: list[States]) -> Iterator[str]:
+def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
     """The states that the file gives are not refuted, and proven where it says so."""
     proven = run.claimed("states_proven")
     tied, unique = run.claimed("tied_contacts"), run.claimed("minimum_is_unique")
@@ -180,8 +210,10 @@ def _states(run: StoredRun, motion: Motion, states: list[States]) -> Iterator[st
             yield f"the contact states{which} are said to be proven, and are not{reason}"
         if found.unique and tied[number]:
             yield f"{tied[number]} contacts{which} are said to differ between minima, and there is only one minimum"
-        if unique[number] is not None and unique[number] != found.unique and (unique[number] or found.unique):
-            yield f"minimum_is_unique{which} is {bool(unique[number])}, and that is not so, or not proven"
+        if unique[number] and not found.unique:
+            yield f"the minimum{which} is said to be unique, and that is not proven"
+        if unique[number] is not None and not unique[number] and (found.unique or len(run.samples.needed) != 1):
+            yield f"the minimum{which} is said not to be unique, and that is not proven"
         if proven[number]:
             yield from _saturated(run, number, given, which)
 
@@ -212,10 +244,9 @@ def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str)
 
 
 def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[float | None]) -> Iterator[str]:
-    """Power, bound, gap, status and counts of the summary."""
+    """Power, bound, gap and status of the summary."""
     tolerance = float(run.settings.get("tolerance", 1e-8))
     claimed = {name: run.claimed(name) for name in ("power", "lower_bound", "gap", "status")}
-    counts = {name: run.claimed(name) for name in ("slipless", "slipping", "undecided")}
     for number in range(run.samples.count):
         which = f" of sample {number}" if run.samples.count > 1 else ""
         p, b, g, status = (claimed[name][number] for name in ("power", "lower_bound", "gap", "status"))
@@ -223,21 +254,43 @@ def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[flo
             yield f"the power{which} is said to be {p!r}; the spins dissipate {power[number]!r}"
         if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
             yield f"the lower bound{which} is said to be {b!r}; the friction proves {bound[number]!r}"
-        found = gap[number]
-        own = float("inf") if found is None else found
-        jumps = run.samples.jump_size > 0  # without a jump no relative gap says anything
-        if g is not None and jumps and not own <= g * (1 + 1e-9) + 4 * EPS:
+        proven = gap[number]
+        own = float("inf") if proven is None else proven
+        if g is not None and not own <= g * (1 + 1e-9) + 4 * EPS:
             yield f"the gap{which} is said to be {g!r}; what is proven leaves {own!r}"
         if g is not None and g < -ROUNDED / 100:
             yield f"the gap{which} is negative: {g!r}"
-        if status == "certified" and jumps and not own <= tolerance * (1 + 1e-9):
+        if status == "certified" and (not own <= tolerance * (1 + 1e-9) or None in (p, b, g)):
             yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {own!r}"
-        for value, name in enumerate(("slipless", "slipping", "undecided")):
-            there = sum(int((states[number] == value).sum()) for states in run.reported["state"])
-            if counts[name][number] is not None and counts[name][number] != there:
-                yield f"{name} contacts{which} are said to be {counts[name][number]}; {there} are marked so"
         if bound[number] > power[number] * (1 + 2 * EPS):
             yield f"the lower bound{which} is above the power: the numbers contradict themselves"
+
+
+def _counts(run: StoredRun) -> Iterator[str]:
+    """What the summary counts and measures is what the arrays hold."""
+    samples = run.samples
+    unit = samples.normal_force * samples.radius * abs(samples.spin_top)
+    contacts = sum(int((~samples.between_driven(axis))[0].sum()) for axis in range(samples.dimension))
+    for number in range(samples.count):
+        which = f" of sample {number}" if samples.count > 1 else ""
+        states, slips = ([parts[number] for parts in run.reported[name]] for name in ("state", "slip"))
+        kinds = [np.concatenate([s[k == value] for s, k in zip(slips, states, strict=True)]) for value in range(3)]
+        held: dict[str, float | None] = {"contacts": contacts}
+        for kind, name in zip(kinds, ("slipless", "slipping", "undecided"), strict=True):
+            held[name] = len(kind)
+        held["largest_slipless_slip"] = float(kinds[0].max()) if len(kinds[0]) else None
+        held["smallest_slipping_slip"] = float(kinds[1].min()) if len(kinds[1]) else None
+        power = run.claimed("power")[number]
+        if samples.law == "coulomb" and unit > 0 and power is not None:
+            held["power_normalised"] = power / unit
+        for name, value in held.items():
+            said = run.claimed(name)[number]
+            if name in run.attributes and not (said == value or _close(said, value)):
+                yield f"{name.replace('_', ' ')}{which}: the summary says {said!r}, the arrays {value!r}"
+
+
+def _close(said: Any, value: float | None) -> bool:
+    return said is not None and value is not None and abs(said - value) <= ROUNDED * abs(value)
 
 
 def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[str]:

@@ -105,10 +105,10 @@ def _solve(problem: Problem, target: int) -> Truth:
 
 def _limits(early, late) -> list[int]:
     """SLIPPING or SLIPLESS at the middle of the minimisers, UNKNOWN if the slips at two gaps do not tell."""
-    fall = float(((late[0] / early[0]).log() * FALLING).mid())
+    fall, nothing = float(((late[0] / early[0]).log() * FALLING).mid()), late[0].sqrt()
     found = []
     for before, now in zip(early[1], late[1], strict=True):
-        if not now > 0:
+        if not now > nothing:  # all that is left is the rounding of the path
             found.append(SLIPLESS)
             continue
         ratio = float((now / before).log().mid()) if before > 0 else 0.0

@@ -11,6 +11,7 @@ from taichi_bearings.solvers import method_class
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN
 from tests.scenes import make_scene
 from tests.truth import oracle_or_skip
@@ -127,6 +128,46 @@ def test_contacts_without_slip_cannot_join_the_planes(sample):
     states = Judgement(replace(samples, spin=spin, spin_rounding=rounding)).states[0]
     assert states.unique is None
     assert "join" in states.reason
+
+
+def by_hand(x, y, friction_x, friction_y, spin, top=1.0, bottom=0.0):
+    """Two columns of three discs, unit normal force, radius 1/2."""
+    arrays = [np.array([values], dtype=float) for values in (x, y, friction_x, friction_y, spin)]
+    return Samples(
+        (2, 3), "coulomb", tuple(arrays[:2]), top, bottom, (1.0, 1.0, 0.0), 1.0, 0.5, arrays[4],
+        np.zeros_like(arrays[4]), tuple(arrays[2:4]),
+    )  # fmt: skip
+
+
+def test_friction_that_proves_no_bound_proves_no_states():
+    """It acts the wrong way: the work of the planes is negative, and so leaves more room on a cut than the power."""
+    samples = by_hand([[3, 0.1, 0.1]], [[3, 3], [3, 1]], [[-3, 0, -0.1]], [[0, -3], [-3, -1]], [[0, 0, 1], [0, 0, -1]])
+    judgement = Judgement(samples)
+    assert judgement.lower_bound[0] == 0
+    states = judgement.states[0]
+    assert states.unique is None
+    for proven in states.proven:
+        assert (proven[..., :] == UNPROVEN).sum() + (proven == SLIPLESS).sum() == proven.size
+    truth = oracle_or_skip()
+    exact = truth.solve([c[0] for c in samples.coefficient], 1.0, 0.5, 1.0, 0.0)
+    for proven, found in zip(states.proven, exact.state, strict=True):
+        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, truth.DRIVEN)).all()
+
+
+def test_a_driven_plane_turns_as_one_whatever_the_file_says_of_its_spheres():
+    even = by_hand([[1, 1, 1]], [[1, 2], [2, 1]], [[0, 0, 0]], [[0, 0], [0, 0]], [[0, 0, 1], [0, 0, -1]])
+    spin = even.spin.copy()
+    spin[0, 1, 2] = 0.0  # as if it stood still
+    assert Judgement(replace(even, spin=spin)).power[0] == Judgement(even).power[0]
+
+
+@pytest.mark.parametrize("what", ["coefficient", "normal_force", "radius", "direction"])
+def test_numbers_that_no_scene_has_are_not_judged(sample, what):
+    samples, _ = sample
+    negative = tuple(np.where(c == c.max(), -c, c) for c in samples.coefficient)
+    changed = {"coefficient": negative, "normal_force": -1.0, "radius": 0.0, "direction": (1e200, 1e-200, 0.0)}
+    assert samples.can_be_judged
+    assert not replace(samples, **{what: changed[what]}).can_be_judged
 
 
 def test_viscous_contacts_slip_where_the_gap_allows_nothing_else():

@@ -173,3 +173,59 @@ def test_a_file_without_motion_is_not_verified(folder, tmp_path):
     assert not report["verified"]
     assert report["power"] is None
     assert report["gap"] is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("normal_force = 50.0", "normal_force = 1.0"), ("spin_bottom = 0.1", "spin_bottom = 0.7"),
+        ("radius = 0.5", "radius = 5.0"), ('law = "coulomb"', 'law = "viscous"'),
+        ("shape = [4, 3, 5]", "shape = [9, 9, 9]"),
+        ("seed = 12", "seed = 99"), ("replicas = 1", "replicas = 5"), ("tolerance = 1e-08", "tolerance = 1e-300"),
+        ("direction = [1.0, 1.0, 0.0]", "direction = [1.0, 1.0001, 0.0]"), ("uniform:0.1,1.0", "uniform:0.1,1.1"),
+        ("seed = 12", 'seed = 12\ncoefficients = "foo.npz"'),
+    ],
+)  # fmt: skip
+def test_a_scene_that_is_another_is_found(folder, tmp_path, old, new):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        scene = file.attrs["scene"]
+        assert old in scene
+        file.attrs["scene"] = scene.replace(old, new)
+    assert not verify(path)["verified"]
+
+
+def test_driven_spheres_that_turn_each_on_their_own_are_found(folder, tmp_path):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        file["spin_rounding"][2, 1, -1, 0] += 1e-18
+    assert not verify(path)["verified"]
+
+
+def test_without_a_jump_not_anything_is_certified(tmp_path):
+    run(RunSettings(shape=(4, 5), spin_top=0.5, spin_bottom=0.5, threads=1), tmp_path / "run")
+    assert verify(tmp_path / "run")["verified"]
+    with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
+        file["spin"][1, 2] += 0.1
+    assert not verify(tmp_path / "run")["verified"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gap", np.nan), ("power_normalised", 1.0), ("contacts", 7), ("minimum_is_unique", False),
+        ("smallest_slipping_slip", 1e-3), ("largest_slipless_slip", 1e-3), ("slip_threshold", -1.0),
+    ],
+)  # fmt: skip
+def test_a_summary_that_says_something_else_is_found(folder, tmp_path, name, value):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = value
+    assert not verify(path)["verified"]
+    with h5py.File(path, "r+") as file:
+        file.attrs["power"] = [404.0, 1.0]
+    with pytest.raises(FileError, match="2 values of 'power'"):
+        verify(path)
