@@ -123,7 +123,8 @@ class Enclosure:
     def upper(self) -> np.ndarray:
         """Doubles not below the numbers."""
         change = self.low + self.error
-        return np.nextafter(self.high + (change + 2.0**-50 * np.abs(change)), np.inf)
+        above = np.nextafter(self.high + (change + 2.0**-50 * np.abs(change)), np.inf)
+        return np.where((self.low == 0) & (self.error == 0), self.high, above)
 
     def lower(self) -> np.ndarray:
         """Doubles not above the numbers."""

@@ -219,8 +219,8 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
 
 
 def _is_minimum(run: StoredRun) -> bool:
-    """A dynamics on its way gives the states of its own motion."""
-    return bool(run.attributes.get("status") == "certified")
+    """A dynamics on its way gives the states of its own motion, and a threshold those of slower contacts, too."""
+    return bool(run.attributes.get("status") == "certified" and "slip_threshold" not in run.settings)
 
 
 def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str) -> Iterator[str]:
