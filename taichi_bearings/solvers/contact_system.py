@@ -14,7 +14,6 @@ from scipy import sparse
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import lower, tangential, upper
-from taichi_bearings.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -148,8 +147,3 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
         first, second = (np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above))
         groups.append(ContactGroup(axis, acting, first, second, offset, free * len(spin_axes)))
     return ContactSystem(free * len(spin_axes), tuple(groups))
-
-
-def jump_of(scene: Scene) -> np.ndarray:
-    """(C,) imposed jump of the components that the minimum needs, in units of the whole jump."""
-    return scene.driven_values(scene.minimum_spin_axes)[1] / (scene.jump or 1.0)

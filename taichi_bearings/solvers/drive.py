@@ -322,9 +322,7 @@ def _states(
     )
 
 
-def _judged(
-    scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces, spin_axes: tuple[int, ...]
-) -> Judgement | None:
+def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
     samples = Samples(
         scene.lattice.shape, scene.law, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
@@ -334,12 +332,17 @@ def _judged(
 
 
 def _proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tuple[np.ndarray, ...]) -> np.ndarray:
-    """True (R,) where the method believes to have the states of all minima, and the verifier proves them."""
-    if final.resolved is None or final.state is None or judgement is None or not final.resolved.any():
+    """True (R,) where the verifier proves that these are the states at every minimum.
+
+    It is asked where the method believes so, and where one component makes that cheap.
+    """
+    one_component = scene.law == "coulomb" and len(scene.minimum_spin_axes) == 1
+    found = np.full(scene.replicas, one_component) if final.resolved is None else np.array(final.resolved)
+    if judgement is None or not found.any():
         return np.zeros(scene.replicas, dtype=bool)
-    found = np.array(final.resolved)
+    together = one_component or bool(found.all())
     for replica in np.flatnonzero(found):
-        states = judgement.one(int(replica)).states[0] if not final.resolved.all() else judgement.states[replica]
+        states = judgement.states[replica] if together else judgement.one(int(replica)).states[0]
         found[replica] = states.agree([values[replica] for values in state])
     return found
 
@@ -366,12 +369,12 @@ def _collect(
     friction = laboratory_forces(
         certifying_forces(scene, proof, final.spin_axes, bound), scene.lattice, final.spin_axes
     )
-    power, judgement = final.power, _judged(scene, spin, spin_rounding, friction, final.spin_axes)
+    power, judgement = final.power, _judged(scene, spin, spin_rounding, friction)
     if judgement is not None:  # what the answer proves is what is reported
         power, bound = judgement.power, judgement.lower_bound
     gap = relative_gap(scene, power, bound)
-    if status is Status.CERTIFIED and not (gap <= tolerance).all():
-        status = Status.STALLED
+    if status in (Status.CERTIFIED, Status.STALLED):
+        status = Status.CERTIFIED if (gap <= tolerance).all() else Status.STALLED
     return Solution(
         scene=scene,
         method=method,

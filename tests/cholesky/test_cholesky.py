@@ -6,7 +6,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.cholesky import Cholesky, NotPositiveDefinite, dissect
-from taichi_bearings.solvers.contact_system import free_shape, jump_of, lattice_system, stacked
+from taichi_bearings.solvers.contact_system import free_shape, lattice_system, stacked
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 from tests.scenes import make_scene
 
@@ -21,7 +21,9 @@ SCENES = {
 
 
 def system_of(scene):
-    return lattice_system(scene.lattice, scene.minimum_spin_axes, jump_of(scene))
+    return lattice_system(
+        scene.lattice, scene.minimum_spin_axes, scene.driven_values(scene.minimum_spin_axes)[1] / scene.jump
+    )
 
 
 def random_stiffness(system, rng):
