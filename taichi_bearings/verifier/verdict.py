@@ -110,7 +110,7 @@ def _driving(samples: Samples) -> Iterator[str]:
         for k in samples.components:
             spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
             high, low = ((samples.sublattice * part)[..., plane] for part in spins)
-            expected = _imposed(samples, imposed, k) * samples.spin_unit
+            expected = imposed * _along(samples, k)
             uneven = any((part != part.reshape(samples.count, -1)[:, :1].reshape(-1, *(1,) * (part.ndim - 1))).any()
                          for part in (high, low))  # fmt: skip
             if uneven or np.abs(high - expected).max() > 4 * EPS * abs(imposed):
@@ -137,11 +137,12 @@ def _scene(run: StoredRun) -> Iterator[str]:
         yield "scene and summary do not agree whether coefficients are given or drawn"
 
 
-def _imposed(samples: Samples, spin: float, component: int) -> float:
+def _along(samples: Samples, component: int) -> float:
+    """Part of the unit vector of the imposed spins, rounded."""
     if samples.dimension == 2:
-        return spin / samples.spin_unit
+        return 1.0
     direction = np.asarray(samples.direction) / np.max(np.abs(samples.direction))
-    return float(spin / samples.spin_unit * direction[component] / np.linalg.norm(direction))
+    return float(direction[component] / np.linalg.norm(direction))
 
 
 def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
@@ -149,7 +150,7 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     samples, motion, speed = run.samples, judgement.motion, run.samples.radius * run.samples.spin_unit
     rounding = 64 * EPS * speed * max(float(np.abs(part[0]).max()) for part in samples.signed_spin.values())
     rounding = min(rounding, 64 * EPS * speed * _largest_departure(samples))
-    slack = max(_ratio(run), 1.0) * (1 + 1e-6)
+    slack = max(float(run.settings.get("static_ratio", 1.0)), 1.0) * (1 + 1e-6)  # static over kinetic friction
     for axis, name in enumerate("xyz"[: samples.dimension]):
         slip, power, force, state = (run.reported[key][axis] for key in ("slip", "power", "force", "state"))
         actual = np.zeros(slip.shape)
@@ -185,11 +186,6 @@ def _largest_departure(samples: Samples) -> float:
         )
         for high, _ in samples.signed_spin.values()
     )
-
-
-def _ratio(run: StoredRun) -> float:
-    """Static over kinetic friction."""
-    return float(run.settings.get("static_ratio", 1.0))
 
 
 def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
