@@ -25,6 +25,7 @@ NEEDED = (
     "lower_bound",
     "status",
 )
+TEXTS = ("status", "coefficients")  # attributes that are no numbers
 REPORTED = ("slip", "power", "force", "state")
 
 
@@ -48,7 +49,17 @@ class StoredRun:
         if len(value) not in (1, self.samples.count):
             raise FileError(f"{self.path} has {len(value)} values of {name!r} for {self.samples.count} samples")
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
-        return [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
+        found = [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
+        if name not in TEXTS and any(isinstance(v, str) for v in found):
+            raise FileError(f"{self.path} has {found[0]!r} for {name!r}; it must be a number")
+        return found
+
+    def setting(self, name: str, default: float) -> float:
+        """A number of the scene."""
+        value = self.settings.get(name, default)
+        if not isinstance(value, (int, float)):
+            raise FileError(f"the scene in {self.path} has {value!r} for {name!r}; it must be a number")
+        return float(value)
 
 
 def read_stored_run(run: Path) -> StoredRun:

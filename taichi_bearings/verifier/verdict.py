@@ -150,7 +150,7 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     samples, motion, speed = run.samples, judgement.motion, run.samples.radius * run.samples.spin_unit
     rounding = 64 * EPS * speed * max(float(np.abs(part[0]).max()) for part in samples.signed_spin.values())
     rounding = min(rounding, 64 * EPS * speed * _largest_departure(samples))
-    slack = max(float(run.settings.get("static_ratio", 1.0)), 1.0) * (1 + 1e-6)  # static over kinetic friction
+    slack = max(run.setting("static_ratio", 1.0), 1.0) * (1 + 1e-6)  # static over kinetic friction
     for axis, name in enumerate("xyz"[: samples.dimension]):
         slip, power, force, state = (run.reported[key][axis] for key in ("slip", "power", "force", "state"))
         actual = np.zeros(slip.shape)
@@ -167,7 +167,7 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             yield f"friction along {name} acts between driven spheres"
         if (state == DRIVEN).sum() != (~acts).sum() or not (state[~acts] == DRIVEN).all():
             yield f"states of contacts along {name} do not name those between driven spheres"
-        threshold = run.attributes.get("slip_threshold", 0.0)
+        threshold = run.claimed("slip_threshold")[0] or 0.0
         if (slip[state == SLIPLESS] > threshold * (1 + ROUNDED) + rounding).any():
             yield f"contacts along {name} that are said not to slip are faster than the threshold"
         if not np.isin(state, (0, 1, 2, DRIVEN)).all():
@@ -241,7 +241,7 @@ def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str)
 
 def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[float | None]) -> Iterator[str]:
     """Power, bound, gap and status of the summary."""
-    tolerance = float(run.settings.get("tolerance", 1e-8))
+    tolerance = run.setting("tolerance", 1e-8)
     claimed = {name: run.claimed(name) for name in ("power", "lower_bound", "gap", "status")}
     for number in range(run.samples.count):
         which = f" of sample {number}" if run.samples.count > 1 else ""

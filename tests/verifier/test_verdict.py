@@ -229,3 +229,17 @@ def test_a_summary_that_says_something_else_is_found(folder, tmp_path, name, val
         file.attrs["power"] = [404.0, 1.0]
     with pytest.raises(FileError, match="2 values of 'power'"):
         verify(path)
+
+
+@pytest.mark.parametrize("what", ["power", "gap", "slip_threshold", "slipping", "tolerance", "static_ratio"])
+def test_a_text_where_a_number_belongs_is_one_sentence(folder, tmp_path, what):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        if what in ("tolerance", "static_ratio"):
+            lines = [line for line in file.attrs["scene"].splitlines() if not line.startswith(what)]
+            file.attrs["scene"] = "\n".join([*lines, f'{what} = "little"'])
+        else:
+            file.attrs[what] = "little"
+    with pytest.raises(FileError, match=r"'little' for .*must be a number"):
+        verify(path)
