@@ -16,12 +16,15 @@ def command(as_json: bool) -> None:
       bearings info --json
     """
     from taichi_bearings import __version__, runtime
+    from taichi_bearings.runtime import GPUS
     from taichi_bearings.studies.run import versions
 
+    gpus = {arch: found for arch in GPUS if (found := runtime.usable(arch, "f32"))}
     report = {
         "version": __version__,
         **versions(),
-        "devices": ["cpu", *(["cuda"] if runtime.has_cuda() else [])],
+        "devices": ["cpu", *gpus],
+        "device_names": {arch: [device.name for device in found] for arch, found in gpus.items()},
         "default_arch": "cpu",
         "default_precision": "f64",
         "threads": runtime.available_threads(),
@@ -31,4 +34,6 @@ def command(as_json: bool) -> None:
         click.echo(json.dumps(report))
         return
     for key, value in report.items():
+        if isinstance(value, dict):
+            value = "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
         click.echo(f"{key.replace('_', ' '):18} {', '.join(value) if isinstance(value, list) else value}")

@@ -12,10 +12,13 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from taichi_bearings import devices
 from taichi_bearings.errors import DeviceError
 
-ARCHITECTURES = ("cpu", "cuda", "auto")
+GPUS = ("cuda", "metal", "vulkan")  # as auto tries them
+ARCHITECTURES = ("cpu", "cuda", "vulkan", "metal", "auto")
 PRECISIONS = ("f64", "f32")
+MOST_THREADS = 64  # that a kernel shares its work among
 
 
 def _writable(folder: Path) -> bool:
@@ -81,12 +84,21 @@ def available_threads() -> int:
 HOST = Runtime("cpu", "f64", available_threads())  # where methods run that need no Taichi
 
 
-def has_cuda() -> bool:
-    """True if Taichi finds a usable CUDA device."""
+def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
+    """The GPUs of one make that can compute in this precision; none where Taichi does not support them."""
+    found = [device for device in devices.find(arch) if device.has_f64 or precision != "f64"]
+    if not found:
+        return []
     import taichi as ti
 
     with contextlib.redirect_stdout(io.StringIO()):
-        return bool(ti.lang.misc.is_arch_supported(ti.cuda))
+        return found if ti.lang.misc.is_arch_supported(getattr(ti, arch)) else []
+
+
+def automatic_arch(precision: str = "f64") -> str:
+    """The make of the first real GPU that can compute in this precision, else "cpu"."""
+    real = (arch for arch in GPUS if any(not device.is_software for device in usable(arch, precision)))
+    return next(real, "cpu")
 
 
 def current() -> Runtime:
@@ -97,7 +109,8 @@ def current() -> Runtime:
 def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bool = False) -> Runtime:
     """Start Taichi once per process.
 
-    arch : "cpu", "cuda" (an error where there is none, never a silent fall-back) or "auto" (cuda if present).
+    arch : "cpu", "cuda", "vulkan" or "metal" (an error where there is none, never a silent fall-back), or "auto" (a
+    real GPU if there is one).
     precision : "f64" or "f32", the type of every field.
     threads : CPU threads, 0 for all that this process may use.
 
@@ -113,10 +126,10 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     import taichi as ti
 
     if arch == "auto":
-        arch = "cuda" if has_cuda() else "cpu"
-    elif arch == "cuda" and not has_cuda():
-        raise DeviceError("arch is 'cuda' but no CUDA device was found here; use --arch cpu or --arch auto")
-    wanted = Runtime(arch, precision, min(threads or available_threads(), available_threads()), debug)
+        arch = automatic_arch(precision)
+    elif arch != "cpu" and not usable(arch, precision):
+        raise DeviceError(_what_is_missing(arch, precision))
+    wanted = Runtime(arch, precision, min(threads or available_threads(), available_threads(), MOST_THREADS), debug)
     if _current is not None:
         if _owner != os.getpid():
             raise DeviceError("the Taichi runtime was started before this process was forked; start workers by spawn")
@@ -131,8 +144,19 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             fast_math=False,  # the default breaks compensated sums and reorders the physics
             cpu_max_num_threads=wanted.threads,
             enable_fallback=False,
+            real_matrix_scalarize=arch != "cpu",  # on a CPU, blocks of sites are read and written by SIMD instructions
             debug=debug,
             log_level=ti.ERROR,
         )
+    ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
     _current, _owner = wanted, os.getpid()
     return wanted
+
+
+def _what_is_missing(arch: str, precision: str) -> str:
+    """Why there is no such device, in one sentence."""
+    lacking = [device.name for device in devices.find(arch) if not device.has_f64]
+    if lacking and precision == "f64":
+        return f"arch is {arch!r} but {lacking[0]} has no double precision; use --precision f32 or --arch cpu"
+    make = {"cuda": "CUDA", "vulkan": "Vulkan", "metal": "Metal"}[arch]
+    return f"arch is {arch!r} but no {make} device was found here; use --arch cpu or --arch auto"

@@ -7,6 +7,7 @@ from taichi_bearings import runtime
 
 def pytest_addoption(parser):
     parser.addoption("--precision", choices=runtime.PRECISIONS, default="f64")
+    parser.addoption("--arch", choices=("cpu", *runtime.GPUS), default="cpu", help="skips what this device cannot do")
     parser.addoption("--taichi-debug", action="store_true", help="bounds checks in every kernel (slow)")
 
 
@@ -17,7 +18,10 @@ def precision(request):
 
 @pytest.fixture(autouse=True, scope="session")
 def taichi_runtime(request, precision):
-    return runtime.start("cpu", precision, threads=1, debug=request.config.getoption("--taichi-debug"))
+    arch = request.config.getoption("--arch")
+    if arch != "cpu" and not runtime.usable(arch, precision):
+        pytest.skip(f"there is no {arch} device here that computes in {precision}")
+    return runtime.start(arch, precision, threads=1, debug=request.config.getoption("--taichi-debug"))
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,5 @@
-"""Taichi fields on the lattice, in one flat layout; allocated on demand, reused between scenes, freed at the end."""
+"""The numbers of a scene on the lattice, in one flat layout, on the device that runs."""
 
-from taichi_bearings.fields.workspace import Workspace, borrow, release_all
-from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.fields.fields import Fields, FieldSpec, first_slots, make_layout, team_size
 
-__all__ = ["Layout", "Workspace", "borrow", "release_all"]
+__all__ = ["FieldSpec", "Fields", "first_slots", "make_layout", "team_size"]

@@ -5,18 +5,28 @@ sphere pass gathers the torques, corrects the spins and predicts the next step, 
 once a pass.
 """
 
+from functools import lru_cache
 from math import comb
 
 import taichi as ti
 
-from taichi_bearings.kernels.contact import difference, length
-from taichi_bearings.kernels.stencil import Stencil, copy_out, in_range
-from taichi_bearings.kernels.team import LEAST_CHUNK, Team
-from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.fields import Fields, FieldSpec, first_slots
+from taichi_bearings.kernels.contact import length
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, in_range, new_block, places, read, write
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
+
+
+@lru_cache
+def cundall_strack_steps(
+    spec: FieldSpec, stencil: Stencil, law: str, corrector: tuple[float, ...]
+) -> "CundallStrackSteps":
+    """One for each configuration, so that the next scene finds its kernels compiled."""
+    return CundallStrackSteps(spec, stencil, law, corrector)
 
 
 @ti.data_oriented
-class CundallStrackSteps(Team):
+class CundallStrackSteps:
     """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient` and, for Coulomb,
     `integral` and `elongation`.
 
@@ -25,208 +35,235 @@ class CundallStrackSteps(Team):
     elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
     spins stand at the end of the last step; the force is that at its predicted end.
 
-    tally : keep energy books too, in `work` and `impulse`: sums over the steps, without the last one and with it.
+    With fields `work` and `impulse` energy books are kept too: sums over the steps, without the last one and with it.
     work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
     """
 
-    def __init__(self, fields, stencil: Stencil, workers: int, law: str, corrector: tuple[float, ...], tally: bool):
-        super().__init__(fields, workers)
-        self.tally = tally
-        if tally:
-            self.work, self.impulse = fields["work"], fields["impulse"]
-        self.gear = [fields[f"gear_{n}"] for n in range(len(corrector))]
-        self.predicted, self.is_free = fields["predicted"], fields["is_free"]
-        self.force, self.coefficient = fields["force"], fields["coefficient"]
-        self.integral, self.elongation = fields.get("integral"), fields.get("elongation")
-        self.stencil, self.coulomb, self.corrector, self.order = stencil, law == "coulomb", corrector, len(corrector)
+    def __init__(self, spec: FieldSpec, stencil: Stencil, law: str, corrector: tuple[float, ...]):
+        slot, axes = first_slots(spec), range(stencil.dimension)
+        self.stencil, self.block, self.coulomb = stencil, stencil.block, law == "coulomb"
+        self.corrector, self.order, self.tally = corrector, len(corrector), "work" in slot
+        self.slot = slot
 
-    def run(self, steps, layout, numbers):
-        """Make `steps` time steps in one launch: alone, as a team, or on a GPU. numbers: from `reach` to `response`."""
-        stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
-        constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, *numbers)
-        if self.workers > 0:
-            self.launch(self.steps_alone, self.steps_by_team, steps, *constants)
+        def of_kept(name: str) -> tuple[tuple[int, ...], ...]:
+            """For each axis, the rows of the spin components that make its contacts slip."""
+            return tuple(tuple(slot[name] + c for c in stencil.kept[axis]) for axis in axes)
+
+        def of_contacts(name: str) -> tuple[tuple[int, ...], ...]:
+            first = [slot[name] + stencil.force_slot[axis] for axis in axes]
+            return tuple(tuple(range(first[axis], first[axis] + stencil.kept_count[axis])) for axis in axes)
+
+        self.spin, self.predicted, self.force = of_kept("gear_0"), of_kept("predicted"), of_contacts("force")
+        if self.coulomb:
+            self.integral, self.elongation = of_kept("integral"), of_contacts("elongation")
+        self.gear = tuple(tuple(slot[f"gear_{n}"] + c for n in range(self.order)) for c in range(stencil.components))
+        self.ahead = tuple(
+            tuple(slot[name] + c for name in ("predicted", "integral") if name in slot)
+            for c in range(stencil.components)
+        )
+        # for each component, the axes whose contacts it feels, and the rows of their forces
+        self.felt = tuple(tuple(a for a in axes if c in stencil.kept[a]) for c in range(stencil.components))
+        self.pulls = tuple(
+            tuple(self.force[axis][stencil.kept[axis].index(c)] for axis in felt) for c, felt in enumerate(self.felt)
+        )
+
+    def run(self, fields: Fields, team: Team, steps: int, numbers: tuple[float, ...]) -> None:
+        """Make `steps` time steps in one launch, or on a GPU in one each. numbers: from `reach` to `response`."""
+        layout = fields.layout
+        stride_y = layout.strides[1] if len(layout.strides) == 3 else 1
+        sizes = (layout.length, layout.margin, layout.blocks, layout.strides[0], stride_y)
+        if team.size:
+            team.launch(self.steps_by_team, steps, fields.values, fields.blocks, *sizes, *numbers)
         else:
             for _ in range(steps):
-                self.step_on_gpu(*constants)
+                self.step_on_gpu(fields.values, *sizes, *numbers)
 
-    def compile(self):
+    def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel that `run` will launch, on no sites at all."""
-        self.run(0 if self.workers else 1, Layout(0, (0, 0), block=1), (0.0,) * 8)
+        nothing = (0.0,) * 8
+        if team.size:
+            self.run(fields, team, 0, nothing)
+        else:
+            self.step_on_gpu(fields.values, *(0,) * 5, *nothing)
 
     @ti.func
-    def spring_block(self, first_site, x, y, reach, stiffness, damping, kinetic, static, compliance, memory):
-        """Coulomb contacts of one block. reach: radius * time step; damping: A_t * radius.
+    def spring_block(
+        self,
+        values: ti.template(),
+        blocks: ti.template(),
+        row,
+        first,
+        strides: ti.template(),
+        reach,
+        stiffness,
+        damping,
+        kinetic,
+        static,
+        compliance,
+        memory,
+    ):
+        """Coulomb contacts of the block of sites from `first` on. row: length of a row of numbers.
 
+        reach: radius * time step; damping: A_t * radius.
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         compliance, memory: elongation after a slip, from the force and from the elongation before.
         """
-        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
         for axis in ti.static(self.stencil.slipping_axes):
-            slot = ti.static(self.stencil.force_slot[axis])
-            forces = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
-            stretches = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
-            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-            for m in range(self.stencil.block):
-                site = first + m
-                moved = difference(self.integral[site], self.integral[site + stride], self.stencil.kept[axis])
-                speed = difference(self.predicted[site], self.predicted[site + stride], self.stencil.kept[axis])
-                stretch = reach * moved
-                for t in ti.static(range(moved.n)):
-                    stretch[t] += self.elongation[site][slot + t]
-                trial = stiffness * stretch + damping * speed
-                friction = self.coefficient[site][axis]
+            count = ti.static(self.stencil.kept_count[axis])
+            above = first + strides[axis]
+            integral, integral_above = places(self.integral[axis], row, first), places(self.integral[axis], row, above)
+            spin, spin_above = places(self.predicted[axis], row, first), places(self.predicted[axis], row, above)
+            elongation, force = places(self.elongation[axis], row, first), places(self.force[axis], row, first)
+            coefficient = in_range((self.slot["coefficient"] + axis) * row + first)
+            forces, stretches = new_block(count, self.block), new_block(count, self.block)
+            for m in range(self.block):
+                before, moved = read(values, elongation, m), difference(values, integral, integral_above, m)
+                speed, friction = difference(values, spin, spin_above, m), values[coefficient + m]
+                stretch = [reach * moved[t] + before[t] for t in ti.static(range(count))]
+                trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(count))]
                 size = length(trial)
                 slips = size > static * friction
                 share = ti.select(slips, kinetic * friction / size, 1.0)
-                for t in ti.static(range(moved.n)):
-                    force = share * trial[t]
-                    forces[t, m] = force
-                    left = force * compliance + memory * self.elongation[site][slot + t]
-                    stretches[t, m] = ti.select(slips, left, stretch[t])
-            copy_out(forces, self.force, slot, first, self.stencil.block)
-            copy_out(stretches, self.elongation, slot, first, self.stencil.block)
+                for t in ti.static(range(count)):
+                    limited = share * trial[t]
+                    forces[t][m] = limited
+                    stretches[t][m] = ti.select(slips, limited * compliance + memory * before[t], stretch[t])
+            write(blocks, self.block, force, forces)
+            write(blocks, self.block, elongation, stretches)
 
     @ti.func
-    def dashpot_block(self, first_site, x, y, radius):
+    def dashpot_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), radius):
         """Viscous contacts of one block."""
-        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
         for axis in ti.static(self.stencil.slipping_axes):
-            forces = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
-            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-            for m in range(self.stencil.block):
-                site = first + m
-                speed = difference(self.predicted[site], self.predicted[site + stride], self.stencil.kept[axis])
-                for t in ti.static(range(speed.n)):
-                    forces[t, m] = self.coefficient[site][axis] * radius * speed[t]
-            copy_out(forces, self.force, self.stencil.force_slot[axis], first, self.stencil.block)
+            count = ti.static(self.stencil.kept_count[axis])
+            spin = places(self.predicted[axis], row, first)
+            spin_above = places(self.predicted[axis], row, first + strides[axis])
+            coefficient = in_range((self.slot["coefficient"] + axis) * row + first)
+            forces = new_block(count, self.block)
+            for m in range(self.block):
+                speed = difference(values, spin, spin_above, m)
+                for t in ti.static(range(count)):
+                    forces[t][m] = values[coefficient + m] * radius * speed[t]
+            write(blocks, self.block, places(self.force[axis], row, first), forces)
 
     @ti.func
-    def work_block(self, first_site, x, y):
+    def work_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
         """Add the power that the contacts of one block take from the spins at the end of the last step."""
-        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
-        total = ti.Matrix.zero(float, 1, self.stencil.block)
-        for m in range(self.stencil.block):
-            total[0, m] = self.work[first + m][0]
+        work, total = places((self.slot["work"],), row, first), new_block(1, self.block)
+        for m in range(self.block):
+            total[0][m] = values[work[0] + m]
         for axis in ti.static(self.stencil.slipping_axes):
-            slot = ti.static(self.stencil.force_slot[axis])
-            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-            for m in range(self.stencil.block):
-                site = first + m
-                speed = difference(self.gear[0][site], self.gear[0][site + stride], self.stencil.kept[axis])
-                for t in ti.static(range(speed.n)):
-                    total[0, m] += self.force[site][slot + t] * speed[t]
-        copy_out(total, self.work, 0, first, self.stencil.block)
+            force, spin = places(self.force[axis], row, first), places(self.spin[axis], row, first)
+            spin_above = places(self.spin[axis], row, first + strides[axis])
+            for m in range(self.block):
+                speed = difference(values, spin, spin_above, m)
+                for t in ti.static(range(self.stencil.kept_count[axis])):
+                    total[0][m] += values[force[t] + m] * speed[t]
+        write(blocks, self.block, work, total)
 
     @ti.func
-    def impulse_block(self, first_site, x, y):
+    def impulse_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
         """Add what the contacts pull on the driven spheres of one block."""
-        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
+        is_free = in_range(self.slot["is_free"] * row + first)
         for c in ti.static(range(self.stencil.components)):
-            total = ti.Matrix.zero(float, 1, self.stencil.block)
-            for m in range(self.stencil.block):
-                site = first + m
-                pull = self.pull(site, strides, c)
-                total[0, m] = self.impulse[site][c] + (1.0 - self.is_free[site][0]) * pull
-            copy_out(total, self.impulse, c, first, self.stencil.block)
+            impulse, total = places((self.slot["impulse"] + c,), row, first), new_block(1, self.block)
+            above, below = places(self.pulls[c], row, first), self.pulls_below(row, first, strides, c)
+            for m in range(self.block):
+                pull = self.pull(values, below, above, m)
+                total[0][m] = values[impulse[0] + m] + (1.0 - values[is_free + m]) * pull
+            write(blocks, self.block, impulse, total)
 
     @ti.func
-    def pull(self, site, strides, c: ti.template()):
-        """Sum of the contact forces that pull on a sphere, component `c`."""
+    def pulls_below(self, row, first, strides: ti.template(), c: ti.template()):
+        """Where the forces stand of the contacts below a sphere that pull on its component c."""
+        return [
+            in_range(self.pulls[c][k] * row + first - strides[self.felt[c][k]])
+            for k in ti.static(range(len(self.felt[c])))
+        ]
+
+    @ti.func
+    def pull(self, values: ti.template(), below: ti.template(), above: ti.template(), m):
+        """Sum of the contact forces that pull on one component of a sphere."""
         total = 0.0
-        for axis in ti.static(self.stencil.slipping_axes):
-            if ti.static(c in self.stencil.kept[axis]):
-                v = ti.static(self.stencil.force_slot[axis] + self.stencil.kept[axis].index(c))
-                stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-                total += self.force[site][v] - self.force[site - stride][v]
+        for force in ti.static(range(len(above))):
+            total += values[above[force] + m] - values[below[force] + m]
         return total
 
     @ti.func
-    def sphere_block(self, first_site, x, y, response):
+    def sphere_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
         """Correct the spins of one block and predict the next step. response: time step * radius / inertia."""
-        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
+        is_free = in_range(self.slot["is_free"] * row + first)
         for c in ti.static(range(self.stencil.components)):
-            error = ti.Matrix.zero(float, 1, self.stencil.block)
-            for m in range(self.stencil.block):
-                site = first + m
-                pull = self.pull(site, strides, c)
+            gear, ahead = places(self.gear[c], row, first), places(self.ahead[c], row, first)
+            above, below = places(self.pulls[c], row, first), self.pulls_below(row, first, strides, c)
+            corrected, predicted = (
+                new_block(self.order, self.block),
+                new_block(ti.static(len(self.ahead[c])), self.block),
+            )
+            for m in range(self.block):
+                old = read(values, gear, m)
                 derivative = 0.0
                 for k in ti.static(range(1, self.order)):
-                    derivative += ti.static(float(k)) * self.gear[k][site][c]
-                error[0, m] = response * self.is_free[site][0] * pull - derivative
-            ahead = ti.Matrix.zero(float, 1, self.stencil.block)
-            mean = ti.Matrix.zero(float, 1, self.stencil.block)
-            for n in ti.static(range(self.order)):  # ascending, so that the higher ones are still the old ones
-                corrected = ti.Matrix.zero(float, 1, self.stencil.block)
-                for m in range(self.stencil.block):
-                    value = self.corrector[n] * error[0, m]
+                    derivative += ti.static(float(k)) * old[k]
+                error = response * values[is_free + m] * self.pull(values, below, above, m) - derivative
+                end, mean = 0.0, 0.0
+                for n in ti.static(range(self.order)):
+                    value = self.corrector[n] * error
                     for k in ti.static(range(n, self.order)):  # the Taylor series one step on
-                        value += ti.static(float(comb(k, n))) * self.gear[k][first + m][c]
-                    corrected[0, m] = value
-                    ahead[0, m] += value
-                    mean[0, m] += value * ti.static(1.0 / (n + 1))
-                copy_out(corrected, self.gear[n], c, first, self.stencil.block)
-            copy_out(ahead, self.predicted, c, first, self.stencil.block)
-            if ti.static(self.coulomb):
-                for m in range(self.stencil.block):
-                    # the stretch of the last step was a prediction: this term is Gear's correction of it
-                    mean[0, m] += ti.static(self.corrector[0] ** 2) * error[0, m]
-                copy_out(mean, self.integral, c, first, self.stencil.block)
+                        value += ti.static(float(comb(k, n))) * old[k]
+                    corrected[n][m] = value
+                    end += value
+                    mean += value * ti.static(1.0 / (n + 1))
+                predicted[0][m] = end
+                if ti.static(self.coulomb):
+                    # the stretch of the last step was a prediction: the second term is Gear's correction of it
+                    predicted[1][m] = mean + ti.static(self.corrector[0] ** 2) * error
+            write(blocks, self.block, gear, corrected)
+            write(blocks, self.block, ahead, predicted)
 
     @ti.func
     def contact_pass(
-        self, low, high, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
+        self,
+        values: ti.template(),
+        blocks: ti.template(),
+        row,
+        first,
+        strides: ti.template(),
+        reach,
+        stiffness,
+        damping,
+        kinetic,
+        static,
+        compliance,
+        memory,
     ):
-        """Forces of blocks low ... high - 1. kinetic, static: normal force, times mu_s / mu_k for `static`."""
-        for b in range(low, high):
-            first = margin + b * self.stencil.block
-            if ti.static(self.tally):
-                self.work_block(first, stride_x, stride_y)
-            if ti.static(self.coulomb):
-                self.spring_block(
-                    first, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
-                )
-            else:
-                self.dashpot_block(first, stride_x, stride_y, damping)
+        """Forces of one block. kinetic, static: normal force, times mu_s / mu_k for `static`."""
+        if ti.static(self.tally):
+            self.work_block(values, blocks, row, first, strides)
+        if ti.static(self.coulomb):
+            self.spring_block(
+                values, blocks, row, first, strides, reach, stiffness, damping, kinetic, static, compliance, memory
+            )
+        else:
+            self.dashpot_block(values, blocks, row, first, strides, damping)
 
     @ti.func
-    def sphere_pass(self, low, high, margin, stride_x, stride_y, response):
-        for b in range(low, high):
-            first = margin + b * self.stencil.block
-            self.sphere_block(first, stride_x, stride_y, response)
-            if ti.static(self.tally):
-                self.impulse_block(first, stride_x, stride_y)
-
-    @ti.kernel
-    def steps_alone(
-        self,
-        steps: int,
-        blocks: int,
-        margin: int,
-        stride_x: int,
-        stride_y: int,
-        reach: float,
-        stiffness: float,
-        damping: float,
-        kinetic: float,
-        static: float,
-        compliance: float,
-        memory: float,
-        response: float,
-    ):
-        ti.loop_config(serialize=True)
-        for _ in range(steps):
-            self.contact_pass(
-                0, blocks, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
-            )
-            self.sphere_pass(0, blocks, margin, stride_x, stride_y, response)
+    def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
+        self.sphere_block(values, blocks, row, first, strides, response)
+        if ti.static(self.tally):
+            self.impulse_block(values, blocks, row, first, strides)
 
     @ti.kernel
     def steps_by_team(
         self,
+        arrived: COUNTER,
+        workers: int,
         steps: int,
-        blocks: int,
+        values: VALUES,
+        blocks: BLOCKS,
+        row: int,
         margin: int,
+        count: int,
         stride_x: int,
         stride_y: int,
         reach: float,
@@ -238,35 +275,39 @@ class CundallStrackSteps(Team):
         memory: float,
         response: float,
     ):
-        self.arrived[None] = 0
-        for item in range(self.items):
+        for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker = item // LEAST_CHUNK
-                low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
+                begin, end = count * worker // workers, count * (worker + 1) // workers
+                strides = [in_range(stride_x), in_range(stride_y), 1]
                 for step in range(steps):
-                    self.contact_pass(
-                        low,
-                        high,
-                        margin,
-                        stride_x,
-                        stride_y,
-                        reach,
-                        stiffness,
-                        damping,
-                        kinetic,
-                        static,
-                        compliance,
-                        memory,
-                    )
-                    self.meet((2 * step + 1) * self.workers)
-                    self.sphere_pass(low, high, margin, stride_x, stride_y, response)
-                    self.meet((2 * step + 2) * self.workers)
+                    for b in range(begin, end):
+                        self.contact_pass(
+                            values,
+                            blocks,
+                            row,
+                            in_range(margin + b * self.block),
+                            strides,
+                            reach,
+                            stiffness,
+                            damping,
+                            kinetic,
+                            static,
+                            compliance,
+                            memory,
+                        )
+                    meet(arrived, (2 * step + 1) * workers)
+                    for b in range(begin, end):
+                        self.sphere_pass(values, blocks, row, in_range(margin + b * self.block), strides, response)
+                    meet(arrived, (2 * step + 2) * workers)
 
     @ti.kernel
     def step_on_gpu(
         self,
-        blocks: int,
+        values: VALUES,
+        row: int,
         margin: int,
+        count: int,
         stride_x: int,
         stride_y: int,
         reach: float,
@@ -278,9 +319,22 @@ class CundallStrackSteps(Team):
         memory: float,
         response: float,
     ):
-        for b in range(blocks):
+        for b in range(count):
+            strides = [stride_x, stride_y, 1]
             self.contact_pass(
-                b, b + 1, margin, stride_x, stride_y, reach, stiffness, damping, kinetic, static, compliance, memory
+                values,
+                values,
+                row,
+                margin + b,
+                strides,
+                reach,
+                stiffness,
+                damping,
+                kinetic,
+                static,
+                compliance,
+                memory,
             )
-        for b in range(blocks):
-            self.sphere_pass(b, b + 1, margin, stride_x, stride_y, response)
+        for b in range(count):
+            strides = [stride_x, stride_y, 1]
+            self.sphere_pass(values, values, row, margin + b, strides, response)

@@ -1,18 +1,28 @@
 """Descent sweeps: every free sphere moves against the gradient of the dissipated power (paper Eqs. 5 and 6)."""
 
+from functools import lru_cache
+
 import taichi as ti
 
-from taichi_bearings.kernels.contact import clamp, coulomb_force, difference, viscous_force
-from taichi_bearings.kernels.stencil import Stencil, copy_out, in_range
-from taichi_bearings.kernels.team import LEAST_CHUNK, Team
-from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.fields import Fields, FieldSpec, first_slots
+from taichi_bearings.kernels.contact import clamp, coulomb_force, viscous_force
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, in_range, new_block, places, read, write
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
 FORCE_LAWS = {"coulomb": coulomb_force, "viscous": viscous_force}
 
 
+@lru_cache
+def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str, averaging: bool) -> "DescentSweeps":
+    """One for each configuration, so that the next scene finds its kernels compiled."""
+    return DescentSweeps(spec, stencil, law, averaging)
+
+
 @ti.data_oriented
-class DescentSweeps(Team):
-    """Sweeps over the fields `spin`, `point`, `point_next`, `coefficient`, `inverse_weight` and `box`.
+class DescentSweeps:
+    """Sweeps over the fields `point`, `point_next`, `coefficient`, `inverse_weight` and, with momentum,
+    `spin`.
 
     The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
 
@@ -24,144 +34,219 @@ class DescentSweeps(Team):
     and `force_sum`. Without momentum `spin` is not used: `point` is the spin.
     """
 
-    def __init__(self, fields, stencil: Stencil, workers: int, law: str, momentum: bool, averaging: bool):
-        super().__init__(fields, workers)
-        self.spin, self.point, self.point_next = fields.get("spin"), fields["point"], fields["point_next"]
-        self.coefficient, self.inverse_weight, self.box = fields["coefficient"], fields["inverse_weight"], fields["box"]
-        self.spin_sum, self.force_sum = fields.get("spin_sum"), fields.get("force_sum")
-        self.stencil, self.force_law = stencil, FORCE_LAWS[law]
-        self.momentum, self.averaging = momentum, averaging
+    def __init__(self, spec: FieldSpec, stencil: Stencil, law: str, averaging: bool):
+        self.slot = slot = first_slots(spec)
+        self.stencil, self.block, self.force_law = stencil, stencil.block, FORCE_LAWS[law]
+        self.momentum, self.averaging = "spin" in slot, averaging
+        self.components = tuple(range(stencil.components))
 
-    def run(self, pairs, layout, step, sharpness, age):
-        """Make `pairs` pairs of sweeps in one launch: alone, as a team, or on a GPU with one thread a site."""
-        stride_y = layout.strides[1] if len(layout.strides) == 3 else 0
-        constants = (layout.blocks, layout.margin, layout.strides[0], stride_y, step, sharpness)
-        if self.workers > 0:
-            self.launch(self.pairs_alone, self.pairs_by_team, pairs, age, *constants)
+        def of_kept(name: str) -> tuple[tuple[int, ...], ...]:
+            return tuple(tuple(slot[name] + c for c in kept) for kept in stencil.kept)
+
+        def of_sites(name: str) -> tuple[int, ...]:
+            return tuple(slot[name] + c for c in self.components)
+
+        # sweeps of even parity read `point` and write `point_next`, the others go back
+        self.kept = of_kept("point"), of_kept("point_next")
+        self.point, self.target = (
+            (of_sites("point"), of_sites("point_next")),
+            (of_sites("point_next"), of_sites("point")),
+        )
+        self.weight, self.spin = of_sites("inverse_weight"), of_sites("spin") if self.momentum else ()
+        if averaging:
+            self.spin_sum = of_sites("spin_sum")
+            first = [slot["force_sum"] + stencil.force_slot[axis] for axis in range(stencil.dimension)]
+            self.force_sum = tuple(
+                tuple(range(first[axis], first[axis] + count)) for axis, count in enumerate(stencil.kept_count)
+            )
+
+    def run(self, fields: Fields, team: Team, pairs: int, age: int, numbers: tuple[float, ...]) -> None:
+        """Make `pairs` pairs of sweeps in one launch, or on a GPU in one each.
+
+        age : sweeps since the last restart. numbers : step, sharpness, and the lower and upper ends of the box.
+        """
+        layout = fields.layout
+        stride_y = layout.strides[1] if len(layout.strides) == 3 else 1
+        sizes = (layout.length, layout.margin, layout.blocks, layout.strides[0], stride_y)
+        if team.size:
+            team.launch(self.pairs_by_team, pairs, fields.values, fields.blocks, age, *sizes, *numbers)
         else:
             for pair in range(pairs):
-                self.pair_on_gpu(age + 2 * pair, *constants)
+                self.pair_on_gpu(fields.values, age + 2 * pair, *sizes, *numbers)
 
-    def compile(self):
+    def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel that `run` will launch, on no sites at all."""
-        self.run(0 if self.workers else 1, Layout(0, (0, 0), block=1), 0.0, 0.0, 0)
-
-    @ti.func
-    def force(self, points: ti.template(), lower, upper, axis: ti.template(), sharpness):
-        spin_difference = difference(points[lower], points[upper], self.stencil.kept[axis])
-        return self.force_law(spin_difference, self.coefficient[lower][axis], sharpness)
-
-    @ti.func
-    def update_block(self, points: ti.template(), points_new: ti.template(), first_site, x, y, step, sharpness, beta):
-        """Update one block of sites. Results go to local arrays first: then the loop over sites vectorises."""
-        first, strides = in_range(first_site), ti.Vector([in_range(x), in_range(y)])
-        moved = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        ahead = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        low, high = self.box[0], self.box[1]
-        below_height = ti.Vector.zero(float, ti.static(max(self.stencil.height_kept, 1)))
-        if ti.static(self.stencil.height_kept > 0):
-            below_height = self.force(points, first - 1, first, self.stencil.height, sharpness)
-        for m in range(self.stencil.block):
-            site = first + m
-            pull = ti.Vector.zero(float, self.stencil.components)
-            for axis in ti.static(self.stencil.sideways_axes):
-                above = self.force(points, site, site + strides[axis], axis, sharpness)
-                below = self.force(points, site - strides[axis], site, axis, sharpness)
-                for t, slot in ti.static(enumerate(self.stencil.kept[axis])):
-                    pull[slot] += above[t] - below[t]
-            if ti.static(self.stencil.height_kept > 0):
-                above_height = self.force(points, site, site + 1, self.stencil.height, sharpness)
-                for t, slot in ti.static(enumerate(self.stencil.kept[self.stencil.height])):
-                    pull[slot] += above_height[t] - below_height[t]
-                below_height = above_height  # carried up the column, so that each is computed once
-            for c in ti.static(range(self.stencil.components)):
-                new = clamp(points[site][c] + step * self.inverse_weight[site][c] * pull[c], low[c], high[c])
-                moved[c, m] = new
-                if ti.static(self.momentum):
-                    ahead[c, m] = new + beta * (new - self.spin[site][c])
-        if ti.static(self.averaging):
-            self.add_to_sums(points, first, strides, sharpness)
-        if ti.static(self.momentum):
-            copy_out(ahead, points_new, 0, first, self.stencil.block)
-            copy_out(moved, self.spin, 0, first, self.stencil.block)
+        nothing = (0.0,) * 8
+        if team.size:
+            self.run(fields, team, 0, 0, nothing)
         else:
-            copy_out(moved, points_new, 0, first, self.stencil.block)
+            self.pair_on_gpu(fields.values, 0, *(0,) * 5, *nothing)
 
     @ti.func
-    def add_to_sums(self, points: ti.template(), first, strides, sharpness):
-        """Add the points and the forces of the contacts above them to `spin_sum` and `force_sum`."""
-        spins = ti.Matrix.zero(float, self.stencil.components, self.stencil.block)
-        for m in range(self.stencil.block):
-            for c in ti.static(range(self.stencil.components)):
-                spins[c, m] = self.spin_sum[first + m][c] + points[first + m][c]
-        copy_out(spins, self.spin_sum, 0, first, self.stencil.block)
-        for axis in ti.static(self.stencil.slipping_axes):
-            slot = ti.static(self.stencil.force_slot[axis])
-            stride = strides[axis] if ti.static(axis < self.stencil.height) else 1
-            forces = ti.Matrix.zero(float, self.stencil.kept_count[axis], self.stencil.block)
-            for m in range(self.stencil.block):
-                force = self.force(points, first + m, first + m + stride, axis, sharpness)
-                for t in ti.static(range(self.stencil.kept_count[axis])):
-                    forces[t, m] = self.force_sum[first + m][slot + t] + force[t]
-            copy_out(forces, self.force_sum, slot, first, self.stencil.block)
+    def force(self, values: ti.template(), lower: ti.template(), upper: ti.template(), coefficient, m, sharpness):
+        return self.force_law(difference(values, lower, upper, m), values[coefficient + m], sharpness)
 
     @ti.func
-    def half_pair(self, back: ti.template(), age, low, high, margin, stride_x, stride_y, step, sharpness):
-        """One sweep over blocks low ... high - 1: from `point` to `point_next`, or back."""
-        beta = ti.cast(age, float) / ti.cast(age + 3, float)
-        for b in range(low, high):
-            first = margin + b * self.stencil.block
-            if ti.static(back):
-                self.update_block(self.point_next, self.point, first, stride_x, stride_y, step, sharpness, beta)
-            else:
-                self.update_block(self.point, self.point_next, first, stride_x, stride_y, step, sharpness, beta)
-
-    @ti.kernel
-    def pairs_alone(
+    def update_block(
         self,
-        pairs: int,
-        age: int,
-        blocks: int,
-        margin: int,
-        stride_x: int,
-        stride_y: int,
-        step: float,
-        sharpness: float,
+        values: ti.template(),
+        blocks: ti.template(),
+        parity: ti.template(),
+        row,
+        first,
+        strides: ti.template(),
+        beta,
+        step,
+        sharpness,
+        low: ti.template(),
+        high: ti.template(),
     ):
-        ti.loop_config(serialize=True)
-        for pair in range(pairs):
-            for back in ti.static((0, 1)):
-                self.half_pair(back, age + 2 * pair + back, 0, blocks, margin, stride_x, stride_y, step, sharpness)
+        """Update one block of sites."""
+        height = ti.static(self.stencil.height)
+        axes = ti.static(range(self.stencil.dimension))
+        here = [places(self.kept[parity][axis], row, first) for axis in axes]
+        up = [places(self.kept[parity][axis], row, first + strides[axis]) for axis in axes]
+        down = [places(self.kept[parity][axis], row, first - strides[axis]) for axis in axes]
+        own = [in_range((self.slot["coefficient"] + axis) * row + first) for axis in axes]
+        lower = [in_range((self.slot["coefficient"] + axis) * row + first - strides[axis]) for axis in axes]
+        point, weight = places(self.point[parity], row, first), places(self.weight, row, first)
+        old = places(self.spin, row, first)  # empty without momentum
+        moved, ahead = new_block(self.stencil.components, self.block), new_block(ti.static(len(old)), self.block)
+        below_height = self.force(values, down[height], here[height], lower[height], 0, sharpness)
+        for m in range(self.block):
+            pull = [0.0 for _ in ti.static(self.components)]
+            for axis in ti.static(self.stencil.sideways_axes):
+                above = self.force(values, here[axis], up[axis], own[axis], m, sharpness)
+                below = self.force(values, down[axis], here[axis], lower[axis], m, sharpness)
+                for t in ti.static(range(len(above))):
+                    pull[self.stencil.kept[axis][t]] += above[t] - below[t]
+            above_height = self.force(values, here[height], up[height], own[height], m, sharpness)
+            for t in ti.static(range(len(above_height))):
+                pull[self.stencil.kept[height][t]] += above_height[t] - below_height[t]
+                below_height[t] = above_height[t]  # carried up the column, so that each is computed once
+            for c in ti.static(self.components):
+                new = values[point[c] + m] + step * values[weight[c] + m] * pull[c]
+                new = clamp(new, low[c], high[c])
+                moved[c][m] = new
+                if ti.static(self.momentum):
+                    ahead[c][m] = new + beta * (new - values[old[c] + m])
+        if ti.static(self.averaging):
+            self.add_to_sums(values, blocks, parity, row, first, strides, sharpness)
+        to = places(self.target[parity], row, first)
+        if ti.static(self.momentum):
+            write(blocks, self.block, to, ahead)
+            write(blocks, self.block, old, moved)
+        else:
+            write(blocks, self.block, to, moved)
+
+    @ti.func
+    def add_to_sums(
+        self,
+        values: ti.template(),
+        blocks: ti.template(),
+        parity: ti.template(),
+        row,
+        first,
+        strides: ti.template(),
+        sharpness,
+    ):
+        """Add the points and the forces of the contacts above them to `spin_sum` and `force_sum`."""
+        point, spin_sum = places(self.point[parity], row, first), places(self.spin_sum, row, first)
+        spins = new_block(self.stencil.components, self.block)
+        for m in range(self.block):
+            for c in ti.static(self.components):
+                spins[c][m] = values[spin_sum[c] + m] + values[point[c] + m]
+        write(blocks, self.block, spin_sum, spins)
+        for axis in ti.static(self.stencil.slipping_axes):
+            here = places(self.kept[parity][axis], row, first)
+            up = places(self.kept[parity][axis], row, first + strides[axis])
+            own = in_range((self.slot["coefficient"] + axis) * row + first)
+            force_sum = places(self.force_sum[axis], row, first)
+            forces = new_block(ti.static(len(force_sum)), self.block)
+            for m in range(self.block):
+                before, force = read(values, force_sum, m), self.force(values, here, up, own, m, sharpness)
+                for t in ti.static(range(len(force))):
+                    forces[t][m] = before[t] + force[t]
+            write(blocks, self.block, force_sum, forces)
 
     @ti.kernel
     def pairs_by_team(
         self,
+        arrived: COUNTER,
+        workers: int,
         pairs: int,
+        values: VALUES,
+        blocks: BLOCKS,
         age: int,
-        blocks: int,
+        row: int,
         margin: int,
+        count: int,
         stride_x: int,
         stride_y: int,
         step: float,
         sharpness: float,
+        low_0: float,
+        low_1: float,
+        low_2: float,
+        high_0: float,
+        high_1: float,
+        high_2: float,
     ):
-        self.arrived[None] = 0
-        for item in range(self.items):
+        for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker = item // LEAST_CHUNK
-                low, high = blocks * worker // self.workers, blocks * (worker + 1) // self.workers
+                begin, end = count * worker // workers, count * (worker + 1) // workers
+                strides = [in_range(stride_x), in_range(stride_y), 1]
+                low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
                 for pair in range(pairs):
-                    for back in ti.static((0, 1)):
-                        self.half_pair(
-                            back, age + 2 * pair + back, low, high, margin, stride_x, stride_y, step, sharpness
-                        )
-                        self.meet((2 * pair + back + 1) * self.workers)
+                    for parity in ti.static(range(2)):
+                        beta = momentum(age + 2 * pair + parity)
+                        for b in range(begin, end):
+                            first = in_range(margin + b * self.block)
+                            self.update_block(
+                                values, blocks, parity, row, first, strides, beta, step, sharpness, low, high
+                            )
+                        meet(arrived, (2 * pair + parity + 1) * workers)
 
     @ti.kernel
     def pair_on_gpu(
-        self, age: int, blocks: int, margin: int, stride_x: int, stride_y: int, step: float, sharpness: float
+        self,
+        values: VALUES,
+        age: int,
+        row: int,
+        margin: int,
+        count: int,
+        stride_x: int,
+        stride_y: int,
+        step: float,
+        sharpness: float,
+        low_0: float,
+        low_1: float,
+        low_2: float,
+        high_0: float,
+        high_1: float,
+        high_2: float,
     ):
-        for b in range(blocks):
-            self.half_pair(0, age, b, b + 1, margin, stride_x, stride_y, step, sharpness)
-        for b in range(blocks):
-            self.half_pair(1, age + 1, b, b + 1, margin, stride_x, stride_y, step, sharpness)
+        for parity in ti.static(range(2)):
+            for b in range(count):
+                strides = [stride_x, stride_y, 1]
+                low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
+                self.update_block(
+                    values,
+                    values,
+                    parity,
+                    row,
+                    margin + b,
+                    strides,
+                    momentum(age + parity),
+                    step,
+                    sharpness,
+                    low,
+                    high,
+                )
+
+
+@ti.func
+def momentum(age):
+    """beta of the sweep that is this old."""
+    return ti.cast(age, float) / ti.cast(age + 3, float)

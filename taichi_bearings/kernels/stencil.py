@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import taichi as ti
 
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.layout import Layout
@@ -77,21 +76,3 @@ class Stencil:
         for axis, (start, values) in enumerate(zip(self.force_slot, force, strict=True)):
             layout.from_lower_sphere(stored[start : start + len(values)], axis)[...] = values
         return stored
-
-
-@ti.func
-def in_range(index):
-    """The same index (they are all below 2^29), in a form that lets the compiler rule out overflow of index + offset:
-    only then does it merge the loads and stores of neighbouring sites into SIMD ones."""
-    return index & 0x1FFFFFFF
-
-
-@ti.func
-def copy_out(local: ti.template(), field: ti.template(), slot: ti.template(), first, block: ti.template()):
-    """field[first + m][slot + c] = local[c, m]; `first` from :func:`in_range`.
-
-    Local arrays must stay small: beyond about 40 numbers LLVM no longer vectorises the loop that fills them.
-    """
-    for c in ti.static(range(local.n)):
-        for m in ti.static(range(block)):
-            field[first + m][slot + c] = local[c, m]

@@ -12,10 +12,10 @@ import numpy as np
 
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec, team_size
-from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
+from taichi_bearings.fields import Fields, FieldSpec, team_size
+from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
 from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import Team
 from taichi_bearings.lattice.grid import contact_differences, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -122,7 +122,7 @@ class CundallStrack:
         self.spec = tuple(spec)
         return self.spec
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         assert fields is not None
         self.fields, layout, options = fields, fields.layout, self.options
         self.inertia = options.inertia or default_inertia(scene, options.mass)
@@ -131,19 +131,13 @@ class CundallStrack:
         modes = sticking_modes(scene, self.spin_axes, options, float(np.abs(spin).max()), self.stability_bound)
         self.step_error = StepError(modes, options.gear_order, self.time_step)
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
-        fields.clear("force")
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
         fields.load("is_free", is_free.astype(np.float64))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        if scene.law == "coulomb":
-            fields.clear("elongation")
-        workers = team_size(layout, self.stencil.components + self.stencil.force_components)
-        corrector = CORRECTORS[options.gear_order]
-        self.steps = fields.kernels(
-            CundallStrackSteps, self.stencil, workers, scene.law, corrector, options.keep_energy
-        )
-        self.steps.compile()
+        self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
+        self.steps = cundall_strack_steps(self.spec, self.stencil, scene.law, CORRECTORS[options.gear_order])
+        self.steps.compile(fields, self.team)
         self.iteration = self.rest_check = 0
         self.rest = RestWatch(np.full(scene.replicas, np.inf))
 
@@ -164,8 +158,6 @@ class CundallStrack:
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
         if options.keep_energy:
             self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
-            self.fields.clear("work")
-            self.fields.clear("impulse")
             self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
@@ -258,7 +250,7 @@ class CundallStrack:
             *options.after_slip(self.time_step),
             self.time_step * radius / self.inertia,
         )
-        self.steps.run(steps, self.fields.layout, numbers)
+        self.steps.run(self.fields, self.team, steps, numbers)
         self.iteration += steps
 
     def progress(self) -> Progress:

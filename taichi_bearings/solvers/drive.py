@@ -4,7 +4,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +11,7 @@ import numpy as np
 from taichi_bearings.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.errors import FileError
-from taichi_bearings.fields import borrow
-from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
@@ -71,8 +69,8 @@ def solve(
     stop, recording = stop or StopRule(), recording or Recording()
     began = time.perf_counter()
     spec = method.plan(scene, spin)
-    workspace = borrow(make_layout(scene.replicas, scene.lattice.shape), spec) if method.needs_taichi else nullcontext()
-    with _Interrupt() as interrupt, workspace as fields:
+    with _Interrupt() as interrupt:
+        fields = Fields(make_layout(scene.replicas, scene.lattice.shape), spec) if spec else None
         method.begin(scene, spin, fields)
         compiled = time.perf_counter()
         course = _Course(scene, method, stop, recording, checkpoints, interrupt)

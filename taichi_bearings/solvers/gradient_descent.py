@@ -18,10 +18,10 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec, team_size
-from taichi_bearings.kernels.descent import DescentSweeps
+from taichi_bearings.fields import Fields, FieldSpec, team_size
+from taichi_bearings.kernels.descent import descent_sweeps
 from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import Team
 from taichi_bearings.lattice.grid import contact_differences, weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -55,16 +55,17 @@ class GradientDescent:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         self.averages = scene.law == "coulomb" and not self.momentum
         components, dimension = len(self.spin_axes), scene.lattice.dimension
-        spec = [(name, components) for name in ("point", "point_next", "inverse_weight", "box")]
+        spec = [(name, components) for name in ("point", "point_next", "inverse_weight")]
         spec.append(("coefficient", dimension))
         if self.momentum:
             spec.append(("spin", components))
         if self.averages:
             forces = Stencil(self.spin_axes, dimension, 1).force_components
             spec += [("spin_sum", components), ("force_sum", forces)]
-        return tuple(spec)
+        self.spec = tuple(spec)
+        return self.spec
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         assert fields is not None
         self.fields, layout = fields, fields.layout
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
@@ -72,16 +73,17 @@ class GradientDescent:
         weight = weights(scene.acting_coefficient, scene.lattice, self.spin_axes)
         weight[..., scene.lattice.is_driven] = 0.0
         fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
-        for corner, values in enumerate(np.sort(scene.driven_values(self.spin_axes), axis=0)):
-            fields.fields["box"][corner] = values.tolist()
+        box = np.zeros((2, 3))  # lower and upper ends
+        box[:, : len(self.spin_axes)] = np.sort(scene.driven_values(self.spin_axes), axis=0)
+        self.box = box.ravel().tolist()
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
-        workers = team_size(layout, self.stencil.components)
+        self.team = Team(team_size(layout, self.stencil.components))
         self.sweeps = {
-            averaging: fields.kernels(DescentSweeps, self.stencil, workers, scene.law, self.momentum, averaging)
+            averaging: descent_sweeps(self.spec, self.stencil, scene.law, averaging)
             for averaging in ((False, True) if self.averages else (False,))
         }
         for sweeps in self.sweeps.values():
-            sweeps.compile()
+            sweeps.compile(fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
         self.least_width = 1e2 * float(np.finfo(precision).eps) * jump
@@ -111,7 +113,7 @@ class GradientDescent:
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
-        self.sweeps[averaging].run(pairs, self.fields.layout, step, sharpness, self.age)
+        self.sweeps[averaging].run(self.fields, self.team, pairs, self.age, (step, sharpness, *self.box))
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs

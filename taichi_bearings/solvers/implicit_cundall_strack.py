@@ -19,8 +19,7 @@ from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.cholesky import dissect
 from taichi_bearings.errors import DeviceError, InputError
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
@@ -77,7 +76,7 @@ class ImplicitCundallStrack:
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
         return ()
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         options = self.options
         self.inertia = options.inertia or default_inertia(scene, options.mass)
         self.system = lattice_system(scene.lattice, self.spin_axes, scene.driven_values(self.spin_axes)[1])

@@ -21,7 +21,7 @@ from taichi_bearings.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.contact_state import ContactState, all_slipless
 from taichi_bearings.double_double import Pair, multiply, two_sum
 from taichi_bearings.errors import DeviceError, InputError
-from taichi_bearings.fields.workspace import FieldSpec, Workspace
+from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.central_path import Iterate, balance, newton_step
 from taichi_bearings.solvers.cone import length
@@ -98,7 +98,7 @@ class InteriorPoint:
             raise DeviceError("interior-point works in the memory of the CPU; use --arch cpu")
         return ()
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         sign, axes = np.sign(scene.spin_top - scene.spin_bottom), list(self.spin_axes)
         self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])

@@ -16,8 +16,7 @@ import numpy as np
 from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import contact_differences
 from taichi_bearings.nested_dissection import GridFactor
 from taichi_bearings.scene import Progress, Scene
@@ -41,7 +40,7 @@ class LinearSolver:
             raise InputError(f"method linear-solver solves the viscous law only; the law is {scene.law!r}")
         return ()
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         self.bottom, self.top = scene.driven_values(self.spin_axes)
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)

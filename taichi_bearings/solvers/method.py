@@ -5,7 +5,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from taichi_bearings.fields.workspace import FieldSpec, Workspace
+from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.scene import Progress, Scene
 
 
@@ -26,7 +26,7 @@ class Method(Protocol):
         """
         ...
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         """Load the fields and compile the kernels."""
         ...
 

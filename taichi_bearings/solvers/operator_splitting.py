@@ -20,19 +20,16 @@ five times the first.
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 
 import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.errors import DeviceError, InputError
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import CPU_BLOCK, FieldSpec
-from taichi_bearings.kernels.splitting import ContactStep
+from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.kernels.splitting import contact_step
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences
-from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.poisson import PlanePoisson
@@ -48,16 +45,10 @@ COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from re
 WORTH_A_THREAD = 20_000  # spheres from which spin components are worth a thread each
 
 
-@lru_cache
-def contact_step(stencil: Stencil) -> ContactStep:
-    """One for each stencil, so that the next scene finds its kernels compiled."""
-    return ContactStep(stencil)
-
-
 class OperatorSplitting:
     """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
 
-    The arrays are NumPy's, (numbers a site, length) in the flat layout, and shared by kernels and matrix products:
+    The fields lie in the memory of the CPU, where kernels and matrix products share them:
     `friction` mu F_n, `trial` v, `push` v - 2 f = rho z - f, `potential` rho Omega, `pull` the pushes on each sphere.
     """
 
@@ -71,35 +62,35 @@ class OperatorSplitting:
         if runtime.current().is_gpu:
             raise DeviceError("operator-splitting works in the memory of the CPU; use --arch cpu")
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        return ()
+        dimension, components = scene.lattice.dimension, len(self.spin_axes)
+        forces = Stencil(self.spin_axes, dimension, 1).force_components
+        self.spec = (
+            ("friction", dimension),
+            ("trial", forces),
+            ("push", forces),
+            ("potential", components),
+            ("pull", components),
+        )
+        return self.spec
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
-        running, lattice = runtime.current(), scene.lattice
-        dtype = np.float64 if running.precision == "f64" else np.float32
-        self.stencil = Stencil(self.spin_axes, lattice.dimension, CPU_BLOCK)
-        self.layout = Layout(scene.replicas, lattice.shape, CPU_BLOCK)
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+        assert fields is not None
+        lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
+        self.stencil = Stencil(self.spin_axes, lattice.dimension, self.layout.block)
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
         self.poisson = [
-            PlanePoisson(lattice, component, self.weights, scene.replicas, dtype) for component in self.spin_axes
+            PlanePoisson(lattice, component, self.weights, scene.replicas, fields.dtype) for component in self.spin_axes
         ]
-        threads = min(running.threads, len(self.poisson)) if self.layout.sites >= WORTH_A_THREAD else 1
+        threads = min(runtime.current().threads, len(self.poisson)) if self.layout.sites >= WORTH_A_THREAD else 1
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(threads).map if threads > 1 else map
-        sizes = {
-            "friction": lattice.dimension,
-            "trial": self.stencil.force_components,
-            "push": self.stencil.force_components,
-            "potential": self.stencil.components,
-            "pull": self.stencil.components,
-        }
-        self.arrays = {name: np.zeros((numbers, self.layout.length), dtype) for name, numbers in sizes.items()}
-        self.kernel = contact_step(self.stencil).step
-        self._step_contacts(0.0, blocks=0)  # compiles
+        self.contacts = contact_step(self.spec, self.stencil)
+        self.contacts.compile(fields)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
-        self._sites("friction")[...] = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
+        self.fields.view("friction")[...] = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
         components, replicas, *sides, height = linear.shape
@@ -108,19 +99,13 @@ class OperatorSplitting:
         self.change: np.ndarray | None = None
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
-        self._sites("potential")[...] = stiffness * staggered
-        trial = self._sites("trial")
+        self.fields.view("potential")[...] = stiffness * staggered
+        trial = self.fields.view("trial")
         for axis, difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
             slot = self.stencil.force_slot[axis]
             at_contacts = self.layout.from_lower_sphere(trial[slot : slot + len(difference)], axis)
             at_contacts[...] = self.weights[axis] * stiffness * difference
-        self._step_contacts(0.0, self.layout.blocks)  # changes no trial force, limits them
-
-    def _sites(self, name: str) -> np.ndarray:
-        """An array as (numbers a site, R, *N), not copied."""
-        layout, array = self.layout, self.arrays[name]
-        inside = array[:, layout.margin : layout.margin + layout.sites]
-        return inside.reshape(len(array), layout.replicas, *layout.shape)
+        self._step_contacts(0.0)  # changes no trial force, limits them
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
@@ -131,7 +116,7 @@ class OperatorSplitting:
     def advance(self, steps: int) -> None:
         self._change_stiffness()
         free = (..., slice(1, -1))
-        source, potential = self._sites("pull")[free], self._sites("potential")[free]
+        source, potential = self.fields.view("pull")[free], self.fields.view("potential")[free]
         driven_part = (self._by_replica(self.stiffness) * self.linear).astype(potential.dtype)[free]
 
         def balance_torques(slot: int) -> None:
@@ -139,15 +124,12 @@ class OperatorSplitting:
             potential[slot] += driven_part[slot]
 
         for _ in range(steps):
-            self._step_contacts(RELAXATION, self.layout.blocks)
+            self._step_contacts(RELAXATION)
             list(self.each(balance_torques, range(len(self.poisson))))
         self.iteration += steps
 
-    def _step_contacts(self, relaxation: float, blocks: int) -> None:
-        sideways, *_, height = self.weights
-        stride_x, stride_y = (*self.layout.strides, 1)[:2]
-        numbers = (stride_x, stride_y, sideways, height, relaxation, self.layout.margin, blocks)
-        self.kernel(*self.arrays.values(), *numbers)
+    def _step_contacts(self, relaxation: float) -> None:
+        self.contacts.run(self.fields, (self.weights[0], self.weights[-1]), relaxation)
 
     def _change_stiffness(self) -> None:
         """Scale rho z and rho Omega as the last check asked for; the spins and the friction f stay."""
@@ -155,7 +137,7 @@ class OperatorSplitting:
             return
         self.stiffness = self.stiffness * self.change
         factor, self.change = self._by_replica(self.change), None
-        trial, push, potential = (self._sites(name) for name in ("trial", "push", "potential"))
+        trial, push, potential = (self.fields.view(name) for name in ("trial", "push", "potential"))
         trial += (factor - 1) / 2 * (trial + push)
         potential *= factor
 
@@ -163,7 +145,9 @@ class OperatorSplitting:
         """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""
         scene, axes = self.scene, self.spin_axes
         stiffness = self._by_replica(self.stiffness)
-        staggered = scene.impose_driving((self._sites("potential") / stiffness).astype(np.float64, copy=False), axes)
+        staggered = scene.impose_driving(
+            (self.fields.view("potential") / stiffness).astype(np.float64, copy=False), axes
+        )
         slips = scene.slips(staggered, axes)
         powers = [scene.power_of(slip, axis) for axis, slip in enumerate(slips)]
         power = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in powers], axis=0)
@@ -189,12 +173,12 @@ class OperatorSplitting:
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
-        potential = self._sites("potential").astype(np.float64, copy=False)
+        potential = self.fields.view("potential").astype(np.float64, copy=False)
         differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
         return tuple(w * d - g for w, d, g in zip(self.weights, differences, self._by_axis("push"), strict=True))
 
     def _by_axis(self, name: str) -> tuple[np.ndarray, ...]:
-        return self.stencil.forces_by_axis(self._sites(name).astype(np.float64, copy=False), self.layout)
+        return self.stencil.forces_by_axis(self.fields.view(name).astype(np.float64, copy=False), self.layout)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
         """USUAL_STIFFNESS in its units, (R,): a column transmits the force power / (R * jump * columns)."""

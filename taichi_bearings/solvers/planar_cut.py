@@ -13,8 +13,7 @@ import numpy as np
 from taichi_bearings.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.contact_state import ContactState, all_slipless
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Workspace
-from taichi_bearings.fields.workspace import FieldSpec
+from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.planar import MinimumCuts, minimum_cuts
 from taichi_bearings.scene import Progress, Scene
 
@@ -36,7 +35,7 @@ class PlanarCut:
             )
         return ()
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         (self.component,) = self.spin_axes
         self.bottom, self.top = (float(value[0]) for value in scene.driven_values(self.spin_axes))

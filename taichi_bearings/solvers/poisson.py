@@ -18,7 +18,7 @@ class PlanePoisson:
     """
 
     def __init__(
-        self, lattice: Lattice, component: int, weights: tuple[float, ...], replicas: int, dtype: type[np.floating]
+        self, lattice: Lattice, component: int, weights: tuple[float, ...], replicas: int, dtype: np.typing.DTypeLike
     ) -> None:
         height, free = lattice.height_axis, (*lattice.shape[:-1], lattice.shape[-1] - 2)
         axes = [axis for axis in range(lattice.dimension) if axis != component]

@@ -20,7 +20,7 @@ from taichi_bearings import runtime
 from taichi_bearings.blas import one_thread
 from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.errors import DeviceError, InputError
-from taichi_bearings.fields.workspace import FieldSpec, Workspace
+from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -79,7 +79,7 @@ class RigidLimit:
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
         return ()
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Workspace | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.inertia = self.options.inertia or default_inertia(scene, self.options.mass)
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         spread = [float(values.max() - values.min()) for values in self.staggered]

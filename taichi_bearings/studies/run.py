@@ -78,7 +78,8 @@ def automatic_method(scene: Scene, settings: RunSettings) -> str:
         return "linear-solver"
     if len(scene.minimum_spin_axes) == 1:
         return "planar-cut"
-    if settings.arch != "cpu" and (settings.arch == "cuda" or runtime.has_cuda()):
+    arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
+    if arch != "cpu":
         return "gradient-descent"
     if settings.tolerance < ROUGH and scene.lattice.sites <= MOST_FACTORISED:
         return "interior-point"

@@ -209,7 +209,7 @@ class RunSettings:
     rest_tolerance: float | None = setting(
         None, POSITIVE, "dynamics: change of P that counts as rest. Default: 1e-9, rigid-limit 1e-12."
     )
-    arch: str = setting("cpu", _one_of("cpu", "cuda", "auto"), "Device.")
+    arch: str = setting("cpu", _one_of("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
     precision: str = setting("f64", _one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
     threads: int = setting(0, SEED, "CPU threads; 0 for all.")
 

@@ -43,10 +43,8 @@ class NumpySweep:
         axes = (0, 1, 2)[:components]
         self.layout = layout = Layout(1, scene.lattice.shape, block=1)
         self.kept = [tangential(axis, axes) for axis in range(3)]
-        self.spin = list(
-            layout.flatten(scene.staggered_spin(initial_spin(scene, "random"), axes), layout.length).T.copy()
-        )
-        self.friction = list(layout.flatten(layout.at_lower_sphere(scene.acting_coefficient), layout.length).T.copy())
+        self.spin = list(layout.rows(scene.staggered_spin(initial_spin(scene, "random"), axes)))
+        self.friction = list(layout.rows(layout.at_lower_sphere(scene.acting_coefficient)))
         weight = weights(scene.acting_coefficient, scene.lattice, axes)
         weight[..., scene.lattice.is_driven] = np.inf
         self.step = [1e-3 / w.ravel() for w in weight]
@@ -108,8 +106,7 @@ def measure(shape: tuple[int, ...], threads: int) -> list[Throughput]:
 
 def _measure_here(shape: tuple[int, ...], threads: int) -> list[dict[str, Any]]:
     from taichi_bearings import runtime
-    from taichi_bearings.fields import borrow
-    from taichi_bearings.fields.workspace import make_layout
+    from taichi_bearings.fields import Fields, make_layout
     from taichi_bearings.solvers.cundall_strack import CundallStrack
     from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
 
@@ -125,24 +122,19 @@ def _measure_here(shape: tuple[int, ...], threads: int) -> list[dict[str, Any]]:
         plain = GradientDescent(GradientDescentOptions(momentum=False))
         fast = GradientDescent()
         dynamics = CundallStrack()
-        with (
-            borrow(layout, plain.plan(scene, spin)) as a,
-            borrow(layout, fast.plan(scene, spin)) as b,
-            borrow(layout, dynamics.plan(scene, linear)) as c,
-        ):
-            plain.begin(scene, spin, a)
-            fast.begin(scene, spin, b)
-            dynamics.begin(scene, linear, c)
-            plain.epoch_length = 2**40  # stay in the part of the epoch that does not average
-            candidates["sweep"] = (plain.advance, 400)
-            candidates["sweep with momentum"] = (fast.advance, 400)
-            candidates["Cundall-Strack step"] = (dynamics.advance, 200)
-            times: dict[str, list[float]] = {name: [] for name in candidates}
-            for _ in range(ROUNDS):
-                for name, (call, number) in candidates.items():
-                    began = time.perf_counter()
-                    call(number)
-                    times[name].append((time.perf_counter() - began) / number)
+        plain.begin(scene, spin, Fields(layout, plain.plan(scene, spin)))
+        fast.begin(scene, spin, Fields(layout, fast.plan(scene, spin)))
+        dynamics.begin(scene, linear, Fields(layout, dynamics.plan(scene, linear)))
+        plain.epoch_length = 2**40  # stay in the part of the epoch that does not average
+        candidates["sweep"] = (plain.advance, 400)
+        candidates["sweep with momentum"] = (fast.advance, 400)
+        candidates["Cundall-Strack step"] = (dynamics.advance, 200)
+        times: dict[str, list[float]] = {name: [] for name in candidates}
+        for _ in range(ROUNDS):
+            for name, (call, number) in candidates.items():
+                began = time.perf_counter()
+                call(number)
+                times[name].append((time.perf_counter() - began) / number)
         reference = float(np.median(times["NumPy sweep"]))
         for name, measured in times.items():
             seconds = float(np.median(measured))

@@ -27,8 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import borrow
-from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.fields import make_layout
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack
 from taichi_bearings.solvers.drive import solve
@@ -135,8 +134,8 @@ def measure_here(shape, threads, steps, large_bytes, start):
     peers = [Lammps("hooke", threads), Lammps("granular", threads), Yade(threads)]
     contact_updates = scene.lattice.contacts * steps
     rates, bandwidth = {}, {"working set": [], "large": []}
-    spec = method.plan(scene, spin)
-    with tempfile.TemporaryDirectory() as folder, borrow(layout, spec) as fields:
+    fields = Fields(layout, method.plan(scene, spin))
+    with tempfile.TemporaryDirectory() as folder:
         request = peer_request(scene, method.options, spin[0], folder, steps, steps // 10)
         method.begin(scene, spin, fields)
         method.advance(steps)
@@ -155,7 +154,7 @@ def measure_here(shape, threads, steps, large_bytes, start):
         "threads": threads,
         "components": len(method.spin_axes),
         "rates": {name: float(np.median(values)) for name, values in rates.items()},
-        "bytes_per_contact": bytes_per_step(spec, layout) / scene.lattice.contacts,
+        "bytes_per_contact": bytes_per_step(fields.spec, layout) / scene.lattice.contacts,
         "working_set": working_set,
         "bandwidth": {name: float(np.median(values)) for name, values in bandwidth.items()},
         "absent": {peer.name: peer.how_to_install for peer in peers if not peer.is_installed},

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
-from taichi_bearings.solvers.drive import borrow, make_layout
 from taichi_bearings.solvers.gear import CORRECTORS
 from tests.kernels.test_descent import three_components
 from tests.kernels.twins import cundall_strack_step, neighbours
@@ -22,38 +22,38 @@ def test_steps_equal_plain_loops(shape, start, law, order, precision):
     options = CundallStrackOptions(gear_order=order, static_ratio=1.25, mass=2.0, slipping_spring=spring)
     method = CundallStrack(options)
     spin = initial_spin(scene, start)
-    with borrow(make_layout(1, shape), method.plan(scene, spin)) as fields:
-        method.begin(scene, spin, fields)
+    fields = Fields(make_layout(1, shape), method.plan(scene, spin))
+    method.begin(scene, spin, fields)
 
-        def read(name):
-            staggered = fields.read(name)
-            full = scene.laboratory_spin(staggered, method.spin_axes) if name == "gear_0" else derivative(staggered)
-            return three_components(scene, full)
+    def read(name):
+        staggered = fields.read(name)
+        full = scene.laboratory_spin(staggered, method.spin_axes) if name == "gear_0" else derivative(staggered)
+        return three_components(scene, full)
 
-        def derivative(staggered):
-            zero = np.zeros((3, 1, *shape))
-            zero[list(method.spin_axes)] = staggered
-            lab = np.moveaxis(zero, 0, -1) * scene.lattice.parity[..., None]
-            return lab if scene.lattice.dimension == 3 else lab[..., 2]
+    def derivative(staggered):
+        zero = np.zeros((3, 1, *shape))
+        zero[list(method.spin_axes)] = staggered
+        lab = np.moveaxis(zero, 0, -1) * scene.lattice.parity[..., None]
+        return lab if scene.lattice.dimension == 3 else lab[..., 2]
 
-        gear = [read(f"gear_{n}") for n in range(order + 1)]
-        elongation = {(lower, axis): np.zeros(3) for lower, _, axis in neighbours(shape)}
-        last_error = np.zeros_like(gear[0])
-        constants = (
-            options.stiffness, options.damping, scene.normal_force, options.static_ratio, method.inertia,
-            method.time_step, spring == "relax",
-        )  # fmt: skip
-        coefficient = [c[0] for c in scene.coefficient]
-        slipped = 0
-        for _ in range(60):
-            forces = cundall_strack_step(gear, elongation, last_error, coefficient, law, constants, CORRECTORS[order])
-            slipped += sum(
-                np.linalg.norm(f) >= (1 - 1e-9) * scene.normal_force * coefficient[axis][site]
-                for (site, axis), f in forces.items()
-            )
-        method.advance(60)
-        progress = method.progress()
-        found = read("gear_0")
+    gear = [read(f"gear_{n}") for n in range(order + 1)]
+    elongation = {(lower, axis): np.zeros(3) for lower, _, axis in neighbours(shape)}
+    last_error = np.zeros_like(gear[0])
+    constants = (
+        options.stiffness, options.damping, scene.normal_force, options.static_ratio, method.inertia,
+        method.time_step, spring == "relax",
+    )  # fmt: skip
+    coefficient = [c[0] for c in scene.coefficient]
+    slipped = 0
+    for _ in range(60):
+        forces = cundall_strack_step(gear, elongation, last_error, coefficient, law, constants, CORRECTORS[order])
+        slipped += sum(
+            np.linalg.norm(f) >= (1 - 1e-9) * scene.normal_force * coefficient[axis][site]
+            for (site, axis), f in forces.items()
+        )
+    method.advance(60)
+    progress = method.progress()
+    found = read("gear_0")
     accuracy = 1e-13 if precision == "f64" else 1e-5
     assert np.abs(found - gear[0]).max() <= 10 * accuracy  # 60 steps add up their rounding
     if law == "coulomb":

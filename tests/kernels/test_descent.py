@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.drive import borrow, make_layout
 from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
 from tests.kernels.twins import descent_sweep
 from tests.scenes import make_scene
@@ -36,24 +36,24 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
-    with borrow(make_layout(1, scene.lattice.shape), method.plan(scene, start)) as fields:
-        method.begin(scene, start, fields)
-        step, sharpness = method._step_and_sharpness()
-        width = 1 / sharpness if sharpness else 0.0
-        box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
-        parity = scene.lattice.parity
-        clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
-        omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
-        ahead, coefficient = omega.copy(), [c[0] for c in scene.coefficient]
-        for sweep in range(4):
-            moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity)
-            beta = sweep / (sweep + 3) if momentum else 0.0
-            ahead, omega = moved + beta * (moved - omega), moved
-        method.advance(4)
-        name = "spin" if momentum else "point"
-        found = three_components(
-            scene, scene.laboratory_spin(scene.impose_driving(fields.read(name), method.spin_axes), method.spin_axes)
-        )
+    fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
+    method.begin(scene, start, fields)
+    step, sharpness = method._step_and_sharpness()
+    width = 1 / sharpness if sharpness else 0.0
+    box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
+    parity = scene.lattice.parity
+    clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
+    omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
+    ahead, coefficient = omega.copy(), [c[0] for c in scene.coefficient]
+    for sweep in range(4):
+        moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity)
+        beta = sweep / (sweep + 3) if momentum else 0.0
+        ahead, omega = moved + beta * (moved - omega), moved
+    method.advance(4)
+    name = "spin" if momentum else "point"
+    found = three_components(
+        scene, scene.laboratory_spin(scene.impose_driving(fields.read(name), method.spin_axes), method.spin_axes)
+    )
     assert np.abs(found - omega).max() <= accuracy
 
 
@@ -66,22 +66,22 @@ def test_averages_equal_plain_loops(shape, direction, precision):
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
-    with borrow(make_layout(1, scene.lattice.shape), method.plan(scene, start)) as fields:
-        method.begin(scene, start, fields)
-        method.iteration = method.epoch_length // 2  # from here on the method averages
-        step, sharpness = method._step_and_sharpness()
-        box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
-        clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
-        omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
-        coefficient = [c[0] for c in scene.coefficient]
-        spin_sum, force_sum = np.zeros_like(omega), {}
-        for _ in range(6):
-            spin_sum += omega
-            omega, forces = descent_sweep(omega, coefficient, "coulomb", step, 1 / sharpness, box, scene.lattice.parity)
-            for contact, force in forces.items():
-                force_sum[contact] = force_sum.get(contact, 0) + force * scene.lattice.parity[contact[0]]
-        method.advance(6)
-        progress = method.progress()
+    fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
+    method.begin(scene, start, fields)
+    method.iteration = method.epoch_length // 2  # from here on the method averages
+    step, sharpness = method._step_and_sharpness()
+    box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
+    clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
+    omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
+    coefficient = [c[0] for c in scene.coefficient]
+    spin_sum, force_sum = np.zeros_like(omega), {}
+    for _ in range(6):
+        spin_sum += omega
+        omega, forces = descent_sweep(omega, coefficient, "coulomb", step, 1 / sharpness, box, scene.lattice.parity)
+        for contact, force in forces.items():
+            force_sum[contact] = force_sum.get(contact, 0) + force * scene.lattice.parity[contact[0]]
+    method.advance(6)
+    progress = method.progress()
     found = three_components(scene, scene.laboratory_spin(progress.staggered, method.spin_axes))
     free = ~scene.lattice.is_driven
     assert np.abs(found - spin_sum / 6)[free].max() <= accuracy

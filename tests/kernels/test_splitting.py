@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, torques
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -25,19 +26,19 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
     accuracy = 1e-12 if precision == "f64" else 1e-4
     scene, rng = make_scene(shape, direction=direction, seeds=(11, 12)), np.random.default_rng(77)
     method, spin = OperatorSplitting(), initial_spin(scene, "random")
-    method.plan(scene, spin)
-    method.begin(scene, spin, None)
+    fields = Fields(make_layout(scene.replicas, shape), method.plan(scene, spin))
+    method.begin(scene, spin, fields)
     lattice, axes, layout = scene.lattice, method.spin_axes, method.layout
     potential = 30 * rng.standard_normal((len(axes), 2, *shape))
     difference = contact_differences(potential, lattice, axes)
     trial = [
         40 * rng.standard_normal(d.shape) * (c > 0) for d, c in zip(difference, scene.acting_coefficient, strict=True)
     ]
-    method._sites("potential")[...] = potential
+    fields.view("potential")[...] = potential
     for axis, values in enumerate(trial):
         slot = method.stencil.force_slot[axis]
-        layout.from_lower_sphere(method._sites("trial")[slot : slot + len(values)], axis)[...] = values
-    method._step_contacts(1.7, layout.blocks)
+        layout.from_lower_sphere(fields.view("trial")[slot : slot + len(values)], axis)[...] = values
+    method._step_contacts(1.7)
 
     pushes = []
     for axis, (old, d, c) in enumerate(zip(trial, difference, scene.acting_coefficient, strict=True)):
@@ -50,10 +51,10 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
         friction = limited(old)
         new = (friction - 0.7 * (old - friction) + 1.7 * method.weights[axis] * d) * (c > 0)
         pushes.append(new - 2 * limited(new))
-    found = method.stencil.forces_by_axis(method._sites("push"), layout)
+    found = method.stencil.forces_by_axis(fields.view("push"), layout)
     for ours, expected in zip(found, pushes, strict=True):
         assert np.abs(ours - expected).max(initial=0.0) < accuracy
-    assert np.abs(method._sites("pull") + torques(tuple(pushes), lattice, axes)).max() < 10 * accuracy
+    assert np.abs(fields.view("pull") + torques(tuple(pushes), lattice, axes)).max() < 10 * accuracy
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (4, 6, 5), (2, 3, 3)])

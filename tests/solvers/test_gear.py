@@ -7,8 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import borrow
-from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.cundall_strack import (
     CundallStrack,
@@ -23,10 +22,10 @@ from tests.scenes import make_scene
 
 def state_after(scene, start, options, steps):
     method = CundallStrack(options)
-    with borrow(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, start)) as fields:
-        method.begin(scene, start, fields)
-        method.advance(steps)
-        return scene.impose_driving(fields.read("gear_0"), method.spin_axes), method
+    fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, start))
+    method.begin(scene, start, fields)
+    method.advance(steps)
+    return scene.impose_driving(fields.read("gear_0"), method.spin_axes), method
 
 
 def laplacian(scene, component, weighted=True):
@@ -96,28 +95,28 @@ def largest_stable_step_found(shape, options):
     scene = make_scene(shape, distribution="constant:1e15", spin_top=0.0)
     spin = without_vertical(1e-3 * np.random.default_rng(3).standard_normal(initial_spin(scene, "zero").shape))
     method = CundallStrack(options)
-    with borrow(make_layout(1, shape), method.plan(scene, spin)) as fields:
-        method.begin(scene, spin, fields)
+    fields = Fields(make_layout(1, shape), method.plan(scene, spin))
+    method.begin(scene, spin, fields)
 
-        def is_stable(time_step):
-            method.time_step = time_step
-            method._load_gear(scene.staggered_spin(spin, method.spin_axes))
-            fields.clear("elongation")
-            sizes = [size()]
-            while len(sizes) <= 30 and sizes[-1] < 1e3 * sizes[0]:
-                method.advance(100)
-                sizes.append(size())
-            return len(sizes) > 30 and max(sizes[16:]) < 2 * max(sizes[:16])
+    def is_stable(time_step):
+        method.time_step = time_step
+        method._load_gear(scene.staggered_spin(spin, method.spin_axes))
+        fields.clear("elongation")
+        sizes = [size()]
+        while len(sizes) <= 30 and sizes[-1] < 1e3 * sizes[0]:
+            method.advance(100)
+            sizes.append(size())
+        return len(sizes) > 30 and max(sizes[16:]) < 2 * max(sizes[:16])
 
-        def size():
-            return np.sqrt(sum(np.square(fields.read(f"gear_{n}")).sum() for n in (1, 2)))
+    def size():
+        return np.sqrt(sum(np.square(fields.read(f"gear_{n}")).sum() for n in (1, 2)))
 
-        low, high = method.stability_bound / 4, method.stability_bound * 4
-        assert is_stable(low)
-        assert not is_stable(high)
-        while high > 1.01 * low:
-            middle = np.sqrt(low * high)
-            low, high = (middle, high) if is_stable(middle) else (low, middle)
+    low, high = method.stability_bound / 4, method.stability_bound * 4
+    assert is_stable(low)
+    assert not is_stable(high)
+    while high > 1.01 * low:
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if is_stable(middle) else (low, middle)
     return low, method.stability_bound
 
 

@@ -6,8 +6,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import borrow
-from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin, random_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, stability_bound
@@ -124,10 +123,10 @@ def test_small_steps_agree_with_gears_method(shape, falls, within):
     scene = make_scene(shape, seeds=(32, 33, 34))
     spin = random_spin(scene)
     reference = CundallStrack(CundallStrackOptions(time_step=duration / 4_000))
-    with borrow(make_layout(scene.replicas, shape), reference.plan(scene, spin)) as fields:
-        reference.begin(scene, spin, fields)
-        reference.advance(4_000)
-        wanted = reference.progress().staggered
+    fields = Fields(make_layout(scene.replicas, shape), reference.plan(scene, spin))
+    reference.begin(scene, spin, fields)
+    reference.advance(4_000)
+    wanted = reference.progress().staggered
     for number in (8, 32, 128):
         found = advanced(scene, spin, number, time_step=duration / number).progress().staggered
         squares = np.moveaxis((found - wanted) ** 2, 1, 0).reshape(scene.replicas, -1)

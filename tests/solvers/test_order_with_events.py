@@ -7,8 +7,7 @@ other's finest answer, which the order of its own errors extrapolates.
 import numpy as np
 import pytest
 
-from taichi_bearings.fields import borrow
-from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.contact_system import free_shape
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
@@ -21,10 +20,10 @@ DURATION = 0.01
 def explicit(scene, spin, steps):
     """Free staggered spins (C, R, *free) after DURATION in so many steps of Gear's method."""
     method = CundallStrack(CundallStrackOptions(time_step=DURATION / steps, slipping_spring="relax"))
-    with borrow(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin)) as fields:
-        method.begin(scene, spin, fields)
-        method.advance(steps)
-        return fields.read("gear_0")[..., 1:-1]
+    fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin))
+    method.begin(scene, spin, fields)
+    method.advance(steps)
+    return fields.read("gear_0")[..., 1:-1]
 
 
 def implicit(scene, spin, steps):

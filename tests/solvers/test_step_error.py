@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_bearings.fields import borrow
-from taichi_bearings.fields.workspace import make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, sticking_modes
 from taichi_bearings.solvers.step_error import ACCURATE, MODES, Modes, StepError, laplacian_spectrum
@@ -19,11 +18,11 @@ COURSE = np.unique(np.round(np.geomspace(1, 2000, 40)).astype(int))  # steps aft
 def course(scene, start, options, parts=1):
     """Spins (times, C, R, *N) after COURSE steps, each of as many `parts` of the options' length; the method."""
     method, spins = CundallStrack(options), []
-    with borrow(make_layout(1, scene.lattice.shape), method.plan(scene, start)) as fields:
-        method.begin(scene, start, fields)
-        for steps in np.diff(np.concatenate([[0], COURSE])):
-            method.advance(int(steps) * parts)
-            spins.append(scene.impose_driving(fields.read("gear_0"), method.spin_axes))
+    fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
+    method.begin(scene, start, fields)
+    for steps in np.diff(np.concatenate([[0], COURSE])):
+        method.advance(int(steps) * parts)
+        spins.append(scene.impose_driving(fields.read("gear_0"), method.spin_axes))
     return np.array(spins), method
 
 

@@ -1,0 +1,112 @@
+"""The fields of a scene: one array on the device, a row for each number that a site has."""
+
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.errors import DeviceError
+from taichi_bearings.lattice.layout import Layout
+
+FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
+
+CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
+LEAST_SHARE = 2_000  # site values a worker must have, or meeting the others would cost more than it saves
+ALIGNMENT = CPU_BLOCK * 8  # bytes, what SIMD writes of a block of sites expect
+MOST_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
+
+
+def make_layout(replicas: int, shape: tuple[int, ...]) -> Layout:
+    """The flat layout for the running device: blocks for SIMD on a CPU, one site a thread on a GPU."""
+    return Layout(replicas, shape, block=1 if runtime.current().is_gpu else CPU_BLOCK)
+
+
+def first_slots(spec: FieldSpec) -> dict[str, int]:
+    """The row at which each field begins."""
+    counts = [components for _, components in spec]
+    return {name: sum(counts[:n]) for n, (name, _) in enumerate(spec)}
+
+
+class Fields:
+    """Fields named in `spec` on the sites of `layout`, all 0 at first.
+
+    Kernels know the rows of the fields when they are compiled, the length of the rows when they are called: no shape,
+    number of replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
+
+    values : what kernels take: all rows one after the other.
+    blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole.
+    """
+
+    def __init__(self, layout: Layout, spec: FieldSpec) -> None:
+        self.layout, self.spec, self.slot = layout, spec, first_slots(spec)
+        self.rows = sum(components for _, components in spec)
+        self.dtype = np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
+        if self.rows * layout.length > MOST_NUMBERS:
+            most = MOST_NUMBERS // self.rows
+            raise DeviceError(f"{layout.sites} spheres are too many here; this method can index about {most}")
+        try:
+            self.values, self._host = self._allocate()
+        except (RuntimeError, MemoryError) as error:
+            size = self.rows * layout.length * self.dtype.itemsize
+            raise DeviceError(f"{size} bytes of fields do not fit on this device: {error}") from error
+        self.blocks = self.values if self._host is None else self._host.reshape(-1, layout.block)
+
+    def _allocate(self) -> tuple[Any, np.ndarray | None]:
+        count = self.rows * self.layout.length
+        if not runtime.current().is_gpu:
+            memory = np.zeros(count + ALIGNMENT // self.dtype.itemsize, self.dtype)
+            start = -memory.ctypes.data % ALIGNMENT // self.dtype.itemsize
+            flat = memory[start : start + count]
+            return flat, flat.reshape(self.rows, -1)
+        import taichi as ti
+
+        values = ti.ndarray(getattr(ti, runtime.current().precision), count)
+        values.fill(0)
+        return values, None
+
+    def load(self, name: str, values: np.ndarray) -> None:
+        """Set a field from (C, R, *N); margins stay."""
+        flat = values.reshape(len(values), -1)
+        if self._host is not None:
+            self._host[self._rows(name), self.layout.inside] = flat
+            return
+        from taichi_bearings.fields.transfer import copy_in
+
+        copy_in(self.values, np.ascontiguousarray(flat, self.dtype), *self._place(name))
+
+    def read(self, name: str) -> np.ndarray:
+        """A field as (C, R, *N), float64."""
+        if self._host is not None:
+            flat = self._host[self._rows(name), self.layout.inside].astype(np.float64)
+        else:
+            from taichi_bearings.fields.transfer import copy_out
+
+            found = np.zeros((dict(self.spec)[name], self.layout.sites), self.dtype)
+            copy_out(self.values, found, *self._place(name))
+            flat = found.astype(np.float64)
+        return flat.reshape(-1, self.layout.replicas, *self.layout.shape)
+
+    def clear(self, name: str) -> None:
+        components = dict(self.spec)[name]
+        self.load(name, np.zeros((components, self.layout.replicas, *self.layout.shape)))
+
+    def view(self, name: str) -> np.ndarray:
+        """A field in the memory of a CPU as (C, R, *N), not copied."""
+        assert self._host is not None
+        inside = self._host[self._rows(name), self.layout.inside]
+        return inside.reshape(len(inside), self.layout.replicas, *self.layout.shape)
+
+    def _rows(self, name: str) -> slice:
+        return slice(self.slot[name], self.slot[name] + dict(self.spec)[name])
+
+    def _place(self, name: str) -> tuple[int, int]:
+        """Where a field begins in `values`, and how far apart its rows are."""
+        return self.slot[name] * self.layout.length + self.layout.margin, self.layout.length
+
+
+def team_size(layout: Layout, components: int) -> int:
+    """Workers for kernels that keep `components` numbers a site: 0 on a GPU, else as many threads as pay."""
+    running = runtime.current()
+    if running.is_gpu:
+        return 0
+    return max(1, min(running.threads, layout.sites * components // LEAST_SHARE))
