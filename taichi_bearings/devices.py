@@ -1,4 +1,4 @@
-"""Which GPUs there are, asked of their drivers: Taichi tells neither their names nor whether they know double precision."""
+"""Which GPUs there are, asked of their drivers: Taichi tells neither their names nor if they have double precision."""
 
 import ctypes
 import ctypes.util

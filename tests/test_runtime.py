@@ -39,7 +39,7 @@ def test_unknown_choices_are_refused(choice, message):
 def test_an_absent_device_is_an_error_and_not_a_fall_back(arch):
     if runtime.usable(arch):
         pytest.skip(f"there is a {arch} device here")
-    with pytest.raises(DeviceError, match="device was found here|no double precision"):
+    with pytest.raises(DeviceError, match=r"device was found here|no double precision"):
         runtime.start(arch)
 
 

@@ -12,7 +12,7 @@ import taichi as ti
 
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, in_range, new_block, places, read, write
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
@@ -61,6 +61,7 @@ class CundallStrackSteps:
             tuple(slot[name] + c for name in ("predicted", "integral") if name in slot)
             for c in range(stencil.components)
         )
+        self.impulse = tuple(slot["impulse"] + c for c in range(stencil.components)) if self.tally else ()
         # for each component, the axes whose contacts it feels, and the rows of their forces
         self.felt = tuple(tuple(a for a in axes if c in stencil.kept[a]) for c in range(stencil.components))
         self.pulls = tuple(
@@ -87,139 +88,81 @@ class CundallStrackSteps:
             self.step_on_gpu(fields.values, *(0,) * 5, *nothing)
 
     @ti.func
-    def spring_block(
-        self,
-        values: ti.template(),
-        blocks: ti.template(),
-        row,
-        first,
-        strides: ti.template(),
-        reach,
-        stiffness,
-        damping,
-        kinetic,
-        static,
-        compliance,
-        memory,
-    ):
-        """Coulomb contacts of the block of sites from `first` on. row: length of a row of numbers.
+    def spring(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """Elongation and force of one Coulomb contact.
 
         reach: radius * time step; damping: A_t * radius.
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         compliance, memory: elongation after a slip, from the force and from the elongation before.
         """
+        integral, integral_above, spin, spin_above, elongation, coefficient = at
+        reach, stiffness, damping, kinetic, static, compliance, memory = numbers
+        before, friction = read(values, elongation, m), values[coefficient[0] + m]
+        moved, speed = difference(values, integral, integral_above, m), difference(values, spin, spin_above, m)
+        stretch = [reach * moved[t] + before[t] for t in ti.static(range(len(moved)))]
+        trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(len(moved)))]
+        size = length(trial)
+        slips = size > static * friction
+        share = ti.select(slips, kinetic * friction / size, 1.0)
+        force = [share * f for f in ti.static(trial)]
+        left = [force[t] * compliance + memory * before[t] for t in ti.static(range(len(force)))]
+        return [ti.select(slips, left[t], stretch[t]) for t in ti.static(range(len(force)))] + force
+
+    @ti.func
+    def dashpot(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """Force of one viscous contact."""
+        spin, spin_above, coefficient = at
+        return [values[coefficient[0] + m] * numbers[0] * d for d in difference(values, spin, spin_above, m)]
+
+    @ti.func
+    def added_work(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """What the contacts above a sphere have taken, with the power at the end of the last step added."""
+        total = values[at[0][0] + m]
         for axis in ti.static(self.stencil.slipping_axes):
-            count = ti.static(self.stencil.kept_count[axis])
-            above = first + strides[axis]
-            integral, integral_above = places(self.integral[axis], row, first), places(self.integral[axis], row, above)
-            spin, spin_above = places(self.predicted[axis], row, first), places(self.predicted[axis], row, above)
-            elongation, force = places(self.elongation[axis], row, first), places(self.force[axis], row, first)
-            coefficient = in_range((self.slot["coefficient"] + axis) * row + first)
-            forces, stretches = new_block(count, self.block), new_block(count, self.block)
-            for m in range(self.block):
-                before, moved = read(values, elongation, m), difference(values, integral, integral_above, m)
-                speed, friction = difference(values, spin, spin_above, m), values[coefficient + m]
-                stretch = [reach * moved[t] + before[t] for t in ti.static(range(count))]
-                trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(count))]
-                size = length(trial)
-                slips = size > static * friction
-                share = ti.select(slips, kinetic * friction / size, 1.0)
-                for t in ti.static(range(count)):
-                    limited = share * trial[t]
-                    forces[t][m] = limited
-                    stretches[t][m] = ti.select(slips, limited * compliance + memory * before[t], stretch[t])
-            write(blocks, self.block, force, forces)
-            write(blocks, self.block, elongation, stretches)
+            force, speed = read(values, at[1][axis], m), difference(values, at[2][axis], at[3][axis], m)
+            for t in ti.static(range(len(force))):
+                total += force[t] * speed[t]
+        return [total]
 
     @ti.func
-    def dashpot_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), radius):
-        """Viscous contacts of one block."""
-        for axis in ti.static(self.stencil.slipping_axes):
-            count = ti.static(self.stencil.kept_count[axis])
-            spin = places(self.predicted[axis], row, first)
-            spin_above = places(self.predicted[axis], row, first + strides[axis])
-            coefficient = in_range((self.slot["coefficient"] + axis) * row + first)
-            forces = new_block(count, self.block)
-            for m in range(self.block):
-                speed = difference(values, spin, spin_above, m)
-                for t in ti.static(range(count)):
-                    forces[t][m] = values[coefficient + m] * radius * speed[t]
-            write(blocks, self.block, places(self.force[axis], row, first), forces)
-
-    @ti.func
-    def work_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Add the power that the contacts of one block take from the spins at the end of the last step."""
-        work, total = places((self.slot["work"],), row, first), new_block(1, self.block)
-        for m in range(self.block):
-            total[0][m] = values[work[0] + m]
-        for axis in ti.static(self.stencil.slipping_axes):
-            force, spin = places(self.force[axis], row, first), places(self.spin[axis], row, first)
-            spin_above = places(self.spin[axis], row, first + strides[axis])
-            for m in range(self.block):
-                speed = difference(values, spin, spin_above, m)
-                for t in ti.static(range(self.stencil.kept_count[axis])):
-                    total[0][m] += values[force[t] + m] * speed[t]
-        write(blocks, self.block, work, total)
-
-    @ti.func
-    def impulse_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Add what the contacts pull on the driven spheres of one block."""
-        is_free = in_range(self.slot["is_free"] * row + first)
-        for c in ti.static(range(self.stencil.components)):
-            impulse, total = places((self.slot["impulse"] + c,), row, first), new_block(1, self.block)
-            above, below = places(self.pulls[c], row, first), self.pulls_below(row, first, strides, c)
-            for m in range(self.block):
-                pull = self.pull(values, below, above, m)
-                total[0][m] = values[impulse[0] + m] + (1.0 - values[is_free + m]) * pull
-            write(blocks, self.block, impulse, total)
-
-    @ti.func
-    def pulls_below(self, row, first, strides: ti.template(), c: ti.template()):
-        """Where the forces stand of the contacts below a sphere that pull on its component c."""
+    def added_impulse(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """What the contacts have pulled on a sphere, component by component, if it is driven."""
+        impulse, is_free, above, below = at
+        driven = 1.0 - values[is_free[0] + m]
         return [
-            in_range(self.pulls[c][k] * row + first - strides[self.felt[c][k]])
-            for k in ti.static(range(len(self.felt[c])))
+            values[impulse[c] + m] + driven * self.pull(values, below[c], above[c], m)
+            for c in ti.static(range(len(impulse)))
         ]
 
     @ti.func
     def pull(self, values: ti.template(), below: ti.template(), above: ti.template(), m):
         """Sum of the contact forces that pull on one component of a sphere."""
         total = 0.0
-        for force in ti.static(range(len(above))):
-            total += values[above[force] + m] - values[below[force] + m]
+        for k in ti.static(range(len(above))):
+            total += values[above[k] + m] - values[below[k] + m]
         return total
 
     @ti.func
-    def sphere_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Correct the spins of one block and predict the next step. response: time step * radius / inertia."""
-        is_free = in_range(self.slot["is_free"] * row + first)
-        for c in ti.static(range(self.stencil.components)):
-            gear, ahead = places(self.gear[c], row, first), places(self.ahead[c], row, first)
-            above, below = places(self.pulls[c], row, first), self.pulls_below(row, first, strides, c)
-            corrected, predicted = (
-                new_block(self.order, self.block),
-                new_block(ti.static(len(self.ahead[c])), self.block),
-            )
-            for m in range(self.block):
-                old = read(values, gear, m)
-                derivative = 0.0
-                for k in ti.static(range(1, self.order)):
-                    derivative += ti.static(float(k)) * old[k]
-                error = response * values[is_free + m] * self.pull(values, below, above, m) - derivative
-                end, mean = 0.0, 0.0
-                for n in ti.static(range(self.order)):
-                    value = self.corrector[n] * error
-                    for k in ti.static(range(n, self.order)):  # the Taylor series one step on
-                        value += ti.static(float(comb(k, n))) * old[k]
-                    corrected[n][m] = value
-                    end += value
-                    mean += value * ti.static(1.0 / (n + 1))
-                predicted[0][m] = end
-                if ti.static(self.coulomb):
-                    # the stretch of the last step was a prediction: the second term is Gear's correction of it
-                    predicted[1][m] = mean + ti.static(self.corrector[0] ** 2) * error
-            write(blocks, self.block, gear, corrected)
-            write(blocks, self.block, ahead, predicted)
+    def motion(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """One component of a sphere: the corrected spin and its derivatives, the prediction and its mean.
+
+        response: time step * radius / inertia.
+        """
+        gear, is_free, above, below = at
+        old, response = read(values, gear, m), numbers[0]
+        derivative = 0.0
+        for k in ti.static(range(1, self.order)):
+            derivative += ti.static(float(k)) * old[k]
+        error = response * values[is_free[0] + m] * self.pull(values, below, above, m) - derivative
+        corrected = [self.corrector[n] * error for n in ti.static(range(self.order))]
+        end, mean = 0.0, 0.0
+        for n in ti.static(range(self.order)):
+            for k in ti.static(range(n, self.order)):  # the Taylor series one step on
+                corrected[n] += ti.static(float(comb(k, n))) * old[k]
+            end += corrected[n]
+            mean += corrected[n] * ti.static(1.0 / (n + 1))
+        # the stretch of the last step was a prediction: the second term is Gear's correction of it
+        return corrected + [end, mean + ti.static(self.corrector[0] ** 2) * error]
 
     @ti.func
     def contact_pass(
@@ -229,29 +172,54 @@ class CundallStrackSteps:
         row,
         first,
         strides: ti.template(),
-        reach,
-        stiffness,
-        damping,
-        kinetic,
-        static,
-        compliance,
-        memory,
+        numbers: ti.template(),
     ):
-        """Forces of one block. kinetic, static: normal force, times mu_s / mu_k for `static`."""
+        """Forces of the contacts above the block of sites from `first` on. row: length of a row of numbers."""
+        above = [first + strides[axis] for axis in ti.static(range(self.stencil.dimension))]
         if ti.static(self.tally):
-            self.work_block(values, blocks, row, first, strides)
-        if ti.static(self.coulomb):
-            self.spring_block(
-                values, blocks, row, first, strides, reach, stiffness, damping, kinetic, static, compliance, memory
-            )
-        else:
-            self.dashpot_block(values, blocks, row, first, strides, damping)
+            axes = ti.static(range(self.stencil.dimension))
+            work = places((self.slot["work"],), row, first)
+            force = [places(self.force[axis], row, first) for axis in axes]
+            spin = [places(self.spin[axis], row, first) for axis in axes]
+            spin_above = [places(self.spin[axis], row, above[axis]) for axis in axes]
+            each_site(values, blocks, self.block, work, self.added_work, [work, force, spin, spin_above], numbers)
+        for axis in ti.static(self.stencil.slipping_axes):
+            coefficient = places((self.slot["coefficient"] + axis,), row, first)
+            spin, force = places(self.predicted[axis], row, first), places(self.force[axis], row, first)
+            spin_above = places(self.predicted[axis], row, above[axis])
+            if ti.static(self.coulomb):
+                integral, elongation = (
+                    places(self.integral[axis], row, first),
+                    places(self.elongation[axis], row, first),
+                )
+                integral_above = places(self.integral[axis], row, above[axis])
+                at = [integral, integral_above, spin, spin_above, elongation, coefficient]
+                each_site(values, blocks, self.block, elongation + force, self.spring, at, numbers)
+            else:
+                at = [spin, spin_above, coefficient]
+                each_site(values, blocks, self.block, force, self.dashpot, at, numbers[2:3])
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        self.sphere_block(values, blocks, row, first, strides, response)
+        """Spins of one block."""
+        components = ti.static(range(self.stencil.components))
+        is_free = places((self.slot["is_free"],), row, first)
+        above = [places(self.pulls[c], row, first) for c in components]
+        below = [
+            [
+                in_range(self.pulls[c][k] * row + first - strides[self.felt[c][k]])
+                for k in ti.static(range(len(self.felt[c])))
+            ]
+            for c in components
+        ]
+        for c in ti.static(range(self.stencil.components)):
+            gear = places(self.gear[c], row, first)
+            to = gear + places(self.ahead[c], row, first)
+            each_site(values, blocks, self.block, to, self.motion, [gear, is_free, above[c], below[c]], [response])
         if ti.static(self.tally):
-            self.impulse_block(values, blocks, row, first, strides)
+            impulse = places(self.impulse, row, first)
+            at = [impulse, is_free, above, below]
+            each_site(values, blocks, self.block, impulse, self.added_impulse, at, [response])
 
     @ti.kernel
     def steps_by_team(
@@ -280,22 +248,10 @@ class CundallStrackSteps:
                 worker = item // LEAST_CHUNK
                 begin, end = count * worker // workers, count * (worker + 1) // workers
                 strides = [in_range(stride_x), in_range(stride_y), 1]
+                numbers = [reach, stiffness, damping, kinetic, static, compliance, memory]
                 for step in range(steps):
                     for b in range(begin, end):
-                        self.contact_pass(
-                            values,
-                            blocks,
-                            row,
-                            in_range(margin + b * self.block),
-                            strides,
-                            reach,
-                            stiffness,
-                            damping,
-                            kinetic,
-                            static,
-                            compliance,
-                            memory,
-                        )
+                        self.contact_pass(values, blocks, row, in_range(margin + b * self.block), strides, numbers)
                     meet(arrived, (2 * step + 1) * workers)
                     for b in range(begin, end):
                         self.sphere_pass(values, blocks, row, in_range(margin + b * self.block), strides, response)
@@ -321,20 +277,8 @@ class CundallStrackSteps:
     ):
         for b in range(count):
             strides = [stride_x, stride_y, 1]
-            self.contact_pass(
-                values,
-                values,
-                row,
-                margin + b,
-                strides,
-                reach,
-                stiffness,
-                damping,
-                kinetic,
-                static,
-                compliance,
-                memory,
-            )
+            numbers = [reach, stiffness, damping, kinetic, static, compliance, memory]
+            self.contact_pass(values, values, row, margin + b, strides, numbers)
         for b in range(count):
             strides = [stride_x, stride_y, 1]
             self.sphere_pass(values, values, row, margin + b, strides, response)

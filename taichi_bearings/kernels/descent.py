@@ -6,7 +6,7 @@ import taichi as ti
 
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, coulomb_force, viscous_force
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, in_range, new_block, places, read, write
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
@@ -87,6 +87,42 @@ class DescentSweeps:
         return self.force_law(difference(values, lower, upper, m), values[coefficient + m], sharpness)
 
     @ti.func
+    def moved(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """The next point and, with momentum, the next spin of one sphere. at[-1] : force of the contact below it."""
+        here, up, down, own, lower = at[:5]
+        point, weight, spin = at[5:8]
+        height = ti.static(self.stencil.height)
+        beta, step, sharpness, low, high = numbers
+        pull = [0.0 for _ in self.components]
+        for axis in ti.static(self.stencil.sideways_axes):
+            above = self.force(values, here[axis], up[axis], own[axis], m, sharpness)
+            below = self.force(values, down[axis], here[axis], lower[axis], m, sharpness)
+            for t in ti.static(range(len(above))):
+                pull[self.stencil.kept[axis][t]] += above[t] - below[t]
+        above_height = self.force(values, here[height], up[height], own[height], m, sharpness)
+        for t in ti.static(range(len(above_height))):
+            pull[self.stencil.kept[height][t]] += above_height[t] - at[8][t]
+            at[8][t] = above_height[t]  # up the column, so that each is computed once
+        new = [
+            clamp(values[point[c] + m] + step * values[weight[c] + m] * pull[c], low[c], high[c])
+            for c in self.components
+        ]
+        ahead = [new[c] + beta * (new[c] - values[spin[c] + m]) for c in ti.static(range(len(spin)))]
+        return ahead + new
+
+    @ti.func
+    def added_point(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """The sum of the points of one sphere, with this one added."""
+        return [values[at[0][c] + m] + values[at[1][c] + m] for c in self.components]
+
+    @ti.func
+    def added_force(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """The sum of the forces of one contact, with this one added."""
+        total, here, up, own = at
+        force = self.force(values, here, up, own[0], m, numbers[0])
+        return [values[total[t] + m] + force[t] for t in ti.static(range(len(force)))]
+
+    @ti.func
     def update_block(
         self,
         values: ti.template(),
@@ -95,79 +131,29 @@ class DescentSweeps:
         row,
         first,
         strides: ti.template(),
-        beta,
-        step,
-        sharpness,
-        low: ti.template(),
-        high: ti.template(),
+        numbers: ti.template(),
     ):
-        """Update one block of sites."""
-        height = ti.static(self.stencil.height)
+        """Update the block of sites from `first` on. row: length of a row of numbers."""
         axes = ti.static(range(self.stencil.dimension))
+        height = ti.static(self.stencil.height)
+        sharpness = numbers[2]
         here = [places(self.kept[parity][axis], row, first) for axis in axes]
         up = [places(self.kept[parity][axis], row, first + strides[axis]) for axis in axes]
         down = [places(self.kept[parity][axis], row, first - strides[axis]) for axis in axes]
         own = [in_range((self.slot["coefficient"] + axis) * row + first) for axis in axes]
         lower = [in_range((self.slot["coefficient"] + axis) * row + first - strides[axis]) for axis in axes]
         point, weight = places(self.point[parity], row, first), places(self.weight, row, first)
-        old = places(self.spin, row, first)  # empty without momentum
-        moved, ahead = new_block(self.stencil.components, self.block), new_block(ti.static(len(old)), self.block)
-        below_height = self.force(values, down[height], here[height], lower[height], 0, sharpness)
-        for m in range(self.block):
-            pull = [0.0 for _ in ti.static(self.components)]
-            for axis in ti.static(self.stencil.sideways_axes):
-                above = self.force(values, here[axis], up[axis], own[axis], m, sharpness)
-                below = self.force(values, down[axis], here[axis], lower[axis], m, sharpness)
-                for t in ti.static(range(len(above))):
-                    pull[self.stencil.kept[axis][t]] += above[t] - below[t]
-            above_height = self.force(values, here[height], up[height], own[height], m, sharpness)
-            for t in ti.static(range(len(above_height))):
-                pull[self.stencil.kept[height][t]] += above_height[t] - below_height[t]
-                below_height[t] = above_height[t]  # carried up the column, so that each is computed once
-            for c in ti.static(self.components):
-                new = values[point[c] + m] + step * values[weight[c] + m] * pull[c]
-                new = clamp(new, low[c], high[c])
-                moved[c][m] = new
-                if ti.static(self.momentum):
-                    ahead[c][m] = new + beta * (new - values[old[c] + m])
+        spin, to = places(self.spin, row, first), places(self.target[parity], row, first)
         if ti.static(self.averaging):
-            self.add_to_sums(values, blocks, parity, row, first, strides, sharpness)
-        to = places(self.target[parity], row, first)
-        if ti.static(self.momentum):
-            write(blocks, self.block, to, ahead)
-            write(blocks, self.block, old, moved)
-        else:
-            write(blocks, self.block, to, moved)
-
-    @ti.func
-    def add_to_sums(
-        self,
-        values: ti.template(),
-        blocks: ti.template(),
-        parity: ti.template(),
-        row,
-        first,
-        strides: ti.template(),
-        sharpness,
-    ):
-        """Add the points and the forces of the contacts above them to `spin_sum` and `force_sum`."""
-        point, spin_sum = places(self.point[parity], row, first), places(self.spin_sum, row, first)
-        spins = new_block(self.stencil.components, self.block)
-        for m in range(self.block):
-            for c in ti.static(self.components):
-                spins[c][m] = values[spin_sum[c] + m] + values[point[c] + m]
-        write(blocks, self.block, spin_sum, spins)
-        for axis in ti.static(self.stencil.slipping_axes):
-            here = places(self.kept[parity][axis], row, first)
-            up = places(self.kept[parity][axis], row, first + strides[axis])
-            own = in_range((self.slot["coefficient"] + axis) * row + first)
-            force_sum = places(self.force_sum[axis], row, first)
-            forces = new_block(ti.static(len(force_sum)), self.block)
-            for m in range(self.block):
-                before, force = read(values, force_sum, m), self.force(values, here, up, own, m, sharpness)
-                for t in ti.static(range(len(force))):
-                    forces[t][m] = before[t] + force[t]
-            write(blocks, self.block, force_sum, forces)
+            spin_sum = places(self.spin_sum, row, first)
+            each_site(values, blocks, self.block, spin_sum, self.added_point, [spin_sum, point], numbers)
+            for axis in ti.static(self.stencil.slipping_axes):
+                total = places(self.force_sum[axis], row, first)
+                at = [total, here[axis], up[axis], [own[axis]]]
+                each_site(values, blocks, self.block, total, self.added_force, at, [sharpness])
+        carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
+        at = [here, up, down, own, lower, point, weight, spin, carried]
+        each_site(values, blocks, self.block, to + spin, self.moved, at, numbers)
 
     @ti.kernel
     def pairs_by_team(
@@ -200,12 +186,10 @@ class DescentSweeps:
                 low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
                 for pair in range(pairs):
                     for parity in ti.static(range(2)):
-                        beta = momentum(age + 2 * pair + parity)
+                        numbers = [momentum(age + 2 * pair + parity), step, sharpness, low, high]
                         for b in range(begin, end):
                             first = in_range(margin + b * self.block)
-                            self.update_block(
-                                values, blocks, parity, row, first, strides, beta, step, sharpness, low, high
-                            )
+                            self.update_block(values, blocks, parity, row, first, strides, numbers)
                         meet(arrived, (2 * pair + parity + 1) * workers)
 
     @ti.kernel
@@ -231,19 +215,8 @@ class DescentSweeps:
             for b in range(count):
                 strides = [stride_x, stride_y, 1]
                 low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
-                self.update_block(
-                    values,
-                    values,
-                    parity,
-                    row,
-                    margin + b,
-                    strides,
-                    momentum(age + parity),
-                    step,
-                    sharpness,
-                    low,
-                    high,
-                )
+                numbers = [momentum(age + parity), step, sharpness, low, high]
+                self.update_block(values, values, parity, row, margin + b, strides, numbers)
 
 
 @ti.func

@@ -1,8 +1,8 @@
 """How kernels reach the numbers of a site: row by row in one array, blocks of neighbouring sites at a time.
 
-A block is computed into local vectors, which are written as a whole, by SIMD instructions. Both matter on a CPU: a loop
-that writes to memory cannot be told from one that changes its own input, or even the address of the array, so it would
-not be turned into SIMD; and each write by itself would look up that address again (docs/decisions/0003).
+A physical law is a function of one site; :func:`each_site` walks it over a block. On a CPU the results go to local
+vectors, which are written as a whole: a loop that writes to memory cannot be told from one that changes its own input,
+or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0003).
 """
 
 import taichi as ti
@@ -37,16 +37,28 @@ def difference(values: ti.template(), lower: ti.template(), upper: ti.template()
 
 
 @ti.func
-def new_block(count: ti.template(), block: ti.template()):
-    """Room for `count` numbers of every site of a block."""
-    return [ti.Vector.zero(float, block) for _ in ti.static(range(count))]
+def each_site(
+    values: ti.template(),
+    blocks: ti.template(),
+    block: ti.template(),
+    to: ti.template(),
+    law: ti.template(),
+    at: ti.template(),
+    numbers: ti.template(),
+):
+    """Write what ``law(values, at, numbers, m)`` says of the m-th site of a block to the places `to`.
 
-
-@ti.func
-def write(blocks: ti.template(), block: ti.template(), at: ti.template(), new: ti.template()):
-    """Write a block: new[k] holds the numbers of its sites that begin at at[k]."""
-    for k in ti.static(range(len(at))):
-        if ti.static(block == 1):
-            blocks[at[k]] = new[k][0]
-        else:
-            blocks[at[k] // block] = new[k]
+    law : a function of one site that returns a list of numbers. at, numbers : what it reads, and constants.
+    """
+    if ti.static(block == 1):
+        new = law(values, at, numbers, 0)
+        for k in ti.static(range(len(to))):
+            values[to[k]] = new[k]
+    else:
+        rows = [ti.Vector.zero(float, block) for _ in ti.static(range(len(to)))]
+        for m in range(block):
+            new = law(values, at, numbers, m)
+            for k in ti.static(range(len(to))):
+                rows[k][m] = new[k]
+        for k in ti.static(range(len(to))):
+            blocks[to[k] // block] = rows[k]

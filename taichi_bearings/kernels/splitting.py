@@ -6,7 +6,7 @@ import taichi as ti
 
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, length
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, in_range, new_block, places, read, write
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
 from taichi_bearings.kernels.stencil import Stencil
 
 
@@ -30,6 +30,7 @@ class ContactStep:
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         self.slot, self.stencil, self.block = first_slots(spec), stencil, stencil.block
         self.potential = tuple(tuple(self.slot["potential"] + c for c in kept) for kept in stencil.kept)
+        self.pull = tuple(self.slot["pull"] + c for c in range(stencil.components))
         self.trial, self.push = (
             tuple(
                 tuple(range(self.slot[name] + first, self.slot[name] + first + count))
@@ -59,55 +60,32 @@ class ContactStep:
         return [clamp(f, -friction, friction) if ti.static(len(force) == 1) else f * share for f in ti.static(force)]
 
     @ti.func
-    def limit(
-        self,
-        values: ti.template(),
-        blocks: ti.template(),
-        axis: ti.template(),
-        row,
-        first,
-        stride,
-        weight,
-        relaxation,
-    ):
-        """Contacts of one axis above one block of sites.
+    def limit(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """Trial force and push of one contact.
 
         With f the limited old force: trial = f + (1 - relaxation) (trial - f) + relaxation weight D(potential).
         """
-        count = ti.static(self.stencil.kept_count[axis])
-        here = places(self.potential[axis], row, first)
-        above = places(self.potential[axis], row, first + stride)
-        trial, push = places(self.trial[axis], row, first), places(self.push[axis], row, first)
-        own = in_range((self.slot["friction"] + axis) * row + first)
-        trials, pushes = new_block(count, self.block), new_block(count, self.block)
-        for m in range(self.block):
-            friction, old = values[own + m], read(values, trial, m)
-            spin_difference, force = difference(values, here, above, m), self.limited(old, friction)
-            moved = [
-                force[t] + (1 - relaxation) * (old[t] - force[t]) + relaxation * weight * spin_difference[t]
-                for t in ti.static(range(count))
-            ]
-            new = [ti.select(friction > 0, f, 0.0) for f in ti.static(moved)]
-            reached = self.limited(new, friction)
-            for t in ti.static(range(count)):
-                trials[t][m] = new[t]
-                pushes[t][m] = new[t] - 2 * reached[t]
-        write(blocks, self.block, trial, trials)
-        write(blocks, self.block, push, pushes)
+        here, above, trial, own = at
+        weight, relaxation = numbers
+        friction, old = values[own[0] + m], read(values, trial, m)
+        spin_difference, force = difference(values, here, above, m), self.limited(old, friction)
+        moved = [
+            force[t] + (1 - relaxation) * (old[t] - force[t]) + relaxation * weight * spin_difference[t]
+            for t in ti.static(range(len(old)))
+        ]
+        new = [ti.select(friction > 0, f, 0.0) for f in ti.static(moved)]
+        reached = self.limited(new, friction)
+        return new + [new[t] - 2 * reached[t] for t in ti.static(range(len(new)))]
 
     @ti.func
-    def gather(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Each sphere of a block sums the pushes of the contacts below it minus those above it."""
-        pulls = new_block(self.stencil.components, self.block)
+    def gather(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """The pushes of the contacts below a sphere minus those above it."""
+        pulls = [0.0 for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
-            push = places(self.push[axis], row, first)
-            push_below = places(self.push[axis], row, first - strides[axis])
-            for m in range(self.block):
-                pushed = difference(values, push, push_below, m)
-                for t in ti.static(range(len(pushed))):
-                    pulls[self.stencil.kept[axis][t]][m] += pushed[t]
-        at = [in_range((self.slot["pull"] + c) * row + first) for c in ti.static(range(self.stencil.components))]
-        write(blocks, self.block, at, pulls)
+            pushed = difference(values, at[0][axis], at[1][axis], m)
+            for t in ti.static(range(len(pushed))):
+                pulls[self.stencil.kept[axis][t]] += pushed[t]
+        return pulls
 
     @ti.kernel
     def step(
@@ -126,8 +104,16 @@ class ContactStep:
         for b in range(count):
             first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
             for axis in ti.static(self.stencil.slipping_axes):
+                here = places(self.potential[axis], row, first)
+                above = places(self.potential[axis], row, first + strides[axis])
+                trial, push = places(self.trial[axis], row, first), places(self.push[axis], row, first)
+                own = places((self.slot["friction"] + axis,), row, first)
                 weight = weight_height if ti.static(axis == self.stencil.height) else weight_sideways
-                self.limit(values, blocks, axis, row, first, strides[axis], weight, relaxation)
+                at = [here, above, trial, own]
+                each_site(values, blocks, self.block, trial + push, self.limit, at, [weight, relaxation])
         for b in range(count):
             first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
-            self.gather(values, blocks, row, first, strides)
+            axes = ti.static(range(self.stencil.dimension))
+            push = [places(self.push[axis], row, first) for axis in axes]
+            push_below = [places(self.push[axis], row, first - strides[axis]) for axis in axes]
+            each_site(values, blocks, self.block, places(self.pull, row, first), self.gather, [push, push_below], [0.0])

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack
 from taichi_bearings.solvers.drive import solve
