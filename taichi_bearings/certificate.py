@@ -14,7 +14,6 @@ the leftover torques and the power, not to the much larger sum of all forces tim
 """
 
 import numpy as np
-from scipy import fft
 
 from taichi_bearings.lattice.grid import contact_differences, lower, tangential, torques, upper
 from taichi_bearings.scene.scene import Scene, vector_length
@@ -257,6 +256,8 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
 
 def _solve_poisson(source: np.ndarray, dimension: int, component: int) -> np.ndarray:
     """u (R, *free) with -Laplace u = source; the Laplacian runs over the lattice axes other than `component`."""
+    from scipy import fft  # a tenth of a second that a planar cut does not need
+
     offset = source.ndim - dimension
     height = dimension - 1
     sideways = [offset + a for a in range(height) if a != component]

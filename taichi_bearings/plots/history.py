@@ -4,13 +4,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.files.run_file import StoredRun
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, label_powers_of_ten, plain_figure
 
 
 def draw_history(run: StoredRun) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics)."""
     history = run.history
-    figure = new_figure(5.5, 5.0)
+    figure = plain_figure(5.5, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
     along = "time" if "time" in history else "iteration"
     x = history[along][0]
@@ -19,7 +19,7 @@ def draw_history(run: StoredRun) -> Figure:
     started = x > 0
     top.plot(x[started], power[started], color=BLUE, lw=1.2)
     top.plot(x[started], bound[started], color=ORANGE, lw=1.2)
-    top.plot([], [], color=BLUE, label="power $P$")
+    top.plot([], [], color=BLUE, label="power P")
     top.plot([], [], color=ORANGE, label="proven lower bound")
     top.set(ylabel="power", title=title)
     top.legend(fontsize=8)
@@ -28,4 +28,7 @@ def draw_history(run: StoredRun) -> Figure:
     bottom.plot(x[shown], gap[shown], color=GREY, lw=1.2)
     scale = "log" if shown.any() else "linear"
     bottom.set(xscale=scale, yscale=scale, xlabel=along, ylabel="relative gap")
+    if scale == "log":
+        for axis in (bottom.xaxis, bottom.yaxis):
+            label_powers_of_ten(axis)
     return figure

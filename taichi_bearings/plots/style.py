@@ -1,6 +1,7 @@
 """One look for all figures."""
 
 import io
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from taichi_bearings.files.whole_file import replace_file
@@ -30,6 +32,26 @@ def new_figure(width: float = 5.5, height: float = 4.0) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def plain_figure(width: float = 5.5, height: float = 4.0) -> Figure:
+    """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
+    figure = Figure(figsize=(width, height))
+    figure.subplots_adjust(left=0.78 / width, right=1 - 0.15 / width, bottom=0.55 / height, top=1 - 0.5 / height)
+    return figure
+
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
+
+
+def label_powers_of_ten(axis: Any) -> None:
+    """Label the decades of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
+
+    def label(value: float, _: int) -> str:
+        exponent = math.log10(value) if value > 0 else math.nan
+        return f"10{str(round(exponent)).translate(SUPERSCRIPTS)}" if abs(exponent % 1) < 1e-6 else f"{value:g}"
+
+    axis.set_major_formatter(label)
+
+
 def shades(number: int) -> list[Any]:
     """Colours of curves in an order, dark to light."""
     return [matplotlib.colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
@@ -38,5 +60,8 @@ def shades(number: int) -> list[Any]:
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
     drawn = io.BytesIO()
-    figure.savefig(drawn, format=path.suffix[1:])
+    if path.suffix == ".png":
+        FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
+    else:
+        figure.savefig(drawn, format=path.suffix[1:])
     replace_file(path, drawn.getbuffer())
