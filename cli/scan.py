@@ -33,10 +33,16 @@ from taichi_bearings.errors import InputError
 )  # fmt: skip
 @click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
 @click.option("--merge", is_flag=True, help="Solve nothing: write scan.h5 and scan.csv of all parts in the folder.")
-@click.option("--analyse", is_flag=True, help="Add the numbers of `bearings analyse` for every sample.")
-@click.option("--keep-states", is_flag=True, help="Keep full states too, as states/<sample>.h5, the layout of run.h5.")
 @click.option(
-    "--sample-timeout", type=click.FloatRange(0, min_open=True), default=None, metavar="SECONDS",
+    "--analyse/--no-analyse", default=None,
+    help="Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]",
+)  # fmt: skip
+@click.option(
+    "--keep-states/--no-keep-states", default=None,
+    help="Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
+)  # fmt: skip
+@click.option(
+    "--sample-timeout", type=float, default=None, metavar="SECONDS",
     help="End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
 )  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Only print the number of samples, and the time and memory to expect.")
@@ -60,8 +66,8 @@ def command(
     cluster_options: tuple[str, ...],
     part: str | None,
     merge: bool,
-    analyse: bool,
-    keep_states: bool,
+    analyse: bool | None,
+    keep_states: bool | None,
     sample_timeout: float | None,
     dry_run: bool,
     heartbeat: float | None,
@@ -73,7 +79,9 @@ def command(
 
     The folder gets scan.csv and scan.h5, one row a sample: the scanned keys, power, lower_bound, gap, status, ... and
     the distribution of power. The same scan into the same folder again does only what is missing or has failed; a scan
-    that asks for more samples extends it. A sample that fails is tried twice, named, and costs nothing else.
+    that asks for more samples extends it. What was asked for once (--analyse, --keep-states, --sample-timeout; keys of
+    the file too) is done ever after, and samples that lack it are solved again. A sample that fails is tried twice,
+    named, and costs nothing else.
 
     \b
     Exit codes: 0 all reached, 1 a sample failed or stopped short, 2 bad input, 130 interrupted (what is done is kept).
@@ -128,7 +136,7 @@ def command(
     click.echo(json.dumps(report) if as_json else describe(report))
     if report["interrupted"]:
         context.exit(130)
-    context.exit(0 if report["reached"] == report["samples"] else 1)
+    context.exit(0 if report["reached"] == report["samples"] and not report["lacking"] else 1)
 
 
 def _client(
@@ -169,6 +177,8 @@ def describe(report: dict[str, Any]) -> str:
     lines += [f"... and {len(incomplete) - 20:,} more parts"] if len(incomplete) > 20 else []
     if report["missing"]:
         lines.append(f"{report['missing']:,} samples are missing")
-    if report["failed"] or report["missing"]:
+    if report["lacking"]:
+        lines.append(f"{report['lacking']:,} samples lack the analysis or the full state that was asked for")
+    if report["failed"] or report["missing"] or report["lacking"]:
         lines.append(f"bearings scan {report['scan']} does what is missing or has failed")
     return "\n".join([*lines, *report["files"]])

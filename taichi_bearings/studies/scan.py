@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ from taichi_bearings.studies.scan_estimate import (
     units_of,
 )
 from taichi_bearings.studies.scan_parts import Part, incomplete_parts, is_failed, part_of, read_journals
-from taichi_bearings.studies.scan_plan import Sample, ScanPlan, groups_of
+from taichi_bearings.studies.scan_plan import Sample, ScanPlan, Wishes, groups_of, stored_wishes
 from taichi_bearings.studies.scan_sample import STATES, Wanted, failure, solve_samples, state_path
 from taichi_bearings.studies.scan_table import columns_of, histograms_of
 
@@ -128,18 +128,30 @@ def _is_whole(state: Path) -> bool:
         return False
 
 
+def _with_wishes_of(folder: Path, plan: ScanPlan, *wishes: Any) -> tuple[ScanPlan, Wanted]:
+    """The plan with all that the scan in a folder is asked for, and what that means for each sample.
+
+    wishes : those of this call, in the order of :class:`Wishes`; where they say nothing the plan does, then the folder.
+    """
+    known = Wishes(*wishes).or_else(plan.wishes).or_else(stored_wishes(folder))
+    wanted = Wanted(bool(known.analyse), (folder / STATES).absolute() if known.keep_states else None)
+    return replace(plan, wishes=known), wanted
+
+
 def estimate(
     plan: ScanPlan,
     folder: Path | None,
     workers: int = 0,
-    structure: bool = False,
-    keep_states: bool = False,
+    structure: bool | None = None,
+    keep_states: bool | None = None,
     part: Part | None = None,
 ) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
-    wanted = Wanted(structure, folder / STATES if folder and keep_states else None)
-    ours = _samples_of(plan, part)
-    missing = list(ours.samples) if folder is None else missing_samples(plan, folder, wanted, part)[0]
+    ours, structure = _samples_of(plan, part), structure or plan.wishes.analyse or False
+    missing = list(ours.samples)
+    if folder is not None:
+        plan, wanted = _with_wishes_of(folder, plan, structure or None, keep_states)
+        missing, structure = missing_samples(plan, folder, wanted, part)[0], wanted.structure
     number = _number_of_workers(missing, workers, structure)
     work = total_seconds(missing, structure)
     return {
@@ -162,8 +174,8 @@ def scan(
     plan: ScanPlan,
     folder: Path,
     workers: int = 0,
-    structure: bool = False,
-    keep_states: bool = False,
+    structure: bool | None = None,
+    keep_states: bool | None = None,
     sample_timeout: float | None = None,
     monitor: Monitor = lambda _: None,
     engine: Engine | None = None,
@@ -173,14 +185,16 @@ def scan(
     """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
 
     workers : processes at most; 0 for one a processor. structure : the numbers of `analyse` too. keep_states : full
-    states in ``states/<sample>.h5``. sample_timeout : seconds a sample may take. Default: 100 times what is expected,
-    at least 600; no limit for dynamics. client : of a Dask cluster that solves; default: processes on this machine.
+    states in ``states/<sample>.h5``. sample_timeout : seconds a sample may take. Default of these three: what the plan
+    says, then what the folder was asked for before; the time else 100 times what is expected, at least 600, and no
+    limit for dynamics. Samples that lack what is asked for are solved again. client : of a Dask
+    cluster that solves; default: processes on this machine.
     engine : where to solve instead of either. part : solve those samples alone, and write nothing but their journal.
     returns : the report of `--json`. Ctrl-C and SIGTERM end it; finished samples are kept.
     Raises InputError or FileError before anything is computed.
     """
     began = time.monotonic()
-    wanted = Wanted(structure, (folder / STATES).absolute() if keep_states else None)
+    plan, wanted = _with_wishes_of(folder, plan, structure, keep_states, sample_timeout)
     for group in groups_of(plan.samples):
         seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
     name = "" if part is None else part.name
@@ -189,12 +203,12 @@ def scan(
         replace_file(folder / "scan.toml", plan.text.encode(), f".{name or 'whole'}.partial")
         if engine is None:
             work = partial(solve_samples, wanted=wanted)
-            allowed = partial(_allowed, sample_timeout=sample_timeout, structure=structure)
-            engine = _engine(work, allowed, client, _number_of_workers(missing, workers, structure))
+            allowed = partial(_allowed, sample_timeout=plan.wishes.sample_timeout, structure=wanted.structure)
+            engine = _engine(work, allowed, client, _number_of_workers(missing, workers, wanted.structure))
         course = _Course(plan, part, folder, records, missing, monitor, began)
         try:
             with closing(engine), Journal(course.journal) as journal, _stopping() as stopped:
-                course.follow(units_of(missing, structure), engine, journal, stopped)
+                course.follow(units_of(missing, wanted.structure), engine, journal, stopped)
             course.write_files()
         except FileError as error:
             kept = len(records)
@@ -211,8 +225,9 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
     began = time.monotonic()
     if not folder.is_dir():
         raise FileError(f"{folder} is not the folder of a scan")
+    plan, wanted = _with_wishes_of(folder, plan)
     with writable_folder(folder):
-        missing, records = missing_samples(plan, folder, Wanted())
+        missing, records = missing_samples(plan, folder, wanted)
         if not records:
             raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
         course = _Course(plan, None, folder, records, missing, lambda _: None, began)
@@ -269,6 +284,7 @@ class _Course:
         before = len(self.plan.samples) - len(missing)
         self.progress = ScanProgress(len(self.plan.samples), before, done=before)
         self.missing = {sample.key: sample for sample in missing}
+        self.open = set(self.missing)  # samples that still lack something
         self.written, self.writing = time.monotonic(), 0.0
 
     @property
@@ -282,14 +298,16 @@ class _Course:
 
     def follow(self, units: Sequence[Unit], engine: Engine, journal: Journal, stopped: threading.Event) -> None:
         def keep(finished: list[Record]) -> None:
-            journal.append(finished)
+            news = [record for record in finished if not (is_failed(record) and self._has_result(record["key"]))]
+            journal.append(news)
+            self.records |= {record["key"]: record for record in news}
             for record in finished:
-                self.records[record["key"]] = record
                 if is_failed(record):
                     self.progress.failed += 1
                     self._say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
                 else:
                     self.progress.done += 1
+                    self.open.discard(record["key"])
             self.progress.note(time.monotonic() - self.began)
 
         def look() -> bool:
@@ -301,6 +319,9 @@ class _Course:
             return not stopped.is_set()
 
         run_samples(units, engine, keep, self._retry, look, failure)
+
+    def _has_result(self, key: str) -> bool:
+        return key in self.records and not is_failed(self.records[key])
 
     def _retry(self, sample: Sample, reason: str) -> None:
         self._say(f"sample {sample.label} failed and is tried again: {reason}")
@@ -322,6 +343,7 @@ class _Course:
     def report(self, interrupted: bool) -> dict[str, Any]:
         statuses = [self.records[s.key]["scalars"]["status"] for s in self.plan.samples if s.key in self.records]
         failed = [s for s in self.plan.samples if s.key in self.records and is_failed(self.records[s.key])]
+        lacking = sum(map(self._has_result, self.open))
         return {
             "samples": len(self.plan.samples),
             "done": len(statuses) - len(failed),
@@ -329,10 +351,11 @@ class _Course:
             "reached": sum(status in REACHED for status in statuses),
             "failed": len(failed),
             "missing": len(self.plan.samples) - len(statuses),
+            "lacking": lacking,
             "failures": [
                 {"sample": sample.label, "error": self.records[sample.key]["scalars"]["error"]} for sample in failed
             ],
-            "interrupted": interrupted and len(statuses) < len(self.plan.samples),
+            "interrupted": interrupted and (len(statuses) < len(self.plan.samples) or lacking > 0),
             "seconds": time.monotonic() - self.began,
             "scan": str(self.folder),
             "files": [str(file) for file in self.files or [self.journal]],

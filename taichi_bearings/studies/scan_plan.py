@@ -46,12 +46,52 @@ class Sample:
 
 
 @dataclass(frozen=True)
+class Wishes:
+    """What is asked of every sample beside the numbers of `run`; None where nothing is said.
+
+    analyse : the numbers of `bearings analyse` too. keep_states : the full state too. sample_timeout : seconds that a
+    sample may take.
+    """
+
+    analyse: bool | None = None
+    keep_states: bool | None = None
+    sample_timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("analyse", "keep_states"):
+            if not isinstance(value := getattr(self, name), (bool, type(None))):
+                raise InputError(f"{name} is {value!r}; it must be true or false")
+        seconds = self.sample_timeout
+        if seconds is not None and (type(seconds) not in (int, float) or not 0 < seconds < math.inf):
+            raise InputError(f"sample_timeout is {seconds}; it must be a positive number of seconds")
+
+    @classmethod
+    def taken_from(cls, document: dict[str, Any]) -> "Wishes":
+        """The wishes of a scan file, whose other keys stay in `document`."""
+        return cls(**{name: document.pop(name) for name in vars(cls()) if name in document})
+
+    def or_else(self, others: "Wishes") -> "Wishes":
+        """These, and of the others what these do not say."""
+        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
+
+    def to_toml(self) -> str:
+        return "".join(f"{name} = {toml_value(value)}\n" for name, value in vars(self).items() if value is not None)
+
+
+@dataclass(frozen=True)
 class ScanPlan:
-    """The samples of a scan, no two with the same key. scanned : keys that vary. text : the scan as TOML."""
+    """The samples of a scan, no two with the same key. scanned : keys that vary. settings : the scan as TOML, but for
+    the wishes."""
 
     scanned: tuple[str, ...]
     samples: tuple[Sample, ...]
-    text: str
+    settings: str
+    wishes: Wishes = Wishes()
+
+    @property
+    def text(self) -> str:
+        """The scan as TOML."""
+        return self.wishes.to_toml() + self.settings
 
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
@@ -73,9 +113,9 @@ def written(value: Any) -> Any:
 def read_plan(path: Path, overrides: Sequence[str] = ()) -> ScanPlan:
     """The plan that a scan file describes.
 
-    path : TOML; keys of `run` for all samples, and a table ``[scan]`` with a list or a range for each key that varies.
-        The samples are the grid over all of them, the last key fastest; keys in one table ``[[scan.zip]]`` advance
-        together and count as one axis. Without ``[scan]`` there is one sample.
+    path : TOML; keys of `run` for all samples, those of :class:`Wishes`, and a table ``[scan]`` with a list or a
+        range for each key that varies. The samples are the grid over all of them, the last key fastest; keys in one
+        table ``[[scan.zip]]`` advance together and count as one axis. Without ``[scan]`` there is one sample.
     overrides : ``key=value`` fixes a key for all samples, ``scan.key=list or range`` scans it; values as in TOML, other
         words are texts.
     Raises InputError in one sentence.
@@ -113,6 +153,7 @@ def _override(text: str, document: dict[str, Any], single: dict[str, Any], table
 
 
 def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
+    wishes = Wishes.taken_from(document)
     axes = [_zip({key: given}) for key, given in single.items()] + [_zip(table) for table in tables]
     scanned = tuple(key for keys, _ in axes for key in keys)
     for key in scanned:
@@ -127,7 +168,13 @@ def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: 
     if number > MOST_SAMPLES:
         raise InputError(f"the scan has {number:,} samples; at most {MOST_SAMPLES:,} are allowed")
     samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
-    return ScanPlan(scanned, samples, _text(document, single, tables))
+    return ScanPlan(scanned, samples, _text(document, single, tables), wishes)
+
+
+def stored_wishes(folder: Path) -> Wishes:
+    """What the scan in a folder has been asked for so far."""
+    file = folder / "scan.toml"
+    return Wishes.taken_from(read_toml(file)) if file.is_file() else Wishes()
 
 
 def _samples(

@@ -16,6 +16,7 @@ import pytest
 from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.studies.scan import scan
 from taichi_bearings.studies.scan_plan import read_plan
+from taichi_bearings.studies.scan_sample import Wanted
 from tests.cli.test_cli import bearings
 from tests.studies.scan_faults import Here
 from tests.studies.test_scan import assert_same_but_for_the_clock
@@ -131,6 +132,26 @@ def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
     assert done.returncode == 0, done.stderr
     assert 0 < json.loads(done.stdout)["solved_now"] < 500
     scan(read_plan(file), tmp_path / "undisturbed", engine=Here())
+    assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
+
+
+def test_a_killed_scan_goes_on_with_all_that_it_was_asked_for(scan_file, tmp_path):
+    """Killed at a third, resumed by its folder alone, and extended: no empty column, every state."""
+    file, folder = scan_file("shape = [3, 4, 4]\n[scan]\nseed = { start = 0, stop = 24 }\n"), tmp_path / "s"
+    words = [*COMMAND, file, "--out", folder, "--analyse", "--keep-states", "--workers", "1"]
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
+    wait_for(lambda: journalled(folder) >= 8)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert 8 <= journalled(folder) < 24
+    for more, samples in ((folder,), 24), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=27}"), 27):
+        done = bearings("scan", *more)
+        assert done.returncode == 0, done.stderr
+        table = rows(folder)
+        assert len(table) == samples == len(list((folder / "states").glob("*.h5")))
+        assert all(row["power_minimum_cut"] and row["domains"] and row["spans"] for row in table)
+    whole = read_plan(file, ["scan.seed={start=0, stop=27}"])
+    scan(whole, tmp_path / "undisturbed", structure=True, engine=Here(Wanted(True)))
     assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
 
 

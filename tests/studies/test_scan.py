@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from taichi_bearings.errors import BearingsError, FileError
+from taichi_bearings.errors import BearingsError, FileError, InputError
 from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.files.scan_file import bin_of, read_scan
 from taichi_bearings.studies import scan_engine
@@ -21,12 +21,18 @@ from taichi_bearings.studies.run import prepare, solve_job, summarise
 from taichi_bearings.studies.scan import estimate, scan
 from taichi_bearings.studies.scan_engine import LocalEngine, run_samples
 from taichi_bearings.studies.scan_estimate import paying_workers, units_of
+from taichi_bearings.studies.scan_plan import Wishes, read_plan
 from taichi_bearings.studies.scan_sample import Wanted, failure, one_replica, solve_samples
 from taichi_bearings.studies.settings import RunSettings
 from tests.studies import scan_faults
 from tests.studies.scan_faults import Here
 
 CLOCKS = {"seconds", "seconds_compile"}
+
+
+def stripped(text):
+    """A scan without what it keeps beside its table."""
+    return [line for line in text.splitlines() if not line.startswith("keep_states")]
 
 
 def assert_same_but_for_the_clock(a, b):
@@ -38,7 +44,7 @@ def assert_same_but_for_the_clock(a, b):
         assert np.array_equal(x, y, equal_nan=x.dtype == np.float64), name
     for name in ("edges", "count", "slipping", "slipless", "undecided"):
         assert np.array_equal(getattr(first.histograms, name), getattr(second.histograms, name)), name
-    assert first.attributes["scan"] == second.attributes["scan"]
+    assert stripped(first.attributes["scan"]) == stripped(second.attributes["scan"])
     assert len(set(first.table["sample"])) == first.samples
 
 
@@ -121,6 +127,42 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     assert scan(plan, tmp_path / "scan", structure=True, keep_states=True)["solved_now"] == 1
     assert f"{damaged} is damaged" in caplog.text
     read_run_file(damaged)
+
+
+def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
+    """Resumed, extended and asked in the file alike; until it is called off."""
+    three = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 3 }\n")
+    four = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 4 }\n")
+    folder = tmp_path / "scan"
+    scan(three, folder)
+    asked = plan_of("analyse = true\nkeep_states = true\nsample_timeout = 50\n" + three.text)
+    assert estimate(asked, folder)["missing"] == 3
+    assert scan(asked, folder)["solved_now"] == 3  # brought up
+    assert (folder / "scan.toml").read_text() == asked.text
+    assert scan(four, folder)["solved_now"] == 1
+    assert not np.isnan(read_scan(folder).table["power_minimum_cut"]).any()
+    assert {file.stem for file in (folder / "states").iterdir()} == {sample.key for sample in four.samples}
+    five = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 5 }\n")
+    assert scan(five, folder, structure=False, keep_states=False)["lacking"] == 0
+    assert np.isnan(read_scan(folder).table["power_minimum_cut"]).sum() == 1
+    assert read_plan(folder / "scan.toml").wishes == Wishes(False, False, 50)
+
+
+@pytest.mark.parametrize(
+    "line", ["analyse = 1", 'keep_states = "yes"', "sample_timeout = nan", "sample_timeout = true"]
+)
+def test_bad_wishes_are_named(plan_of, line):
+    with pytest.raises(InputError, match=f"{line.split()[0]} is .*; it must be "):
+        plan_of(line)
+
+
+def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
+    plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 2, stop = 5 }\n"), tmp_path / "scan"
+    scan(plan, folder, engine=Here())
+    report = scan(plan, folder, structure=True, engine=LocalEngine(scan_faults.lack_memory, 1))
+    assert (report["done"], report["failed"], report["lacking"]) == (3, 0, 3)
+    assert caplog.text.count("failed: MemoryError: no room") == 3
+    assert np.isfinite(read_scan(folder).table["power"]).all()
 
 
 def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog):
