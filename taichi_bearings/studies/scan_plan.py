@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,15 @@ from taichi_bearings.studies.settings import RunSettings, parse_assignment, read
 
 MOST_SAMPLES = 5_000_000
 UNSHAPING = ("threads", "checkpoint_every", "replicas")  # settings that change no result of a sample
+NAMING = (
+    "shape", "law", "method", "tolerance", "seed", "spin_top", "spin_bottom", "direction", "coefficients",
+    "distribution", "initial", "normal_force", "radius", "iterations", "time_limit", "duration", "record",
+    "snapshots", "energy", "slip_threshold", "settle", "momentum", "stiffness", "damping", "mass", "inertia",
+    "static_ratio", "slipping_spring", "integrator", "gear_order", "time_step", "error_tolerance", "rest_tolerance",
+    "arch", "precision",
+)  # fmt: skip
+"""Settings that are in the name of every sample. One that is added to `run` later is in it only where it differs from
+its default, so that the samples in folders of users keep their names."""
 NOT_SCANNED = {  # key -> why not
     "replicas": "every seed is a sample of its own, so give seed a range",
     "threads": "it changes no result, so set it for all samples",
@@ -250,12 +259,15 @@ def _spaced(table: Mapping[str, Any], bad: InputError) -> list[Any]:
 
 def sample_key(settings: RunSettings) -> str:
     """Hash of what shapes the result of a sample: every setting but threads and the like, files by their content."""
-    changes: dict[str, Any] = dict.fromkeys(UNSHAPING)
+    values = {name: getattr(settings, name) for name in NAMING}
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        if item.name not in (*NAMING, *UNSHAPING) and value != item.default:
+            values[item.name] = value
     for name in ("coefficients", "initial"):
-        value = getattr(settings, name)
-        if value is not None and value not in STARTS:
-            changes[name] = _content(value)
-    lines = [f"{key} = {changes.get(key, getattr(settings, key))!r}" for key in settings.keys() if key not in UNSHAPING]
+        if values[name] is not None and values[name] not in STARTS:
+            values[name] = _content(values[name])
+    lines = [f"{name} = {value!r}" for name, value in values.items()]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
