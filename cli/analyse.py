@@ -93,7 +93,8 @@ def _distributions(report: dict[str, Any]) -> list[str]:
     ):
         values = np.array([value for value in report[key] if value is not None], dtype=float)
         if len(values):
-            lines.append(f"  {words}: {values.mean():.6g}, {values.min():.6g}, {values.max():.6g}")
+            some = f", of {len(values)} of {len(report[key])} samples" if len(values) < len(report[key]) else ""
+            lines.append(f"  {words}: {values.mean():.6g}, {values.min():.6g}, {values.max():.6g}{some}")
     for key, words in (
         ("spans", "joined bottom and top by slipless contacts"),
         ("cut_is_unique", "had a unique minimum cut"),

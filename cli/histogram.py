@@ -55,8 +55,7 @@ def command(
         name = f"{by} {part[by]}: " if by else ""
         undecided = f", {part['undecided']:,} undecided" if part["undecided"] else ""
         click.echo(
-            f"{name}{part['slipping']:,} slipping contacts, {part['slipless']:,} slipless{undecided}, "
-            f"{part['samples']:,} sample{'s' if part['samples'] > 1 else ''}"
+            f"{name}{part['slipping']:,} slipping contacts, {part['slipless']:,} slipless{undecided}, {part['census']}"
         )
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"

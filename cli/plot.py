@@ -122,4 +122,4 @@ def _plot_scan(
             raise InputError(f"collapse is {collapse!r}; it must be two exponents such as 1.5,0") from None
         exponents = (a, b)
     request = Request(y, x, rest["by"], rest["where"], rest["bars"], exponents, rest["log"] or "")
-    click.echo("\n".join(map(str, plot_scan(scan, request, out, force))))
+    click.echo("\n".join(map(str, plot_scan(scan, request, out, force, click.echo))))

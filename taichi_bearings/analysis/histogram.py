@@ -1,10 +1,11 @@
 """Distribution of the power over the slipping contacts, in logarithmic bins, pooled over samples, with its errors."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from taichi_bearings.analysis.census import Census
 from taichi_bearings.contact_state import ContactState
 
 ENERGY_PER_TIME = "energy/time"
@@ -38,10 +39,11 @@ class PowerHistogram:
     edges : (B + 1,) power in `units`, evenly spaced in the logarithm. count : (B,) slipping contacts in each bin.
     standard_error : (B,) of the count. density, density_error : (B,) share of the slipping contacts per decade of
     power, and its standard error. slipless, undecided : contacts left out of the bins. slip_threshold : length/time, of
-    the coarsest run. samples : pooled.
+    the coarsest run. samples : pooled. left_out : why other samples are not in it -> how many.
 
     With several samples the errors are those of sums and of ratios of sums over independent samples, so contacts of one
-    sample may depend on each other. With one sample they are those of contacts that slip independently (Poisson).
+    sample may depend on each other, and samples of one disorder count as one. With one they are those of contacts that
+    slip independently (Poisson).
     """
 
     edges: np.ndarray
@@ -54,6 +56,11 @@ class PowerHistogram:
     slip_threshold: float
     samples: int
     units: str = ENERGY_PER_TIME
+    left_out: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def census(self) -> Census:
+        return Census(self.samples, self.left_out)
 
     @property
     def slipping(self) -> int:
@@ -124,18 +131,30 @@ def together(parts: Sequence[SampleCounts]) -> SampleCounts:
     return SampleCounts(first, parts[0].bins_per_decade, parts[0].anchor, np.vstack(rows), *outside)
 
 
-def pool(counts: SampleCounts, slip_threshold: float, units: str = ENERGY_PER_TIME) -> PowerHistogram:
-    """One histogram of all samples. units : what the power is counted in, for the record."""
-    samples, bins = counts.count.shape
+def pool(
+    counts: SampleCounts,
+    slip_threshold: float,
+    units: str = ENERGY_PER_TIME,
+    disorder: np.ndarray | None = None,
+    left_out: Mapping[str, int] | None = None,
+) -> PowerHistogram:
+    """One histogram of all samples. units : what the power is counted in, for the record.
+
+    disorder : (S,) numbers, equal for samples that depend on each other; default: none do. left_out : as in the
+    histogram.
+    """
+    bins = counts.count.shape[1]
+    own = counts.count if disorder is None else _by_disorder(counts.count, disorder)
+    samples = len(own)
     edges = 10.0 ** ((counts.first + np.arange(bins + 1)) / counts.bins_per_decade) / counts.anchor
     count = counts.count.sum(axis=0)
     total = max(int(count.sum()), 1)
     share = count / total
     if samples > 1:
         spread = samples / (samples - 1)
-        error = np.sqrt(spread * ((counts.count - count / samples) ** 2).sum(axis=0))
-        slipping = counts.count.sum(axis=1, keepdims=True)
-        share_error = np.sqrt(spread * ((counts.count - share * slipping) ** 2).sum(axis=0)) / total
+        error = np.sqrt(spread * ((own - count / samples) ** 2).sum(axis=0))
+        slipping = own.sum(axis=1, keepdims=True)
+        share_error = np.sqrt(spread * ((own - share * slipping) ** 2).sum(axis=0)) / total
     else:
         error, share_error = np.sqrt(count), np.sqrt(count) / total
     return PowerHistogram(
@@ -147,6 +166,15 @@ def pool(counts: SampleCounts, slip_threshold: float, units: str = ENERGY_PER_TI
         slipless=int(counts.slipless.sum()),
         undecided=int(counts.undecided.sum()),
         slip_threshold=slip_threshold,
-        samples=samples,
+        samples=len(counts.count),
         units=units,
+        left_out=left_out or {},
     )
+
+
+def _by_disorder(count: np.ndarray, disorder: np.ndarray) -> np.ndarray:
+    """Counts (S, B) summed over the samples of each disorder (S,)."""
+    values, which = np.unique(disorder, return_inverse=True)
+    summed = np.zeros((len(values), count.shape[1]), dtype=count.dtype)
+    np.add.at(summed, which, count)
+    return summed

@@ -63,13 +63,14 @@ class Interface:
 
 def find_interface(scene: Scene, replica: int = 0) -> Interface:
     """The cheapest interface of one sample, for either law."""
+    slips = scene.jump > 0  # else no contact of any interface slips
     weight = tuple(values[[replica]] for values in cut_weights(scene))
     cut, unit = minimum_cut(weight), cut_power_unit(scene)
     above = cut.above[0]
     return Interface(
         above=above,
         between=cut.between[0],
-        contacts=tuple(np.diff(above, axis=axis) & (values[0] > 0) for axis, values in enumerate(weight)),
+        contacts=tuple(np.diff(above, axis=axis) & (values[0] > 0) & slips for axis, values in enumerate(weight)),
         power=unit * float(cut.weight[0]),
         lower_bound=unit * float(cut.lower_bound[0]),
         next_power=unit * float(cut.next_weight[0]),

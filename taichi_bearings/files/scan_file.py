@@ -9,7 +9,8 @@ Readable with plain h5py and pandas:
   (samples, B): slipping contacts in each bin. ``/histogram/slipping``, ``slipless``, ``undecided``: contacts of each
   sample. A failed sample has none.
 * Attributes on the root: `schema`, `schema_version`, `scan` (TOML text), `scanned` (names of the columns that were
-  varied), `samples`, and versions.
+  varied), `samples`, `asked` (samples of the scan, those not computed yet too), `journals` (bytes of the journals that
+  it was made from), and versions.
 """
 
 import math
@@ -29,6 +30,7 @@ SCHEMA = "taichi_bearings.scan"
 SCHEMA_VERSION = 1
 BINS_PER_DECADE = 20
 FAILED = "failed"  # the status of a sample without a result
+MISSING = "missing"  # the status of a sample that is not computed yet
 HISTOGRAM_SETS = {  # name -> (unit, description)
     "edges": ("energy/time", "edges of the power bins, 20 a decade, the same in every scan"),
     "count": ("1", "slipping contacts of each sample in each bin"),
@@ -162,6 +164,31 @@ class StoredScan:
     def failed(self) -> np.ndarray:
         """(samples,) True for a sample without a result."""
         return self.table["status"] == FAILED
+
+    @property
+    def missing(self) -> np.ndarray:
+        """(samples,) True for a sample that is not computed yet; scan.h5 has none of them."""
+        return self.table["status"] == MISSING
+
+    @property
+    def is_complete(self) -> bool:
+        """True if there is a row for each sample that the scan asks for."""
+        return bool(self.attributes.get("asked") == self.samples)
+
+    @staticmethod
+    def of_columns(
+        path: Path, columns: Sequence[Column], histograms: SampleHistograms, attributes: Mapping[str, Any]
+    ) -> "StoredScan":
+        """What would be read back from a file with these columns."""
+        return StoredScan(
+            path=path,
+            attributes=dict(attributes),
+            scanned=tuple(attributes["scanned"]),
+            table={item.name: item.values for item in columns},
+            units={item.name: item.units for item in columns},
+            descriptions={item.name: item.description for item in columns},
+            histograms=histograms,
+        )
 
 
 def read_scan(scan: Path) -> StoredScan:

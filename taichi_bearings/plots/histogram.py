@@ -43,7 +43,7 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
         axes.set_ylim(0.5, 2 * histogram.count.max())
     else:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
-    whose = f" of {histogram.samples:,} samples\n" if histogram.samples > 1 else " "
+    whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
     threshold = f"; threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
     outside = f"({_outside(histogram)}{threshold})"
     axes.set_title(f"{histogram.slipping:,} slipping contacts{whose}{outside}", fontsize=9)
@@ -59,7 +59,7 @@ def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
     for (value, found), colour in zip(histograms.items(), shades(len(histograms)), strict=True):
         filled = found.count > 0
         centre, density, error = (v[filled] for v in (_centre(found), found.density, found.density_error))
-        label = f"{value}: {found.slipping:,} slipping, {_outside(found)}; {found.samples:,} samples"
+        label = f"{value}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"
         axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
         axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)

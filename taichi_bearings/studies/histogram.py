@@ -1,5 +1,7 @@
 """The power per contact of runs and scans, pooled over their samples: `bearings histogram`."""
 
+import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,18 +10,20 @@ from typing import Any
 import h5py
 import numpy as np
 
+from taichi_bearings.analysis.census import Census
 from taichi_bearings.analysis.histogram import PowerHistogram, SampleCounts, count_powers, pool, rebinned, together
 from taichi_bearings.analysis.statistics import groups
 from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.run_file import StoredRun, read_run_file
-from taichi_bearings.files.scan_file import BINS_PER_DECADE, SCHEMA, StoredScan, read_scan
+from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import write_csv, write_hdf5
 from taichi_bearings.plots.histogram import draw_histograms
 from taichi_bearings.plots.style import save
 from taichi_bearings.studies.run import settings_of
 from taichi_bearings.studies.run_directory import default_run_path
 from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.studies.stored_scans import is_scan, open_scan
 
 UNITS = {"none": "energy/time", "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
@@ -32,17 +36,34 @@ class Source:
     """A run or a scan as arrays with one entry a sample (S): power in `counts`, and what its unit and groups need."""
 
     stored: StoredRun | StoredScan
-    samples: np.ndarray  # numbers of the samples that have a result
+    reasons: np.ndarray  # (asked,) why each sample has no result; empty texts for those that have
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Numbers (S,) of the samples that have a result."""
+        return np.flatnonzero(self.reasons == "")
 
     def column(self, name: str) -> np.ndarray:
-        """Values of a scalar of every sample; InputError if it has no such scalar."""
+        """Values (S,) of a scalar; InputError if there is no such scalar."""
+        return self.whole_column(name)[self.samples]
+
+    def whole_column(self, name: str) -> np.ndarray:
+        """Values (asked,) of a scalar, where samples have no result too."""
         if isinstance(self.stored, StoredScan):
             if name not in self.stored.table:
                 raise InputError(f"{self.stored.path} has no column {name!r}; it has {', '.join(self.stored.table)}")
-            return self.stored.table[name][self.samples]
+            return self.stored.table[name]
         value = _scalar_of_run(self.stored, name)
-        listed = value if isinstance(value, list) else [value] * len(self.samples)
+        listed = value if isinstance(value, list) else [value] * len(self.reasons)
         return np.array(listed, dtype=object if any(isinstance(item, str) for item in listed) else None)
+
+    def disorder(self) -> list[Any]:
+        """(S,) names, equal for samples of the same disorder: of one seed, or with the same coefficients from files."""
+        if isinstance(self.stored, StoredScan):
+            seeds = self.stored.table.get("seed", np.arange(len(self.reasons)))
+            files = self.stored.table.get("coefficients", seeds)
+            return list(zip(seeds[self.samples].tolist(), files[self.samples].tolist(), strict=True))
+        return _disorders_of_run(self.stored)
 
     def mean_power(self) -> np.ndarray:
         """Power of a sample over its contacts, those between driven spheres apart."""
@@ -78,21 +99,13 @@ class Source:
 
 def read_source(path: Path) -> Source:
     """A run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
-    if _is_scan(path):
-        scan = read_scan(path)
-        return Source(scan, np.flatnonzero(~scan.failed))
+    if is_scan(path):
+        scan = open_scan(path)
+        reasons = np.full(scan.samples, "", dtype=object)
+        reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
+        return Source(scan, reasons)
     run = read_run_file(path)
-    return Source(run, np.arange(len(run.spin)))
-
-
-def _is_scan(path: Path) -> bool:
-    if path.is_dir():
-        return (path / "scan.h5").is_file()
-    try:
-        with h5py.File(path, "r") as file:
-            return bool(file.attrs.get("schema") == SCHEMA)
-    except OSError:
-        return False
+    return Source(run, np.full(len(run.spin), "", dtype=object))
 
 
 def _scalar_of_run(run: StoredRun, name: str) -> Any:
@@ -112,6 +125,16 @@ def _scalar_of_run(run: StoredRun, name: str) -> Any:
     raise InputError(f"{run.path} has no {name!r}; it has {', '.join(known)}")
 
 
+def _disorders_of_run(run: StoredRun) -> list[Any]:
+    """What tells the disorder of each replica from others: its seed, or its coefficients where they were given."""
+    replicas = range(len(run.spin))
+    if not run.attributes.get("coefficients"):
+        first = settings_of(run).seed
+        return [(first + replica, first + replica) for replica in replicas]
+    own = (b"".join(values[replica].tobytes() for values in run.coefficient) for replica in replicas)
+    return [hashlib.sha256(content).digest() for content in own]
+
+
 def pooled(
     sources: Sequence[Source], bins_per_decade: int = 5, normalise: str = "none", by: str | None = None
 ) -> dict[Any, PowerHistogram]:
@@ -124,7 +147,8 @@ def pooled(
     if scans and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
     if not any(len(source.samples) for source in sources):
-        raise InputError("no sample has a result")
+        census = Census.of(reason for source in sources for reason in source.reasons)
+        raise InputError(f"no sample has a result: {census.reasons}")
     laws = sorted({str(law) for source in sources for law in source.column("law")})
     if len(laws) > 1 and by != "law":
         raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law, or add --by law")
@@ -135,15 +159,23 @@ def pooled(
         [source.counts(bins_per_decade, unit, anchor) for source, unit in zip(sources, units, strict=True)]
     )
     threshold = np.concatenate([source.column("slip_threshold").astype(float) for source in sources])
+    names = [name for source in sources for name in source.disorder()]
+    disorder = np.array([{name: number for number, name in enumerate(dict.fromkeys(names))}[name] for name in names])
+    reasons = np.concatenate([source.reasons for source in sources])
+    place = np.cumsum(reasons == "") - 1  # of those with a result among themselves
+
+    def of(rows: np.ndarray) -> PowerHistogram:
+        census, own = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
+        coarsest = float(threshold[own].max(initial=0.0))
+        return pool(counts.of(own), coarsest, UNITS[normalise], disorder[own], census.left_out)
+
     if by is None:
-        return {None: pool(counts, float(threshold.max()), UNITS[normalise])}
-    values = {by: np.concatenate([source.column(by) for source in sources])}
+        return {None: of(np.arange(len(reasons)))}
+    values = {by: np.concatenate([source.whole_column(by) for source in sources])}
     parts = groups(values, [by])
     if len(parts) > MOST_GROUPS:
         raise InputError(f"by is {by!r}, which has {len(parts)} values; at most {MOST_GROUPS} can be overlaid")
-    return {
-        value: pool(counts.of(rows), float(threshold[rows].max()), UNITS[normalise]) for (value,), rows in parts.items()
-    }
+    return {value: of(rows) for (value,), rows in parts.items()}
 
 
 def histogram(
@@ -187,7 +219,9 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
     for value, found in histograms.items():
         part = "" if by is None else f"{by} {value}: "
         notes.append(f"{part}slipping {found.slipping}, slipless {found.slipless}, undecided {found.undecided}")
-        notes.append(f"{part}slip_threshold {found.slip_threshold!r}, samples {found.samples}")
+        why = f" ({found.census.reasons})" if found.left_out else ""
+        samples = f"samples {found.samples} of {found.census.asked}{why}"
+        notes.append(f"{part}slip_threshold {found.slip_threshold!r}, {samples}")
     units = next(iter(histograms.values())).units
     if units != UNITS["none"]:
         notes.append(f"power in units of {units}")
@@ -226,6 +260,8 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
         edges.attrs["units"], edges.attrs["description"] = parts[0].units, "edges of the power bins"
         for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
             file.attrs[name] = stacked(name)
+        file.attrs["asked"] = [part.census.asked for part in parts] if by else parts[0].census.asked
+        file.attrs["left_out"] = [part.census.reasons for part in parts] if by else parts[0].census.reasons
         if by is not None:
             texts = any(not isinstance(value, (int, float)) for value in histograms)
             values = ["" if v is None else str(v) for v in histograms] if texts else list(histograms)
@@ -240,9 +276,10 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
     """Numbers for `--json`; those of all histograms together and, with `by`, of each."""
     parts = list(histograms.values())
     edges = parts[0].edges
-    report: dict[str, Any] = {
-        name: sum(getattr(part, name) for part in parts) for name in ("slipping", "slipless", "undecided", "samples")
-    }
+    names = ("slipping", "slipless", "undecided", "samples")
+    report: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in names}
+    left_out = sum((Counter(part.left_out) for part in parts), Counter())
+    report |= _census_numbers(Census(report["samples"], dict(left_out)))
     report |= {
         "smallest_power": float(edges[0]) if len(edges) else None,
         "largest_power": float(edges[-1]) if len(edges) else None,
@@ -251,7 +288,12 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
     if by is not None:
         report["by"] = by
         report["groups"] = [
-            {by: value, **{name: getattr(part, name) for name in ("slipping", "slipless", "undecided", "samples")}}
+            {by: value, **{name: getattr(part, name) for name in names}, **_census_numbers(part.census)}
             for value, part in histograms.items()
         ]
     return report
+
+
+def _census_numbers(census: Census) -> dict[str, Any]:
+    """`asked`, samples that were asked for; `left_out`, why some are not pooled -> how many; `census`, in words."""
+    return {"asked": census.asked, "left_out": dict(census.left_out), "census": str(census)}

@@ -22,7 +22,6 @@ from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import replace_file
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scene import Status
-from taichi_bearings.studies.run import versions
 from taichi_bearings.studies.run_directory import undisturbed, writable_folder
 from taichi_bearings.studies.scan_engine import Engine, LocalEngine, Record, Unit, Work, run_samples
 from taichi_bearings.studies.scan_estimate import (
@@ -33,10 +32,10 @@ from taichi_bearings.studies.scan_estimate import (
     total_seconds,
     units_of,
 )
-from taichi_bearings.studies.scan_parts import Part, incomplete_parts, is_failed, part_of, read_journals
+from taichi_bearings.studies.scan_parts import Part, incomplete_parts, is_failed, journal_bytes, part_of, read_journals
 from taichi_bearings.studies.scan_plan import Sample, ScanPlan, Wishes, groups_of, stored_wishes
 from taichi_bearings.studies.scan_sample import STATES, Wanted, failure, solve_samples, state_path
-from taichi_bearings.studies.scan_table import columns_of, histograms_of
+from taichi_bearings.studies.scan_table import attributes_of, columns_of, histograms_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -199,13 +198,14 @@ def scan(
         seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
     name = "" if part is None else part.name
     with writable_folder(folder, name):
+        journals = journal_bytes(folder) or 0
         missing, records = missing_samples(plan, folder, wanted, part)
         replace_file(folder / "scan.toml", plan.text.encode(), f".{name or 'whole'}.partial")
         if engine is None:
             work = partial(solve_samples, wanted=wanted)
             allowed = partial(_allowed, sample_timeout=plan.wishes.sample_timeout, structure=wanted.structure)
             engine = _engine(work, allowed, client, _number_of_workers(missing, workers, wanted.structure))
-        course = _Course(plan, part, folder, records, missing, monitor, began)
+        course = _Course(plan, part, folder, records, missing, monitor, began, journals)
         try:
             with closing(engine), Journal(course.journal) as journal, _stopping() as stopped:
                 course.follow(units_of(missing, wanted.structure), engine, journal, stopped)
@@ -227,10 +227,11 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
         raise FileError(f"{folder} is not the folder of a scan")
     plan, wanted = _with_wishes_of(folder, plan)
     with writable_folder(folder):
+        journals = journal_bytes(folder) or 0
         missing, records = missing_samples(plan, folder, wanted)
         if not records:
             raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
-        course = _Course(plan, None, folder, records, missing, lambda _: None, began)
+        course = _Course(plan, None, folder, records, missing, lambda _: None, began, journals)
         course.write_files()
         return course.report(False) | {"incomplete_parts": incomplete_parts(plan, folder, records)}
 
@@ -278,6 +279,7 @@ class _Course:
         missing: Sequence[Sample],
         monitor: Monitor,
         began: float,
+        journals: int,
     ) -> None:
         self.plan, self.part = _samples_of(plan, part), part
         self.folder, self.records, self.monitor, self.began = folder, records, monitor, began
@@ -286,10 +288,18 @@ class _Course:
         self.missing = {sample.key: sample for sample in missing}
         self.open = set(self.missing)  # samples that still lack something
         self.written, self.writing = time.monotonic(), 0.0
+        self.others = journals - self._own_bytes()
 
     @property
     def journal(self) -> Path:
         return self.folder / (JOURNAL if self.part is None else self.part.journal)
+
+    def _own_bytes(self) -> int:
+        return self.journal.stat().st_size if self.journal.exists() else 0
+
+    def _journals(self) -> int:
+        """Bytes of the journals that have the records: of this one all, of others what was there at the start."""
+        return self.others + self._own_bytes()
 
     @property
     def files(self) -> list[Path]:
@@ -331,14 +341,14 @@ class _Course:
 
     def _write_meanwhile(self) -> None:
         began = time.monotonic()
-        write_files(self.plan, self.folder, self.records)
+        write_files(self.plan, self.folder, self.records, self._journals())
         self.written = time.monotonic()
         self.writing = self.written - began
 
     def write_files(self) -> None:
         if self.files:
             with undisturbed():
-                write_files(self.plan, self.folder, self.records)
+                write_files(self.plan, self.folder, self.records, self._journals())
 
     def report(self, interrupted: bool) -> dict[str, Any]:
         statuses = [self.records[s.key]["scalars"]["status"] for s in self.plan.samples if s.key in self.records]
@@ -362,11 +372,11 @@ class _Course:
         }
 
 
-def write_files(plan: ScanPlan, folder: Path, records: Mapping[str, Record]) -> None:
-    """scan.h5 and scan.csv from the records, each in full or not at all; rows in the order of the plan."""
-    from taichi_bearings import __version__
+def write_files(plan: ScanPlan, folder: Path, records: Mapping[str, Record], journals: int) -> None:
+    """scan.h5 and scan.csv from the records, each in full or not at all; rows in the order of the plan.
 
+    journals : bytes of the journals that have these records.
+    """
     columns = columns_of(plan, records)
-    attributes = {"scan": plan.text, "scanned": list(plan.scanned), "taichi_bearings": __version__, **versions()}
-    write_scan(folder / "scan.h5", columns, histograms_of(plan, records), attributes)
+    write_scan(folder / "scan.h5", columns, histograms_of(plan, records), attributes_of(plan, journals))
     write_scan_csv(folder / "scan.csv", columns)

@@ -1,19 +1,22 @@
 """Any number of a scan against any of its parameters, with error bars, as figure and table: `bearings plot scan`."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.statistics import QUANTILES, describe, groups, ratio_interval
+from taichi_bearings.analysis.census import Census
+from taichi_bearings.analysis.statistics import QUANTILES, describe, disorder_of, groups, independent, ratio_interval
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.scan_file import StoredScan, read_scan
+from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import save
+from taichi_bearings.studies.scan_table import OF_A_SPANNING_NETWORK
+from taichi_bearings.studies.stored_scans import open_scan
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
@@ -69,7 +72,8 @@ class Request:
 class Point:
     """Samples of equal parameters.
 
-    part : values of the parting columns. number : samples. plot : x, y and the ends of the bar as they are drawn.
+    part : values of the parting columns. number : disorders, each of which counts once. plot : x, y and the ends of the
+    bar as they are drawn; not-a-number where no sample is left. census : of the samples that the scan asks for here.
     """
 
     part: tuple[Any, ...]
@@ -77,15 +81,23 @@ class Point:
     number: int
     statistics: Mapping[str, float]
     plot: Plotted
+    census: Census
 
 
-def plot_scan(path: Path, request: Request, out: Path | None = None, force: bool = False) -> list[Path]:
+def plot_scan(
+    path: Path,
+    request: Request,
+    out: Path | None = None,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[Path]:
     """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
 
     out : PNG, PDF or SVG; default: into the directory of the scan, where an earlier one is replaced.
+    tell : hears how many of how many samples are in the figure, and in each curve that lacks some.
     Raises InputError or FileError before anything is written.
     """
-    scan = read_scan(path)
+    scan = open_scan(path)
     figure = out or scan.path.parent / f"{request.stem}.png"
     if figure.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"out is {str(figure)!r}; it must end in .png, .pdf or .svg")
@@ -95,6 +107,8 @@ def plot_scan(path: Path, request: Request, out: Path | None = None, force: bool
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
     columns = columns_of(scan, request)
     points = points_of(columns, request)
+    for line in accounts_of(columns, request):
+        tell(line)
     save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request)), figure)
     names, rows = rows_of(points, request)
     write_csv(table, names, rows)
@@ -102,15 +116,16 @@ def plot_scan(path: Path, request: Request, out: Path | None = None, force: bool
 
 
 def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
-    """The table of the samples that have a result and meet the conditions, and their sizes as L."""
+    """The table of the samples that meet the conditions, with a result or not, and their sizes as L."""
     table = dict(scan.table)
     if SIZE not in table and "shape" in table:
-        table[SIZE] = np.array([int(text.split("x")[-1]) if text else 0 for text in table["shape"].tolist()])
+        heights = [int(text.split("x")[-1]) if text else math.nan for text in table["shape"].tolist()]
+        table[SIZE] = np.array(heights)
     sizes = [SIZE] if request.collapse else []
     for name in (*request.y.split("/"), request.x, *request.by, *sizes):
         if name not in table:
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}")
-    chosen = ~scan.failed
+    chosen = np.ones(scan.samples, dtype=bool)
     for condition in request.where:
         chosen &= _meets(table, condition)
     return {name: values[chosen] for name, values in table.items()}
@@ -136,29 +151,56 @@ def _meets(table: Mapping[str, np.ndarray], condition: str) -> np.ndarray:
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point]:
-    """Statistics of y at each value of x and of the parting columns, in their order. Points need samples."""
+    """Statistics of y at each value of x and of the parting columns, in their order; some sample must have both."""
     terms = [_numbers(columns, name) for name in request.y.split("/")]
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
-    present = np.logical_and.reduce([np.isfinite(values) for values in terms])
-    chosen = {name: values[present] for name, values in columns.items()}
-    terms = [values[present] for values in terms]
-    place = {value: float(n) for n, (value,) in enumerate(groups(chosen, [request.x]))}
+    reasons, disorder = _reasons(columns, request), disorder_of(columns)
+    if (reasons != "").all():
+        raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
+    known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
+    place = {value: float(n) for n, value in enumerate(known)}
     points = []
-    for (*part, x), rows in groups(chosen, [*request.parts, request.x]).items():
-        if x is None:
+    for (*part, x), rows in groups(columns, [*request.parts, request.x]).items():
+        if x not in place:
             continue
-        statistics = _statistics([values[rows] for values in terms])
+        used = rows[reasons[rows] == ""]
+        own = [independent(values[used], disorder[used]) for values in terms]
+        statistics = _statistics(own)
         plot = (float(x) if isinstance(x, (int, float)) else place[x], *_shown(statistics, request))
         if request.collapse:
-            if len(sizes := set(chosen[SIZE][rows].tolist())) > 1:
+            if len(sizes := set(columns[SIZE][rows].tolist())) > 1:
                 raise InputError(f"a point has samples of several L ({sizes}); add --by L")
             plot = _collapsed(plot, sizes.pop(), request.collapse)
-        points.append(Point(tuple(part), x, len(rows), statistics, plot))
-    if not points:
-        raise InputError(f"no sample has both {request.y} and {request.x}")
+        points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
     _check_log(points, request.log)
     return points
+
+
+def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
+    """How many of how many samples are in the figure; then the same of each curve that lacks some."""
+    reasons = _reasons(columns, request)
+    lines = [str(Census.of(reasons.tolist()))]
+    for part, rows in groups(columns, request.parts).items() if request.parts else ():
+        if (census := Census.of(reasons[rows].tolist())).left_out:
+            words = ", ".join(f"{key} {value}" for key, value in zip(request.parts, part, strict=True))
+            lines.append(f"  {words}: {census}")
+    return lines
+
+
+def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
+    """(rows,) why each sample is in no point; empty texts for those that are."""
+    reasons = np.full(len(columns["status"]), "", dtype=object)
+    spans = columns.get("spans")
+    for name in (request.x, *request.y.split("/")):
+        values = columns[name]
+        lacking = values == "" if values.dtype == object else ~np.isfinite(values.astype(float))
+        reasons[lacking] = f"without {name}"
+        if name in OF_A_SPANNING_NETWORK and spans is not None:
+            reasons[lacking & (spans == 0)] = "that do not span"
+    for status, reason in ((FAILED, "failed"), (MISSING, "not computed yet")):
+        reasons[columns["status"] == status] = reason
+    return reasons
 
 
 def _numbers(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
@@ -201,7 +243,7 @@ def _collapsed(plot: Plotted, size: float, exponents: tuple[float, float]) -> Pl
 
 def _check_log(points: Sequence[Point], log: str) -> None:
     for place, name in enumerate("xy"):
-        least = min(point.plot[place] for point in points)
+        least = min(point.plot[place] for point in points if point.number)
         if name in log and least <= 0:
             raise InputError(
                 f"log is {log!r}, but the least {name} is {least:g}; a logarithmic axis needs numbers above 0"
@@ -213,8 +255,14 @@ def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
     parts = list(dict.fromkeys(point.part for point in points))
     if len(parts) > MOST_CURVES:
         raise InputError(f"{', '.join(request.parts)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
-    drawn = {part: np.array([point.plot for point in points if point.part == part]) for part in parts}
-    return [Curve(", ".join(map(str, part)), *drawn[part].T) for part in parts]
+    curves = []
+    for part in parts:
+        own = [point for point in points if point.part == part]
+        drawn = np.array([point.plot for point in own if point.number]).reshape(-1, 4)
+        label = ", ".join(map(str, part))
+        asked = sum(point.census.asked for point in own)
+        curves.append(Curve(label if len(drawn) else f"{label}: none of {asked:,} samples", *drawn.T))
+    return curves
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequence[Point], request: Request) -> Look:
@@ -223,13 +271,16 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     used = {request.x, *request.parts, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key not in used and len(groups(columns, [key])) > 1]
-    samples = sum(point.number for point in points)
+    census = Census.of(_reasons(columns, request).tolist())
+    number = sum(point.number for point in points)
+    alike = f", {number:,} independent" if number < census.used else ""
+    left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
     bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
     numbers = all(isinstance(point.x, (int, float)) for point in points)
     return Look(
         x_label=_scaled(request.x, b),
         y_label=_scaled(request.y, -a),
-        title=f"{samples:,} samples{' over ' + ', '.join(over) if over else ''}: {bars}",
+        title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}",
         legend=", ".join(request.parts),
         log=request.log,
         ticks=() if numbers else list(dict.fromkeys(point.x for point in sorted(points, key=lambda p: p.plot[0]))),
@@ -241,7 +292,12 @@ def _scaled(name: str, exponent: float) -> str:
 
 
 def rows_of(points: Sequence[Point], request: Request) -> tuple[list[str], list[list[Any]]]:
-    """The points as a table: parameters, statistics, and what is drawn."""
+    """The points as a table: parameters, statistics, what is drawn, and how many of how many samples are in it."""
     names = [*request.parts, request.x, "number", *points[0].statistics, "plot_x", "plot_y", "plot_low", "plot_high"]
-    rows = [[*point.part, point.x, point.number, *point.statistics.values(), *point.plot] for point in points]
+    names += ["used", "asked", "left_out"]
+    rows = [
+        [*point.part, point.x, point.number, *point.statistics.values(), *point.plot]
+        + [point.census.used, point.census.asked, point.census.reasons]
+        for point in points
+    ]
     return names, [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]

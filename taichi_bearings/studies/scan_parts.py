@@ -79,6 +79,13 @@ def parts_in(folder: Path) -> list[Part]:
     return sorted(Part(int(found[2]), int(found[1])) for found in names if found is not None)
 
 
+def journal_bytes(folder: Path) -> int | None:
+    """Bytes in the journals of a folder, which only ever grow; None if it has none."""
+    names = [NAME, *(part.journal for part in parts_in(folder))]
+    sizes = [(folder / name).stat().st_size for name in names if (folder / name).is_file()]
+    return sum(sizes) if sizes else None
+
+
 def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
     """Records by sample of all journals in a folder; of several a result before a failure, then the fullest."""
     records: dict[str, dict[str, Any]] = {}

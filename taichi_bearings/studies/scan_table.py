@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-from taichi_bearings.files.scan_file import Column, SampleHistograms, column, dense_histograms
-from taichi_bearings.studies.scan_plan import ScanPlan, written
+from taichi_bearings.files.scan_file import MISSING, Column, SampleHistograms, column, dense_histograms
+from taichi_bearings.studies.run import versions
+from taichi_bearings.studies.scan_plan import Sample, ScanPlan, written
 from taichi_bearings.studies.settings import RunSettings
 
 FIRST = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")  # after the scanned keys
@@ -49,13 +50,31 @@ MEANING = {  # column -> (unit, description); others are described in docs/struc
 }
 
 
+OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share", "busiest_link_current", "resistance"}
+OF_SETTINGS = ("law", "shape", "seed", "spin_top", "spin_bottom", "normal_force", "radius")  # known without a result
+
+
+def with_missing(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The records, and one without a result for each sample that has none yet."""
+    missing = {sample.key: {"scalars": {"status": MISSING}, "bins": {}} for sample in plan.samples}
+    return {**missing, **records}
+
+
+def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
+    """What a table says of itself. journals : bytes of those that it was made from."""
+    from taichi_bearings import __version__
+
+    known = {"scan": plan.text, "scanned": list(plan.scanned), "asked": len(plan.samples), "journals": journals}
+    return {**known, "taichi_bearings": __version__, **versions()}
+
+
 def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list[Column]:
     """The scanned keys, then FIRST, then whatever else the records hold; one row a sample that has a record.
 
     A result that bears the name of a scanned key and may differ from it is called ``<name>_found``.
     """
     samples = [sample for sample in plan.samples if sample.key in records]
-    scalars = [records[sample.key]["scalars"] for sample in samples]
+    scalars = [_scalars(sample, records[sample.key]) for sample in samples]
     names = dict.fromkeys([*FIRST, *(name for numbers in scalars for name in numbers)])
     settings = {item.name: item.metadata["help"] for item in fields(RunSettings)}
     columns = []
@@ -72,6 +91,14 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
             columns.append(column(f"{name}_found", values, units, text))
     columns.append(column("sample", [sample.key for sample in samples], *MEANING["sample"]))
     return columns
+
+
+def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers and texts of a sample: those of its record, and of its settings what a record without result lacks."""
+    found = dict(record["scalars"])
+    if found.get("spans") is False:  # journals of before may say 0
+        found |= dict.fromkeys(found.keys() & OF_A_SPANNING_NETWORK)
+    return found | {name: written(getattr(sample.settings, name)) for name in OF_SETTINGS if name not in found}
 
 
 def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleHistograms:

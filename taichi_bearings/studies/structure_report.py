@@ -61,7 +61,7 @@ def _network_numbers(structure: Structure) -> dict[str, Any]:
         "spans": network.spans,
         "reached_fraction": network.reached_fraction,
         "spanning_fraction": network.spanning_fraction,
-        "shortest_path": max(len(path) - 1, 0),
+        "shortest_path": len(path) - 1 if network.spans else None,
         "planes_crossed": list(planes_crossed(path)),
         "disjoint_paths": network.disjoint_paths.number,
     }
@@ -79,20 +79,20 @@ def _domain_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def _bottleneck_numbers(structure: Structure) -> dict[str, Any]:
-    found = structure.bottlenecks
+    found, spans = structure.bottlenecks, structure.network.spans
     return {
         "connected_pairs": found.betweenness.pairs,
-        "mean_distance": found.betweenness.mean_distance,
+        "mean_distance": found.betweenness.mean_distance if spans else None,
         "betweenness_is_exact": found.betweenness.is_exact,
         "betweenness_sources": found.betweenness.sources,
         "betweenness_all_sources": found.betweenness.all_sources,
-        "busiest_link_share": found.concentration.largest,
-        "busiest_link_current": found.current_concentration.largest,
+        "busiest_link_share": found.concentration.largest if spans else None,
+        "busiest_link_current": found.current_concentration.largest if spans else None,
         "backbone_links": int(found.backbone.links.sum()),
         "bridges": int(found.backbone.bridges.sum()),
         "articulation_spheres": int(found.backbone.articulation.sum()),
         "parting_links": int(found.backbone.parting_links.sum()),
-        "resistance": found.current.resistance if structure.network.spans else None,
+        "resistance": found.current.resistance if spans else None,
         "path_concentration": asdict(found.concentration),
         "current_concentration": asdict(found.current_concentration),
         "most_loaded": [asdict(link) for link in found.most_loaded(LISTED)],

@@ -33,7 +33,7 @@ def test_a_figure_of_a_scan(scan, tmp_path):
         "--where", "spin_top=1", "--bars", "quartiles", "--log", "y", "--out", tmp_path / "f.svg",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(tmp_path / "f.svg"), str(tmp_path / "f.csv")]
+    assert done.stdout.splitlines() == ["all 24 samples", str(tmp_path / "f.svg"), str(tmp_path / "f.csv")]
     assert (tmp_path / "f.csv").read_text().startswith("L,law,spin_bottom,number,mean,")
 
 

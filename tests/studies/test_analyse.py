@@ -14,6 +14,7 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.studies.analyse import analyse, structure_of
 from taichi_bearings.studies.run import run
+from taichi_bearings.studies.scan_table import OF_A_SPANNING_NETWORK
 from taichi_bearings.studies.settings import RunSettings
 from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.studies.structure_report import numbers_of
@@ -113,7 +114,17 @@ def test_in_2d_the_minimum_is_the_cut_and_has_two_domains(solved):
     assert report["domains"] == 2
     assert report["domains_locked_to"] == {"bottom": 1, "top": 1, "both": 0, "mixed": 0, "partly": 0, "neither": 0}
     assert not report["spans"]
-    assert report["disjoint_paths"] == report["shortest_path"] == 0
+    assert report["disjoint_paths"] == 0
+    for name in OF_A_SPANNING_NETWORK:  # does not apply, and is not 0
+        assert report[name] is None
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)], ids=str)
+def test_without_a_jump_no_contact_is_cut(solved, shape):
+    report = analysed(solved(shape=shape, spin_bottom=1.0, seed=2))
+    assert (report["power_minimum_cut"], report["cut_contacts"], report["slipping"]) == (0, 0, 0)
+    assert report["power_over_cut"] is None
+    assert report["slipping_contacts_are_the_cut"]
 
 
 def test_a_weak_row_is_the_cut_and_equal_rows_are_not_unique(solved, tmp_path):

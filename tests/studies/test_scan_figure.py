@@ -65,7 +65,8 @@ def test_texts_stand_in_their_natural_order_with_their_names(scan):
     assert [point.plot[0] for point in found] == [0, 1, 2]
     look = look_of(read_scan(scan.path), columns, found, request)
     assert look.ticks == ["4x4", "8x8", "16x16"]
-    assert look.title == f"{3 * SEEDS - 1} samples over seed: means with standard errors"
+    share = f"{3 * SEEDS - 1} of {3 * SEEDS} samples"
+    assert look.title == f"{share} over seed: means with standard errors\nleft out: 1 failed"
 
 
 def test_powers_of_the_size_collapse(scan):
