@@ -74,6 +74,7 @@ def command(
     from taichi_bearings.plots.power import draw_power
     from taichi_bearings.plots.spins import draw_spins
     from taichi_bearings.plots.style import save
+    from taichi_bearings.studies.snapshot import draw_snapshot
 
     if kind == "scan":
         _plot_scan(Path(run), Path(out) if out else None, force, **of_scan)
@@ -95,7 +96,7 @@ def command(
 
         figure = draw(kind, stored, replica)
     elif kind == "spins":
-        figure = draw_spins(stored if time is None else stored.at_time(time), replica)
+        figure = draw_spins(stored, replica) if time is None else draw_snapshot(stored, replica, time)
     elif kind == "power":
         figure = draw_power(stored, replica)
     elif kind == "energy":

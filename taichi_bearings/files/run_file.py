@@ -1,15 +1,14 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from taichi_bearings.contact_state import ContactState
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import write_hdf5
 from taichi_bearings.scene import Solution
@@ -135,14 +134,6 @@ class StoredRun:
         if name not in self.attributes:
             raise FileError(f"{self.path} lacks the attribute {name!r}; it is damaged or was changed")
         return self.attributes[name]
-
-    def at_time(self, time: float) -> "StoredRun":
-        """The run with the spins of the snapshot nearest to `time`, of which no contact states are known."""
-        if not self.snapshots:
-            raise InputError(f"{self.path} holds no snapshots; run a dynamics with --snapshots")
-        nearest = int(np.abs(self.snapshots["time"][0] - time).argmin())
-        unknown = tuple(np.full_like(values, ContactState.UNDECIDED) for values in self.state)
-        return replace(self, spin=self.snapshots["spin"][:, nearest], state=unknown)
 
 
 def read_run_file(run: Path) -> StoredRun:
