@@ -181,4 +181,7 @@ def describe(report: dict[str, Any]) -> str:
         lines.append(f"{report['lacking']:,} samples lack the analysis or the full state that was asked for")
     if report["failed"] or report["missing"] or report["lacking"]:
         lines.append(f"bearings scan {report['scan']} does what is missing or has failed")
+    if report["removed"]:
+        names = ", ".join(Path(name).name for name in report["removed"])
+        lines.append(f"removed, for they showed the scan as it was before: {names}")
     return "\n".join([*lines, *report["files"]])

@@ -49,15 +49,6 @@ def write_analysis(
         write_hdf5(path, lambda file: fill(file.create_group(GROUP)))
 
 
-def is_analysed(path: Path) -> bool:
-    """True if the run file `path` is there and holds an analysis."""
-    try:
-        with h5py.File(path, "r") as file:
-            return GROUP in file
-    except OSError:
-        return False
-
-
 def _stack(values: Sequence[np.ndarray]) -> np.ndarray:
     """Arrays of equal number of axes as one, padded at their ends."""
     shape = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))

@@ -114,6 +114,9 @@ def analyse(
             findings.append(findings_of(structure))
             loads.append(structure.bottlenecks.loads)
         report = _report(run, numbers, threshold) | {"seconds": time.perf_counter() - began}
+        if out is None or force:
+            for name in (*FIGURES, *FIGURES_OF_ALL):  # of an earlier analysis; not all need come back
+                (target.parent / f"{name}.png").unlink(missing_ok=True)
         write_analysis(target, findings, _flat(report), into_run=out is None)
         files = [target]
         for name, file in paths.items():

@@ -360,19 +360,19 @@ def _solve_with_checkpoints(
             directory = RunDirectory(path, force=True)
             try:
                 summary = write_run(directory.partial, path, job, solution)
-                directory.merge(_analysis_figures(path))
+                directory.merge(_drawn())
             except BaseException:
                 directory.discard()
                 raise
     return solution, summary
 
 
-def _analysis_figures(path: Path) -> list[str]:
-    """Names of the figures that `bearings analyse` may have left in a run directory."""
-    from taichi_bearings.files.analysis_file import is_analysed
+def _drawn() -> list[str]:
+    """Files that `run`, `plot`, `analyse` and `histogram` leave beside a run.h5: a new answer outdates them."""
     from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
 
-    return [f"{name}.png" for name in (*FIGURES, *FIGURES_OF_ALL)] if is_analysed(path / "run.h5") else []
+    figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
+    return [*(f"{name}.png" for name in figures), "power_histogram.csv", "power_histogram.h5"]
 
 
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:

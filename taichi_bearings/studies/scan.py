@@ -36,6 +36,7 @@ from taichi_bearings.studies.scan_parts import Part, incomplete_parts, is_failed
 from taichi_bearings.studies.scan_plan import Sample, ScanPlan, Wishes, groups_of, stored_wishes
 from taichi_bearings.studies.scan_sample import STATES, Wanted, failure, solve_samples, state_path
 from taichi_bearings.studies.scan_table import attributes_of, columns_of, histograms_of
+from taichi_bearings.studies.stored_scans import outdated_figures
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -288,6 +289,7 @@ class _Course:
         self.missing = {sample.key: sample for sample in missing}
         self.open = set(self.missing)  # samples that still lack something
         self.written, self.writing = time.monotonic(), 0.0
+        self.removed: list[Path] = []
         self.others = journals - self._own_bytes()
 
     @property
@@ -348,6 +350,9 @@ class _Course:
     def write_files(self) -> None:
         if self.files:
             with undisturbed():
+                self.removed = outdated_figures(self.folder, self._journals())
+                for figure in self.removed:
+                    figure.unlink(missing_ok=True)
                 write_files(self.plan, self.folder, self.records, self._journals())
 
     def report(self, interrupted: bool) -> dict[str, Any]:
@@ -369,6 +374,7 @@ class _Course:
             "seconds": time.monotonic() - self.began,
             "scan": str(self.folder),
             "files": [str(file) for file in self.files or [self.journal]],
+            "removed": [str(file) for file in self.removed],
         }
 
 

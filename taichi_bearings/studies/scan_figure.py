@@ -16,7 +16,7 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import save
 from taichi_bearings.studies.scan_table import OF_A_SPANNING_NETWORK
-from taichi_bearings.studies.stored_scans import open_scan
+from taichi_bearings.studies.stored_scans import CENSUS_COLUMNS, open_scan
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
@@ -294,7 +294,7 @@ def _scaled(name: str, exponent: float) -> str:
 def rows_of(points: Sequence[Point], request: Request) -> tuple[list[str], list[list[Any]]]:
     """The points as a table: parameters, statistics, what is drawn, and how many of how many samples are in it."""
     names = [*request.parts, request.x, "number", *points[0].statistics, "plot_x", "plot_y", "plot_low", "plot_high"]
-    names += ["used", "asked", "left_out"]
+    names += CENSUS_COLUMNS
     rows = [
         [*point.part, point.x, point.number, *point.statistics.values(), *point.plot]
         + [point.census.used, point.census.asked, point.census.reasons]

@@ -11,6 +11,8 @@ from taichi_bearings.studies.scan_parts import journal_bytes, read_journals
 from taichi_bearings.studies.scan_plan import read_plan
 from taichi_bearings.studies.scan_table import attributes_of, columns_of, histograms_of, with_missing
 
+CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
+
 
 def is_scan(path: Path) -> bool:
     """True for the folder of a scan, with or without scan.h5, and for a scan.h5."""
@@ -56,3 +58,19 @@ def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
     """True if a table was made of this scan file and of journals of so many bytes."""
     same = stored.attributes.get("journals") == journals
     return same and scan.is_file() and scan.read_bytes() == str(stored.attributes["scan"]).encode()
+
+
+def outdated_figures(folder: Path, journals: int) -> list[Path]:
+    """Figures in the folder of a scan, and the tables beside them, unless scan.h5 is of journals of so many bytes."""
+    try:
+        if read_scan(folder).attributes.get("journals") == journals:
+            return []
+    except FileError:
+        pass  # no scan.h5, or one that says nothing
+    tables = [table for table in folder.glob("*_against_*.csv") if _is_of_a_figure(table)]
+    return [file for table in tables for file in (table.with_suffix(".png"), table) if file.is_file()]
+
+
+def _is_of_a_figure(table: Path) -> bool:
+    with table.open("rb") as file:
+        return file.readline(10_000).rstrip().endswith(",".join(("plot_high", *CENSUS_COLUMNS)).encode())

@@ -99,14 +99,17 @@ def test_steps_that_end_a_run_late_leave_it_resumable_as_it_is(tmp_path):
     assert "already reached 0.500" in refused.stderr
 
 
-def test_the_analysis_of_the_answer_before_goes_and_nothing_else(tmp_path):
+def test_what_was_drawn_of_the_answer_before_goes_and_nothing_else(tmp_path):
     stopped = (*SCENE, "--duration", "1", "--checkpoint-every", "100", "--out", tmp_path / "run")
     assert bearings("run", *stopped).returncode == 0
     written = {file.name for file in (tmp_path / "run").iterdir()}
-    (tmp_path / "run" / "network.png").write_text("mine, for there was no analysis")
     resume = ("run", "--resume", tmp_path / "run", "--duration")
+    for kind in ("spins", "domains", "history"):
+        assert bearings("plot", kind, tmp_path / "run").returncode == 0
+    old = (tmp_path / "run" / "history.png").read_bytes()
     assert bearings(*resume, "2").returncode == 0
-    assert (tmp_path / "run" / "network.png").read_text().startswith("mine")
+    assert {file.name for file in (tmp_path / "run").iterdir()} == written
+    assert (tmp_path / "run" / "history.png").read_bytes() != old
 
     assert bearings("analyse", tmp_path / "run").returncode == 0
     assert {file.name for file in (tmp_path / "run").iterdir()} > written | {"network.png", "domains.png"}

@@ -1,5 +1,6 @@
 """The analysis of stored runs: against plain graph algorithms on run.h5, and where the answer is known by hand."""
 
+import shutil
 from itertools import pairwise
 from pathlib import Path
 
@@ -258,6 +259,17 @@ def test_the_group_holds_the_structure_and_the_rest_of_the_file_stays(solved):
     size = (folder / "run.h5").stat().st_size
     analysed(folder)
     assert (folder / "run.h5").stat().st_size == size
+
+
+def test_no_figure_outlives_its_analysis(solved, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(solved(shape=(3, 4), seed=1), folder)
+    for place, more in ((folder, {}), (tmp_path / "out", {"out": tmp_path / "out", "force": True})):
+        analyse(folder, **more)
+        assert {"domains.png", "thresholds.png"} <= {file.name for file in place.iterdir()}
+        (place / "own.png").write_text("mine")
+        analyse(folder, threshold=0.1, figures=False, **more)
+        assert {file.name for file in place.glob("*.png")} - {"history.png", "power_histogram.png"} == {"own.png"}
 
 
 def contents(path, without):

@@ -83,6 +83,17 @@ def test_a_table_that_is_older_than_the_journal_or_the_scan_is_not_used(folder, 
     assert open_scan(folder).samples == 14
 
 
+def test_no_figure_in_the_folder_is_older_than_the_scan(folder, plan_of):
+    plan = plan_of(LAWS)
+    _, figures = told(folder, "power"), sorted(folder.glob("power_against_law.*"))
+    (folder / "mine_against_yours.csv").write_text("x,y\n")
+    assert scan(plan, folder, engine=Here())["removed"] == []
+    assert all(file.is_file() for file in figures)
+    assert sorted(scan(plan_of(LAWS.replace("6", "7")), folder, engine=Here())["removed"]) == sorted(map(str, figures))
+    assert not any(file.exists() for file in figures)
+    assert (folder / "mine_against_yours.csv").is_file()
+
+
 def test_a_scan_whose_file_is_gone_is_read_from_its_table_or_refused(folder, caplog):
     with (folder / "samples.jsonl").open("ab") as journal:
         journal.write(b"torn")
