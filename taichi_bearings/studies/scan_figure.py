@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
-from taichi_bearings.analysis.statistics import QUANTILES, describe, disorder_of, groups, independent, ratio_interval
+from taichi_bearings.analysis.statistics import (
+    LEAST,
+    QUANTILES,
+    describe,
+    disorder_of,
+    groups,
+    independent,
+    ratio_interval,
+)
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
 from taichi_bearings.files.whole_file import write_csv
@@ -21,7 +29,7 @@ from taichi_bearings.studies.stored_scans import CENSUS_COLUMNS, open_scan
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
     "quartiles": "medians with quartiles",
-    "bootstrap": "means with 95 % bootstrap intervals",
+    "bootstrap": "means with 95 % intervals",
 }
 SIZE = "L"
 MOST_CURVES = 24
@@ -167,7 +175,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         used = rows[reasons[rows] == ""]
         own = [independent(values[used], disorder[used]) for values in terms]
         statistics = _statistics(own)
-        plot = (float(x) if isinstance(x, (int, float)) else place[x], *_shown(statistics, request))
+        plot = (float(x) if isinstance(x, (int, float)) else place[x], *_shown(statistics, len(own[0]), request))
         if request.collapse:
             if len(sizes := set(columns[SIZE][rows].tolist())) > 1:
                 raise InputError(f"a point has samples of several L ({sizes}); add --by L")
@@ -220,13 +228,15 @@ def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
     return rest | quantiles
 
 
-def _shown(statistics: Mapping[str, float], request: Request) -> tuple[float, float, float]:
-    """The point and the ends of its bar."""
+def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tuple[float, float, float]:
+    """The point and the ends of its bar, if it has enough samples for one."""
     bars = request.bars_shown
     if request.is_ratio:
         if bars != "bootstrap":
             raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
         return statistics["ratio"], statistics["low"], statistics["high"]
+    if number < LEAST:
+        return statistics["quantile_50" if bars == "quartiles" else "mean"], math.nan, math.nan
     if bars == "quartiles":
         return statistics["quantile_50"], statistics["quantile_25"], statistics["quantile_75"]
     mean, error = statistics["mean"], statistics["standard_error"]

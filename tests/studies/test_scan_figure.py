@@ -58,6 +58,13 @@ def test_bars_are_what_was_asked_for(scan):
     assert np.isnan(alone.plot[2:]).all()  # one sample has no bar
 
 
+def test_two_samples_have_no_bar(tmp_path):
+    two, three = (stored_scan(tmp_path / str(n), sides=(4,), bottoms=(0.0,), seeds=n) for n in (2, 3))
+    for bars in ("standard-error", "quartiles", "bootstrap"):
+        ends = [points(known, "power", "L", bars=bars)[0].plot[2:] for known in (two, three)]
+        assert np.isnan(ends).tolist() == [[True, True], [False, False]]
+
+
 def test_texts_stand_in_their_natural_order_with_their_names(scan):
     request = Request("power", "shape", where=("spin_bottom=0",))
     columns = columns_of(read_scan(scan.path), request)
