@@ -15,14 +15,16 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 @click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
 @click.argument("run", metavar="RUN")
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
-@click.option("--time", type=float, default=None, help="spins: the snapshot nearest to this simulated time.")
+@click.option(
+    "--time", type=float, default=None, help="spins: the snapshot nearest to this simulated time, and what slips in it."
+)
 @click.option("--y", metavar="COLUMN[/COLUMN]", default=None, help="scan: a number, or the ratio of the means of two.")
 @click.option("--x", metavar="COLUMN", default=None, help="scan: what it is drawn against.")
 @click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
 @click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
 @click.option(
     "--bars", type=click.Choice(["standard-error", "quartiles", "bootstrap"]), default=None,
-    help="scan: mean and standard error, median and quartiles, or mean and 95 % bootstrap interval. "
+    help="scan: mean and standard error, median and quartiles, or mean and 95 % interval. "
     "[default: standard-error; for a ratio bootstrap]",
 )  # fmt: skip
 @click.option(
@@ -58,7 +60,7 @@ def command(
 
     \b
     scan         any column of scan.csv, or L, against any other, with error bars; the points are
-                 written beside the figure as CSV
+                 written beside the figure as CSV, with how many of how many samples are in each
 
     \b
     Examples:

@@ -27,6 +27,7 @@ from taichi_bearings.studies.scan_engine import Engine, LocalEngine, Record, Uni
 from taichi_bearings.studies.scan_estimate import (
     WORKER_START,
     bytes_of,
+    ignored_keys,
     paying_workers,
     seconds_of,
     total_seconds,
@@ -197,6 +198,8 @@ def scan(
     plan, wanted = _with_wishes_of(folder, plan, structure, keep_states, sample_timeout)
     for group in groups_of(plan.samples):
         seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
+    for key, methods in ignored_keys(plan).items():
+        _say(f"{key} is scanned, but {' and '.join(methods)} know nothing of it: such samples are the same")
     name = "" if part is None else part.name
     with writable_folder(folder, name):
         journals = journal_bytes(folder) or 0
@@ -268,6 +271,10 @@ def _stopping() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
+def _say(text: str) -> None:
+    logging.getLogger(__name__).warning("bearings: %s", text)
+
+
 class _Course:
     """A scan on its way: what it has, and who wants to hear of it."""
 
@@ -316,7 +323,7 @@ class _Course:
             for record in finished:
                 if is_failed(record):
                     self.progress.failed += 1
-                    self._say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
+                    _say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
                 else:
                     self.progress.done += 1
                     self.open.discard(record["key"])
@@ -336,10 +343,7 @@ class _Course:
         return key in self.records and not is_failed(self.records[key])
 
     def _retry(self, sample: Sample, reason: str) -> None:
-        self._say(f"sample {sample.label} failed and is tried again: {reason}")
-
-    def _say(self, text: str) -> None:
-        logging.getLogger(__name__).warning("bearings: %s", text)
+        _say(f"sample {sample.label} failed and is tried again: {reason}")
 
     def _write_meanwhile(self) -> None:
         began = time.monotonic()

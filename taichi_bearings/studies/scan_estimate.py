@@ -5,12 +5,13 @@ They serve `--dry-run`, and to make units of work that are worth sending to a wo
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 
 from taichi_bearings.scene.disorder import Distribution
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.studies.run import automatic_method, build_scene
-from taichi_bearings.studies.scan_plan import Sample, groups_of
+from taichi_bearings.studies.scan_plan import Sample, ScanPlan, groups_of
 from taichi_bearings.studies.settings import RunSettings
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
@@ -31,6 +32,24 @@ def _method_of(settings: RunSettings) -> str:
     Distribution.parse(settings.distribution)
     scene = build_scene(replace(settings, distribution="constant:1"))
     return automatic_method(scene, settings) if settings.method == "auto" else settings.method
+
+
+DYNAMICS = ("cundall-strack", "rigid-limit")
+
+
+def ignored_keys(plan: ScanPlan) -> dict[str, list[str]]:
+    """Scanned keys that none of the methods of a scan knows, with these: samples that differ in nothing else are one.
+
+    A setting of some methods names them before the colon of its help.
+    """
+    methods = sorted({method_of(group[0].settings) for group in groups_of(plan.samples)})
+    found = {}
+    for item in fields(RunSettings):
+        whose = item.metadata["help"].partition(":")[0].split(" ")[0]
+        known = DYNAMICS if whose == "dynamics" else (whose,)
+        if item.name in plan.scanned and whose in ("dynamics", *METHODS) and not set(known) & set(methods):
+            found[item.name] = methods
+    return found
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:

@@ -20,7 +20,7 @@ from taichi_bearings.studies import scan_engine
 from taichi_bearings.studies.run import prepare, solve_job, summarise
 from taichi_bearings.studies.scan import estimate, scan
 from taichi_bearings.studies.scan_engine import LocalEngine, run_samples
-from taichi_bearings.studies.scan_estimate import paying_workers, units_of
+from taichi_bearings.studies.scan_estimate import ignored_keys, paying_workers, units_of
 from taichi_bearings.studies.scan_plan import Wishes, read_plan
 from taichi_bearings.studies.scan_sample import Wanted, failure, one_replica, solve_samples
 from taichi_bearings.studies.settings import RunSettings
@@ -360,6 +360,17 @@ def test_a_scanned_method_stands_beside_the_one_that_solved(plan_of, tmp_path):
     assert stored.table["method_found"].tolist() == ["planar-cut"] * 2
     with h5py.File(tmp_path / "scan" / "scan.h5") as file:
         assert file["table/method"].attrs["description"].startswith("auto is")
+
+
+def test_a_scanned_key_that_no_method_knows_is_named(plan_of, tmp_path, caplog):
+    minima = plan_of("shape = [4, 4]\n[scan]\nstiffness = [1e4, 1e5]\nmass = [1.0, 2.0]\nradius = [0.5, 1.0]\n")
+    assert ignored_keys(minima) == {"stiffness": ["planar-cut"], "mass": ["planar-cut"]}
+    scan(minima, tmp_path / "scan", engine=Here())
+    assert "stiffness is scanned, but planar-cut" in caplog.text
+    both = plan_of(
+        'shape = [4, 4]\n[scan]\nmethod = ["auto", "rigid-limit"]\nstiffness = [1e4, 1e5]\nmass = [1.0, 2.0]\n'
+    )
+    assert list(ignored_keys(both)) == ["stiffness"]
 
 
 def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):
