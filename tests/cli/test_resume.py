@@ -104,7 +104,7 @@ def test_what_was_drawn_of_the_answer_before_goes_and_nothing_else(tmp_path):
     assert bearings("run", *stopped).returncode == 0
     written = {file.name for file in (tmp_path / "run").iterdir()}
     resume = ("run", "--resume", tmp_path / "run", "--duration")
-    for kind in ("spins", "domains", "history"):
+    for kind in ("spins", "domains"):
         assert bearings("plot", kind, tmp_path / "run").returncode == 0
     old = (tmp_path / "run" / "history.png").read_bytes()
     assert bearings(*resume, "2").returncode == 0
