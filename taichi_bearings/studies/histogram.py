@@ -23,7 +23,6 @@ from taichi_bearings.plots.style import save
 from taichi_bearings.studies.run import settings_of
 from taichi_bearings.studies.run_directory import default_run_path
 from taichi_bearings.studies.settings import RunSettings
-from taichi_bearings.studies.stored_scans import is_scan, open_scan
 
 UNITS = {"none": "energy/time", "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
@@ -99,6 +98,8 @@ class Source:
 
 def read_source(path: Path) -> Source:
     """A run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
+    from taichi_bearings.studies.stored_scans import is_scan, open_scan  # runs write a histogram without them
+
     if is_scan(path):
         scan = open_scan(path)
         reasons = np.full(scan.samples, "", dtype=object)
