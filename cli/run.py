@@ -119,7 +119,8 @@ def describe(summary: dict[str, Any]) -> str:
         f"(and {summary['seconds_compile']:.2f} s to compile) on {summary['arch']}, {summary['precision']}"
     )
     lines.append(f"  run: {summary['run']}")
-    lines.append(f"  histogram: {summary['run']}/power_histogram.png")
+    picture = Path(summary["run"]) / "power_histogram.png"
+    lines += [f"  histogram: {picture}"] if picture.exists() else []
     return "\n".join(lines)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
-from taichi_bearings.plots.style import BLUE, label_powers_of_ten, new_figure, plain_figure, shades
+from taichi_bearings.plots.style import BLUE, label_in_plain_text, new_figure, plain_figure, shades
 
 POWER = "power of a contact, P\u2091"
 MATHEMATICS = {"F_n R omega_T": r"$F_n R\,\omega_T$"}
@@ -25,8 +25,7 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
     figure = plain_figure()
     axes = figure.add_subplot()
     axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
-    for axis in (axes.xaxis, axes.yaxis):
-        label_powers_of_ten(axis)
+    label_in_plain_text(axes.xaxis, axes.yaxis)
     filled = histogram.count > 0
     if filled.any():
         centre, count, error = _centre(histogram)[filled], histogram.count[filled], histogram.standard_error[filled]

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.files.run_file import StoredRun
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, label_powers_of_ten, plain_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, label_in_plain_text, plain_figure
 
 
 def draw_history(run: StoredRun) -> Figure:
@@ -29,6 +29,5 @@ def draw_history(run: StoredRun) -> Figure:
     scale = "log" if shown.any() else "linear"
     bottom.set(xscale=scale, yscale=scale, xlabel=along, ylabel="relative gap")
     if scale == "log":
-        for axis in (bottom.xaxis, bottom.yaxis):
-            label_powers_of_ten(axis)
+        label_in_plain_text(bottom.xaxis, bottom.yaxis)
     return figure

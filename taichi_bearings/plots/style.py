@@ -11,6 +11,7 @@ matplotlib.use("Agg")
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.files.whole_file import replace_file
 
@@ -42,14 +43,22 @@ def plain_figure(width: float = 5.5, height: float = 4.0) -> Figure:
 SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 
 
-def label_powers_of_ten(axis: Any) -> None:
-    """Label the decades of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
+class PlainLogFormatter(LogFormatter):
+    """Labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
 
-    def label(value: float, _: int) -> str:
-        exponent = math.log10(value) if value > 0 else math.nan
-        return f"10{str(round(exponent)).translate(SUPERSCRIPTS)}" if abs(exponent % 1) < 1e-6 else f"{value:g}"
+    def __call__(self, value: float, position: int | None = None) -> str:
+        if not super().__call__(value, position):
+            return ""
+        exponent = math.log10(value)
+        is_decade = abs(exponent - round(exponent)) < 1e-6
+        return f"10{str(round(exponent)).translate(SUPERSCRIPTS)}" if is_decade else f"{value:g}"
 
-    axis.set_major_formatter(label)
+
+def label_in_plain_text(*axes: Any) -> None:
+    """Label logarithmic axes in plain text; within a decade some of the ticks between, too."""
+    for axis in axes:
+        axis.set_major_formatter(PlainLogFormatter())
+        axis.set_minor_formatter(PlainLogFormatter(minor_thresholds=(1, 0.4)))
 
 
 def shades(number: int) -> list[Any]:

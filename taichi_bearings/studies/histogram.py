@@ -18,8 +18,6 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.run_file import StoredRun, read_run_file
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import write_csv, write_hdf5
-from taichi_bearings.plots.histogram import draw_histograms
-from taichi_bearings.plots.style import save
 from taichi_bearings.studies.run import settings_of
 from taichi_bearings.studies.run_directory import default_run_path
 from taichi_bearings.studies.settings import RunSettings
@@ -206,6 +204,9 @@ def histogram(
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
     write_table(table, found, by)
     write_arrays(arrays, found, by)
+    from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
+    from taichi_bearings.plots.style import save
+
     save(draw_histograms(found, by), figure)
     return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
 

@@ -278,7 +278,7 @@ def versions() -> dict[str, str]:
 def run(
     settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()
 ) -> tuple[Solution, dict[str, Any]]:
-    """Solve and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and .png, history.png.
+    """Solve and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and its figures.
 
     With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
     returns : the solution and the summary, which has the directory as "run".
@@ -378,9 +378,6 @@ def _drawn() -> list[str]:
 def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
     """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
     from taichi_bearings.analysis.histogram import power_histogram
-    from taichi_bearings.plots.histogram import draw_histogram
-    from taichi_bearings.plots.history import draw_history
-    from taichi_bearings.plots.style import save
     from taichi_bearings.studies.histogram import write_table
 
     stored = _self_contained(job, folder)
@@ -388,11 +385,23 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
     histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
     write_table(folder / "power_histogram.csv", {None: histogram})
-    save(draw_histogram(histogram), folder / "power_histogram.png")
-    save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
+    if stored.figures == "all":
+        _draw(folder, histogram)
     full = summary | {"settings": asdict(job.settings), "versions": versions()}
     (folder / "summary.json").write_text(json.dumps(full, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return summary
+
+
+def _draw(folder: Path, histogram: Any) -> None:
+    """The figures that every run gets."""
+    from taichi_bearings.plots.histogram import draw_histogram
+    from taichi_bearings.plots.history import draw_history
+    from taichi_bearings.plots.style import save
+
+    save(draw_histogram(histogram), folder / "power_histogram.png")
+    run = read_run_file(folder / "run.h5")
+    if run.history["power"].shape[-1] > 2:  # a start and an answer are no course
+        save(draw_history(run), folder / "history.png")
 
 
 def write_state(

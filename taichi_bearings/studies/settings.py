@@ -212,6 +212,7 @@ class RunSettings:
     arch: str = setting("cpu", _one_of("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
     precision: str = setting("f64", _one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
     threads: int = setting(0, SEED, "CPU threads; 0 for all.")
+    figures: str = setting("all", _one_of("all", "none"), "Figures to draw into the run directory.")
 
     def __post_init__(self) -> None:
         for item in fields(self):

@@ -10,6 +10,7 @@ from scipy.sparse import bmat, identity
 
 from taichi_bearings.certificate import dual_value
 from taichi_bearings.errors import InputError
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.grid import torques
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
@@ -108,8 +109,7 @@ def test_spring_forces_are_balanced_and_friction_is_admissible():
     scene = make_scene((4, 6, 5), direction=(1, 2, 3), seeds=(8, 9))
     method = OperatorSplitting()
     spin = initial_spin(scene, "random")
-    method.plan(scene, spin)
-    method.begin(scene, spin, None)
+    method.begin(scene, spin, Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin)))
     for _ in range(3):  # the stiffness changes in between
         method.advance(40)
         force, progress = method.balanced_force(), method.progress()
