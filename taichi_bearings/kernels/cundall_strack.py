@@ -226,7 +226,8 @@ class CundallStrackSteps:
         self,
         arrived: COUNTER,
         workers: int,
-        steps: int,
+        begin: int,
+        end: int,
         values: VALUES,
         blocks: BLOCKS,
         row: int,
@@ -246,14 +247,14 @@ class CundallStrackSteps:
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker = item // LEAST_CHUNK
-                begin, end = count * worker // workers, count * (worker + 1) // workers
+                low, high = count * worker // workers, count * (worker + 1) // workers
                 strides = [in_range(stride_x), in_range(stride_y), 1]
                 numbers = [reach, stiffness, damping, kinetic, static, compliance, memory]
-                for step in range(steps):
-                    for b in range(begin, end):
+                for step in range(end - begin):
+                    for b in range(low, high):
                         self.contact_pass(values, blocks, row, in_range(margin + b * self.block), strides, numbers)
                     meet(arrived, (2 * step + 1) * workers)
-                    for b in range(begin, end):
+                    for b in range(low, high):
                         self.sphere_pass(values, blocks, row, in_range(margin + b * self.block), strides, response)
                     meet(arrived, (2 * step + 2) * workers)
 

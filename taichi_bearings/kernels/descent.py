@@ -160,7 +160,8 @@ class DescentSweeps:
         self,
         arrived: COUNTER,
         workers: int,
-        pairs: int,
+        begin: int,
+        end: int,
         values: VALUES,
         blocks: BLOCKS,
         age: int,
@@ -181,16 +182,16 @@ class DescentSweeps:
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker = item // LEAST_CHUNK
-                begin, end = count * worker // workers, count * (worker + 1) // workers
+                first_block, last_block = count * worker // workers, count * (worker + 1) // workers
                 strides = [in_range(stride_x), in_range(stride_y), 1]
                 low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
-                for pair in range(pairs):
+                for pair in range(begin, end):
                     for parity in ti.static(range(2)):
                         numbers = [momentum(age + 2 * pair + parity), step, sharpness, low, high]
-                        for b in range(begin, end):
+                        for b in range(first_block, last_block):
                             first = in_range(margin + b * self.block)
                             self.update_block(values, blocks, parity, row, first, strides, numbers)
-                        meet(arrived, (2 * pair + parity + 1) * workers)
+                        meet(arrived, (2 * (pair - begin) + parity + 1) * workers)
 
     @ti.kernel
     def pair_on_gpu(
