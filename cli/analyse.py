@@ -7,6 +7,8 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import json_option
 
+from taichi_bearings.words import share
+
 
 @click.command()
 @click.argument("run", metavar="RUN")
@@ -38,17 +40,18 @@ def command(
       bearings run --shape 10,10,10 --spin-bottom 0.1 --out outputs/a
       bearings analyse outputs/a
     """
-    from taichi_bearings_cli.progress import TerminalStatus
+    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.studies.analyse import analyse
 
-    with TerminalStatus() as tell:
-        report = analyse(Path(run), Path(out) if out else None, force, replica, threshold, figures, tell)
-    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report))
+    with Display(STARTED) as display:
+        report = analyse(Path(run), Path(out) if out else None, force, replica, threshold, figures)
+    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report, display.times()))
 
 
-def describe(report: dict[str, Any]) -> str:
-    """The report for people; of several samples the distribution of the main numbers."""
+def describe(report: dict[str, Any], times: str) -> str:
+    """The report for people; of several samples the distribution of the main numbers. times : where the time went."""
     shape = "x".join(map(str, report["shape"]))
     lines = [f"{shape} {report['law']}, {report['method']}; contact states: {_states(report)}"]
     ended = [report["status"]] if isinstance(report["status"], str) else report["status"]
@@ -66,7 +69,7 @@ def describe(report: dict[str, Any]) -> str:
             ("by slip threshold", _thresholds(report)),
         ):
             lines += [title, *(f"  {line}" for line in found)]
-    lines.append(f"{report['seconds']:.1f} s")
+    lines.append(times)
     return "\n".join([*lines, *report["files"]])
 
 
@@ -118,16 +121,16 @@ def _interface(report: dict[str, Any]) -> list[str]:
 def _network(report: dict[str, Any]) -> list[str]:
     total = report["slipless"] + report["slipping"] + report["undecided"]
     lines = [
-        f"{report['slipless']:,} of {total:,} contacts are slipless ({report['slipless_fraction']:.1%}), "
+        f"{report['slipless']:,} of {total:,} contacts are slipless ({share(report['slipless_fraction'])}), "
         f"{report['undecided']:,} undecided; pieces: {report['components']:,}",
-        f"they touch {report['reached_fraction']:.4%} of the free spheres",
+        f"they touch {share(report['reached_fraction'], 4)} of the free spheres",
     ]
     if not report["spans"]:
         return [*lines, "they do not join bottom and top"]
     planes = ", ".join(f"{count} across {axis}" for count, axis in zip(report["planes_crossed"], "xy", strict=False))
     return [
         *lines,
-        f"they join bottom and top, with {report['spanning_fraction']:.4%} of the free spheres in that piece",
+        f"they join bottom and top, with {share(report['spanning_fraction'], 4)} of the free spheres in that piece",
         f"shortest path {report['shortest_path']} contacts, through planes: {planes}; "
         f"paths that share no contact: {report['disjoint_paths']:,}",
     ]
@@ -154,20 +157,20 @@ def _bottlenecks(report: dict[str, Any]) -> list[str]:
     lines = [
         f"{report['connected_pairs']:,} pairs of a bottom and a top sphere, on average "
         f"{report['mean_distance']:.1f} contacts apart{exact}",
-        f"busiest contact: {report['busiest_link_share']:.1%} of the pairs; half the load is on {load['half']:,} of "
+        f"busiest contact: {share(report['busiest_link_share'])} of the pairs; half the load is on {load['half']:,} of "
         f"{load['loaded']:,} contacts in use",
         f"contacts that part bottom and top alone: {report['parting_links']}; fewest that do together: "
         f"{report['disjoint_paths']:,}; bridges {report['bridges']:,}, articulation spheres "
         f"{report['articulation_spheres']:,}",
         f"as a network of equal resistors: {report['resistance']:.4g}, at most "
-        f"{report['busiest_link_current']:.1%} of the current through one contact",
+        f"{share(report['busiest_link_current'])} of the current through one contact",
         "contact (lower sphere, axis)      pairs  current",
     ]
     for link in report["most_loaded"][:5]:
         where = f"({', '.join(map(str, link['contact']))}) {'xyz'[link['axis']]}"
         alone = "  parts the planes" if link["parts_the_planes"] else "  bridge" if link["is_bridge"] else ""
         error = "" if report["betweenness_is_exact"] else f"  +- {link['share_error']:.2%}"
-        lines.append(f"{where:30}  {link['share']:7.2%}  {link['current']:7.2%}{error}{alone}")
+        lines.append(f"{where:30}  {share(link['share'], 2):>7}  {share(link['current'], 2):>7}{error}{alone}")
     return lines
 
 
@@ -177,11 +180,11 @@ def _forces(report: dict[str, Any]) -> list[str]:
         torque = ", ".join(f"{value:.8g}" for value in report["driving_torque"])
         lines.append(
             f"torque from top to bottom, by component: {torque}; slipless contacts carry "
-            f"{report['slipless_share_of_torque']:.1%} of it from layer to layer"
+            f"{share(report['slipless_share_of_torque'])} of it from layer to layer"
         )
     if report.get("mean_saturation") is not None:
         lines.append(
-            f"slipless contacts bear {report['mean_saturation']:.1%} of their limit of friction on average; "
+            f"slipless contacts bear {share(report['mean_saturation'])} of their limit of friction on average; "
             f"{report['slipless_within_1_percent']:,} are within 1 % of slipping"
         )
     if not report["undecided"]:

@@ -1,92 +1,156 @@
-"""Progress of a run or a scan on a terminal: rate, time left, what is being done. Silent in a pipe."""
+"""What is being done, how far it is and how long it will take, on one line of a terminal. Silent in a pipe."""
 
 import math
 import os
 import stat
 import sys
+import threading
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
+from taichi_bearings_cli.time_left import TimeLeft
+
+from taichi_bearings.stages import Stage, Watch, watched
+from taichi_bearings.words import counted
+
+PATIENCE = 0.4  # seconds until the line appears: what takes no longer needs none
+REFRESH = 8  # times a second that the line is written anew
+LEAST_TOLD = 0.05  # seconds that are worth a word in the sum of times
 
 
-class TerminalStatus:
-    """One line on stderr that says what is being done, if stderr is a terminal: ``with TerminalStatus() as tell``.
+class TerminalLine:
+    """One line on stderr, no longer than the terminal is wide, that is written anew until the end; if it is a terminal.
 
-    first : what it says until it is told something else.
+    line : what it says, asked for at each writing.
     """
 
-    def __init__(self, first: str = "reading") -> None:
-        self.first = first
+    def __init__(self, line: Callable[[], str]) -> None:
+        self.line = line
         self.shown = sys.stderr is not None and sys.stderr.isatty()
-        self._status: Any = None
+        self._live: Any = None
+        self._ended, self._lock = False, threading.Lock()
+        self._timer = threading.Timer(PATIENCE, self._start)
 
-    def __enter__(self) -> "TerminalStatus":
+    def __enter__(self) -> "TerminalLine":
         if self.shown:
-            from rich.console import Console
-
-            self._status = Console(stderr=True).status(self.first)
-            self._status.start()
+            self._timer.daemon = True
+            self._timer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
+        self._timer.cancel()
+        with self._lock:
+            self._ended = True
+            if self._live is not None:
+                self._live.stop()
 
-    def __call__(self, text: str) -> None:
-        if self._status is not None:
-            self._status.update(text)
+    def _start(self) -> None:
+        from rich.console import Console
+        from rich.live import Live
+        from rich.spinner import Spinner
+        from rich.table import Table
+        from rich.text import Text
+
+        spinner = Spinner("dots")
+
+        def whole() -> Table:
+            row = Table.grid(padding=(0, 1, 0, 0))
+            row.add_row(spinner, Text(self.line(), no_wrap=True, overflow="ellipsis"))
+            return row
+
+        with self._lock:
+            if not self._ended:
+                console = Console(stderr=True)
+                self._live = Live(console=console, get_renderable=whole, refresh_per_second=REFRESH, transient=True)
+                self._live.start()
 
 
-class TerminalProgress:
-    """A monitor for solve(): one line on stderr that is rewritten at every check, if stderr is a terminal."""
+class Display(Watch):
+    """Listens to the stages of a command: a line of the terminal says what is under way; `times` says where time went.
+
+    since : when the process began, by time.perf_counter().
+    """
+
+    def __init__(self, since: float | None = None) -> None:
+        super().__init__(since=since)
+        self._forecasts: dict[int, Forecast] = {}  # of the solves under way, by their stage
+        self._context = ExitStack()
+
+    def __enter__(self) -> "Display":
+        self._context.enter_context(TerminalLine(self.line))
+        self._context.enter_context(watched(self))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._context.close()
+
+    def hear(self, stage: Stage) -> None:
+        if stage.report is not None:
+            self._forecasts.setdefault(id(stage), Forecast()).look(stage.report)
+
+    def end(self, old: Stage) -> None:
+        super().end(old)
+        self._forecasts.pop(id(old), None)
+
+    def line(self) -> str:
+        """Stages under way, outermost first, with what is known of them; the innermost one is always timed."""
+        now, stages = time.perf_counter(), list(self.stages)
+        words = [self._words(stage, now, stage is stages[-1]) for stage in stages]
+        return " · ".join(words) or self.between
+
+    def _words(self, stage: Stage, now: float, innermost: bool) -> str:
+        words, forecast = [stage.name], self._forecasts.get(id(stage))
+        words[0] += f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else ""
+        left = time_of_parts_left(stage, now)
+        if forecast is not None and innermost:
+            words, left = [*words, forecast.standing], forecast.left(now)
+        if not left and innermost and now - stage.began >= 1:
+            left = f"{duration(now - stage.began)} so far"
+        return ", ".join(filter(None, [*words, left]))
+
+    def times(self) -> str:
+        """All the time since the process began, and its parts."""
+        self.book()
+        parts = [f"{name} {seconds:.1f}" for name, seconds in self.seconds.items() if seconds >= LEAST_TOLD]
+        return f"{sum(self.seconds.values()):.1f} s: {', '.join(parts)}"
+
+
+class Forecast:
+    """Where a solve stands, and what is foretold of its end at its last report."""
 
     def __init__(self) -> None:
-        self.status = TerminalStatus("compiling kernels")
-        self.checks: list[tuple[float, float]] = []  # (seconds, worst gap)
-        self.first: tuple[float, int] | None = None
+        self.time_left, self.told_at = TimeLeft(), 0.0
+        self.end: tuple[float, str] | None = None
+        self.standing = ""
+        self.most = math.inf
 
-    def __enter__(self) -> "TerminalProgress":
-        self.status.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.status.__exit__()
-
-    def __call__(self, report: Any) -> None:
-        if not self.status.shown:
-            return
-        progress = report.progress
-        if self.first is None:
-            self.first = (report.seconds, progress.iteration)
-        worst = float(np.max(report.gap))
-        self.checks.append((report.seconds, worst))
-        rate = (progress.iteration - self.first[1]) / max(report.seconds - self.first[0], 1e-9)
-        words = [f"{progress.iteration:,} iterations", f"{rate:,.0f}/s"]
+    def look(self, report: Any) -> None:
+        progress, stop = report.progress, report.stop
+        self.end, self.told_at = self.time_left.look(report), time.perf_counter()
+        self.most = stop.seconds - report.seconds
+        words = [counted(progress.iteration, "iteration")]
         words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
-        words += [f"P = {float(np.mean(report.power)):.8g}", f"gap {worst:.1e}"]
-        left = self._seconds_left(report.stop.tolerance)
-        if rate > 0 and math.isfinite(rate):
-            left = min(left, (report.stop.iterations - progress.iteration) / rate)
-        left = min(left, report.stop.seconds - report.seconds)
-        if math.isfinite(report.stop.duration):  # goes on for that long, whatever the gap
-            left = self._seconds_to(report.stop.duration, progress.time, report.seconds)
-        words.append(f"{duration(left)} left" if math.isfinite(left) else "time left unknown")
-        self.status("  ".join(words))
+        words += [f"P = {float(np.mean(report.power)):.8g}", f"gap {float(np.max(report.gap)):.1e}"]
+        self.standing = ", ".join(words)
 
-    def _seconds_to(self, duration: float, time: float, seconds: float) -> float:
-        """Wall time to the end of the simulated time, at the pace so far."""
-        return seconds * (duration - time) / time if time > 0 else math.inf
+    def left(self, now: float) -> str:
+        """Time left and until what, where that is known; the time limit where it comes first."""
+        since = now - self.told_at
+        if self.end is not None and since < self.end[0] < self.most:
+            return f"{duration(self.end[0] - since)} left to {self.end[1]}"
+        return f"{duration(self.most - since)} left to the time limit" if math.isfinite(self.most) else ""
 
-    def _seconds_left(self, tolerance: float) -> float:
-        """Extrapolate the gap as a power of the time over the second half of the run."""
-        now, gap = self.checks[-1]
-        earlier = next(((s, g) for s, g in self.checks if s >= now / 2), None)
-        if earlier is None or earlier[0] >= now or not 0 < gap < earlier[1] or gap <= tolerance:
-            return math.inf
-        slope = math.log(earlier[1] / gap) / math.log(now / earlier[0])
-        exponent = math.log(gap / tolerance) / slope
-        return now * (math.exp(exponent) - 1) if exponent < 50 else math.inf
+
+def time_of_parts_left(stage: Stage, now: float) -> str:
+    """Time left of a stage in parts, from the time that the parts before have taken; the first one may compile."""
+    if len(stage.done) < 3:
+        return ""
+    (began, before), (seconds, share) = stage.done[1], stage.done[-1]
+    left = (1 - share) * (seconds - began) / (share - before) - (now - stage.began - seconds)
+    return f"{duration(left)} left" if left > 0 else ""
 
 
 def duration(seconds: float) -> str:
@@ -108,24 +172,27 @@ class ScanDisplay:
     """
 
     def __init__(self, heartbeat: float | None = None) -> None:
-        self.status = TerminalStatus()
+        self.progress: Any = None
+        self.line = TerminalLine(self._words)
         self.every = (HEARTBEAT if _is_file(sys.stderr) else 0.0) if heartbeat is None else heartbeat
         self.told = time.monotonic()
 
     def __enter__(self) -> "ScanDisplay":
-        self.status.__enter__()
+        self.line.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.status.__exit__()
+        self.line.__exit__()
 
     def __call__(self, progress: Any) -> None:
-        if self.status.shown:
-            self.status(describe_scan(progress, samples=True))
+        self.progress = progress
         if self.every and time.monotonic() - self.told >= self.every:
             self.told = time.monotonic()
             stamp = time.strftime("%Y-%m-%d %H:%M:%S")
             print(f"{stamp}  {describe_scan(progress)}", file=sys.stderr, flush=True)
+
+    def _words(self) -> str:
+        return "reading" if self.progress is None else describe_scan(self.progress, samples=True)
 
 
 def describe_scan(progress: Any, samples: bool = False) -> str:
@@ -134,6 +201,8 @@ def describe_scan(progress: Any, samples: bool = False) -> str:
     words += [f"{progress.failed:,} failed"] if progress.failed else []
     words += [f"{progress.rate:.3g}/s"] if progress.rate else []
     left = progress.seconds_left
+    if progress.done + progress.failed == progress.total:
+        return "  ".join([*words, "writing"])
     words.append(f"{duration(left)} left" if left is not None else "time left unknown")
     if samples and progress.running:
         words.append("now " + "; ".join(sample.label for sample in progress.running[:2]))

@@ -7,6 +7,8 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import json_option, run_options
 
+from taichi_bearings.words import counted
+
 
 @click.command()
 @click.argument("scene", required=False, metavar="[SCENE.toml]")
@@ -45,7 +47,8 @@ def command(
       bearings run --method cundall-strack --duration 10 --record log:1e-4,10,100 --checkpoint-every 60 --out outputs/a
       bearings run --resume outputs/a --duration 20
     """
-    from taichi_bearings_cli.progress import TerminalProgress
+    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.errors import InputError
     from taichi_bearings.studies import run as study
@@ -55,41 +58,55 @@ def command(
     if resume:
         if scene or out or force:
             raise InputError(f"resume is {resume!r}: a resumed run keeps its scene and its directory; leave them out")
-        with TerminalProgress() as progress:
-            solution, summary = study.resume(Path(resume), given, [progress])
-        _finish(context, solution, summary, verify, as_json)
+        with Display(STARTED) as display:
+            solution, summary = study.resume(Path(resume), given)
+            verdict = _verdict(summary, verify)
+        _finish(context, solution, summary, verdict, display.times(), as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
     out, force = out or stored_out, stored_force if force is None else force
     if not isinstance(out, str | None) or not isinstance(force, bool):
         raise InputError(f"out is {out!r} and force is {force!r}; they must be a text, and true or false")
     settings = RunSettings.from_mapping(values | given, scene or "the options")
-    with TerminalProgress() as progress:
-        solution, summary = study.run(settings, Path(out) if out else None, force, [progress])
-    _finish(context, solution, summary, verify, as_json)
+    with Display(STARTED) as display:
+        solution, summary = study.run(settings, Path(out) if out else None, force)
+        verdict = _verdict(summary, verify)
+    _finish(context, solution, summary, verdict, display.times(), as_json)
 
 
-def _finish(context: click.Context, solution: Any, summary: dict[str, Any], verify: bool, as_json: bool) -> None:
+def _verdict(summary: dict[str, Any], asked: bool) -> dict[str, Any] | None:
+    """What `bearings verify` says of the run, if it was asked for."""
+    if not asked:
+        return None
+    from taichi_bearings.studies.verify import verify
+
+    return verify(Path(summary["run"]))
+
+
+def _finish(
+    context: click.Context,
+    solution: Any,
+    summary: dict[str, Any],
+    verdict: dict[str, Any] | None,
+    times: str,
+    as_json: bool,
+) -> None:
     """Print the summary and leave with the exit code that the status asks for."""
-    verdict = {"verified": True}
-    if verify:
-        from taichi_bearings_cli.verify import describe as describe_verdict
-
-        from taichi_bearings.studies.verify import verify as verify_run
-
-        verdict = verify_run(Path(summary["run"]))
-        summary = summary | {"verification": verdict}
     if as_json:
-        click.echo(json.dumps(summary, allow_nan=False))
+        click.echo(json.dumps(summary | ({"verification": verdict} if verdict else {}), allow_nan=False))
     else:
-        click.echo("\n".join([describe(summary), *([describe_verdict(verdict)] if verify else [])]))
+        click.echo(describe(summary, times))
+        if verdict:
+            from taichi_bearings_cli.verify import describe as describe_verdict
+
+            click.echo(describe_verdict(verdict))
     if solution.status.value == "interrupted":
         context.exit(130)
-    context.exit(0 if solution.status.reached and verdict["verified"] else 1)
+    context.exit(0 if solution.status.reached and (verdict is None or verdict["verified"]) else 1)
 
 
-def describe(summary: dict[str, Any]) -> str:
-    """A short summary for people."""
+def describe(summary: dict[str, Any], times: str) -> str:
+    """A short summary for people. times : where the time went."""
     shape = "x".join(map(str, summary["shape"]))
     status = summary["status"] if isinstance(summary["status"], str) else ", ".join(sorted(set(summary["status"])))
     lines = [f"{shape} {summary['law']}, {summary['method']}: {status}"]
@@ -115,8 +132,7 @@ def describe(summary: dict[str, Any]) -> str:
     if "power_normalised" in summary and len(seeds) == 1:
         lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")
     lines.append(
-        f"  {summary['iterations']:,} iterations in {summary['seconds']:.2f} s "
-        f"(and {summary['seconds_compile']:.2f} s to compile) on {summary['arch']}, {summary['precision']}"
+        f"  {counted(summary['iterations'], 'iteration')} on {summary['arch']}, {summary['precision']}; {times}"
     )
     lines.append(f"  run: {summary['run']}")
     picture = Path(summary["run"]) / "power_histogram.png"

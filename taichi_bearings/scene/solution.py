@@ -78,6 +78,9 @@ class Progress:
     settled : (R,), True where the states are final. resolved : (R,), where they are proven to be those of a minimum.
     unsettled : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each.
+    geometric : the gap falls by like factors in like times; else roughly like a power of the time.
+    settles_at : gap from which on the method settles contact states, which takes its own time, if it does.
+    needed : iterations of the method in all, where that is known beforehand.
     """
 
     iteration: int
@@ -102,6 +105,9 @@ class Progress:
     resolved: np.ndarray | None = None
     unsettled: bool = False
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    geometric: bool = False
+    settles_at: float | None = None
+    needed: int | None = None
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.stages import stage
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import Samples
 
@@ -71,17 +72,20 @@ def solve(
     spec = method.plan(scene, spin)
     with _Interrupt() as interrupt:
         fields = Fields(make_layout(scene.replicas, scene.lattice.shape), spec) if spec else None
-        method.begin(scene, spin, fields)
+        with stage("compiling" if method.needs_taichi else "preparing"):
+            method.begin(scene, spin, fields)
         compiled = time.perf_counter()
         course = _Course(scene, method, stop, recording, checkpoints, interrupt)
-        status, progress, seconds = course.follow(monitors)
+        with stage("solving") as solving:
+            status, progress, seconds = course.follow([solving.tell, *monitors])
         best, recorder = course.best, course.recorder
         final = replace(best.progress, iteration=progress.iteration)
         proof = best.proof
-    return _collect(
-        scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds, compiled - began,
-        slip_threshold,
-    )  # fmt: skip
+    with stage("proving contact states"):
+        return _collect(
+            scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds, compiled - began,
+            slip_threshold,
+        )  # fmt: skip
 
 
 class _Course:

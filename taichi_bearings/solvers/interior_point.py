@@ -28,6 +28,7 @@ from taichi_bearings.solvers.cone import length
 from taichi_bearings.solvers.contact_system import free_shape, lattice_system
 from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 from taichi_bearings.solvers.resolution import Resolved, resolve
+from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
@@ -160,7 +161,8 @@ class InteriorPoint:
         sample.done |= not gap > CLOSEST
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
-            sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.top)
+            with stage("settling contact states"):
+                sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.top)
             sample.done |= sample.resolved is not None
 
     def progress(self) -> Progress:
@@ -200,6 +202,8 @@ class InteriorPoint:
             settled=np.array([sample.resolved is not None for sample in self.samples]),
             resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             unsettled=self.frustrated and not all(sample.done for sample in self.samples),
+            geometric=True,
+            settles_at=SETTLE,
         )
 
     def _spins(self, sample: _Sample) -> Pair:

@@ -126,6 +126,7 @@ class LinearSolver:
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=self.iteration == len(self.bundles),
+            needed=len(self.bundles),
         )
 
 

@@ -1,7 +1,7 @@
 """The structure of a stored run: `bearings analyse`."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from taichi_bearings.files.analysis_file import write_analysis
 from taichi_bearings.files.run_file import AXES, StoredRun, read_run_file
 from taichi_bearings.plots.style import save
 from taichi_bearings.scene import Scene
+from taichi_bearings.stages import each, stage
 from taichi_bearings.studies.run import scene_with, settings_of
 from taichi_bearings.studies.run_directory import writable_folder
 from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
@@ -81,7 +82,6 @@ def analyse(
     replica: int = 0,
     threshold: float | None = None,
     figures: bool = True,
-    tell: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Analyse every sample of a run, write /analysis and the figures, and return the report.
 
@@ -92,7 +92,8 @@ def analyse(
     """
     if threshold is not None and not 0 < threshold < np.inf:
         raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-    run = read_run_file(path)
+    with stage("reading"):
+        run = read_run_file(path)
     samples = len(run.spin)
     if not 0 <= replica < samples:
         raise InputError(f"replica is {replica}; {path} has {samples}, counted from 0")
@@ -105,11 +106,10 @@ def analyse(
     with writable_folder(target.parent):
         began = time.perf_counter()
         numbers, findings, loads = [], [], []
-        for number in range(samples):
+        for number in each(range(samples), "analysing sample" if samples > 1 else "analysing"):
             structure = structure_of(run, number, threshold)
             if number == replica:
                 drawn = structure
-            tell(f"sample {number + 1} of {samples}")
             numbers.append(numbers_of(structure))
             findings.append(findings_of(structure))
             loads.append(structure.bottlenecks.loads)
@@ -117,10 +117,10 @@ def analyse(
         if out is None or force:
             for name in (*FIGURES, *FIGURES_OF_ALL):  # of an earlier analysis; not all need come back
                 (target.parent / f"{name}.png").unlink(missing_ok=True)
-        write_analysis(target, findings, _flat(report), into_run=out is None)
+        with stage("writing"):
+            write_analysis(target, findings, _flat(report), into_run=out is None)
         files = [target]
-        for name, file in paths.items():
-            tell(f"figure {name}")
+        for name, file in each(list(paths.items()), "drawing figure"):
             figure = FIGURES_OF_ALL[name](loads) if name in FIGURES_OF_ALL else FIGURES[name](drawn)
             if figure is not None:
                 save(figure, file)

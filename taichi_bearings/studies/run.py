@@ -21,6 +21,7 @@ from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.stages import stage
 from taichi_bearings.studies.run_directory import RunDirectory, default_run_path, in_use, undisturbed
 from taichi_bearings.studies.settings import RunSettings, parse_toml
 
@@ -129,10 +130,11 @@ class Job:
 
 def prepare(settings: RunSettings) -> Job:
     """Build everything the settings describe; every input error is raised here, before anything is computed."""
-    scene = build_scene(settings)
-    method = build_method(settings, scene)
-    _refuse_time_without_dynamics(settings, method)
-    return Job(settings, scene, initial_spin(scene, settings.initial), method)
+    with stage("reading"):
+        scene = build_scene(settings)
+        method = build_method(settings, scene)
+        _refuse_time_without_dynamics(settings, method)
+        return Job(settings, scene, initial_spin(scene, settings.initial), method)
 
 
 def _refuse_time_without_dynamics(settings: RunSettings, method: Any) -> None:
@@ -168,7 +170,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
 
     settings = job.settings
     if job.method.needs_taichi:
-        runtime.start(settings.arch, settings.precision, settings.threads)
+        with stage("starting Taichi"):
+            runtime.start(settings.arch, settings.precision, settings.threads)
     stop = StopRule(
         settings.tolerance,
         _iteration_limit(settings),
@@ -380,13 +383,15 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     from taichi_bearings.analysis.histogram import power_histogram
     from taichi_bearings.studies.histogram import write_table
 
-    stored = _self_contained(job, folder)
-    summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
-    (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
-    histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
-    write_table(folder / "power_histogram.csv", {None: histogram})
+    with stage("writing"):
+        stored = _self_contained(job, folder)
+        summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
+        (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
+        histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
+        write_table(folder / "power_histogram.csv", {None: histogram})
     if stored.figures == "all":
-        _draw(folder, histogram)
+        with stage("drawing"):
+            _draw(folder, histogram)
     full = summary | {"settings": asdict(job.settings), "versions": versions()}
     (folder / "summary.json").write_text(json.dumps(full, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return summary

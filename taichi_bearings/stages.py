@@ -1,0 +1,109 @@
+"""What is being done right now: stages within stages, each named where its work begins.
+
+`with stage("drawing")` stands around work that takes long, `for seed in each(seeds, "sample")` where there is much of a
+kind. Who wants to know - a terminal, a summary whose times add up - listens: `with watched(Watch())`. Where nobody
+listens, in another thread or process too, a stage is nothing.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+Item = TypeVar("Item")
+
+
+@dataclass
+class Stage:
+    """Some work under way. name : what it is, as in "drawing". began : by time.perf_counter().
+
+    number, total : which part of how many is under way; 0 where there are none.
+    done : (seconds since it began, share of the work that was done then), at the start of each part.
+    report : what the work itself tells of where it stands, if it does.
+    """
+
+    name: str
+    number: int = 0
+    total: int = 0
+    began: float = field(default_factory=time.perf_counter)
+    done: list[tuple[float, float]] = field(default_factory=list)
+    report: Any = None
+
+    def tell(self, report: Any) -> None:
+        """Let whoever listens know where this stage stands."""
+        self.report = report
+        if watch := _watch.get():
+            watch.hear(self)
+
+
+class Watch:
+    """Listens to stages.
+
+    stages : those under way, outermost first. seconds : wall time by name, without that of stages inside, in the order
+    in which they first began.
+    """
+
+    def __init__(self, between: str = "loading", since: float | None = None) -> None:
+        """between : what the time outside all stages is called. since : when it began, by time.perf_counter()."""
+        self.between, self.stages = between, list[Stage]()
+        self.seconds = {between: 0.0}
+        self._since = time.perf_counter() if since is None else since
+
+    def begin(self, new: Stage) -> None:
+        self.book()
+        self.stages.append(new)
+        self.seconds.setdefault(new.name, 0.0)
+
+    def end(self, old: Stage) -> None:
+        self.book()
+        del self.stages[self.stages.index(old) :]
+
+    def hear(self, stage: Stage) -> None:
+        """Called whenever a stage tells where it stands."""
+
+    def book(self) -> None:
+        """Count the time until now."""
+        now = time.perf_counter()
+        self.seconds[self.stages[-1].name if self.stages else self.between] += now - self._since
+        self._since = now
+
+
+_watch: ContextVar[Watch | None] = ContextVar("watch", default=None)
+
+
+@contextmanager
+def watched(watch: Watch) -> Iterator[Watch]:
+    """Let `watch` hear of all stages inside."""
+    before = _watch.set(watch)
+    try:
+        yield watch
+    finally:
+        _watch.reset(before)
+
+
+@contextmanager
+def stage(name: str) -> Iterator[Stage]:
+    """The work inside is called `name`."""
+    new, watch = Stage(name), _watch.get()
+    if watch:
+        watch.begin(new)
+    try:
+        yield new
+    finally:
+        if watch:
+            watch.end(new)
+
+
+def each(items: Sequence[Item], name: str, work: Callable[[Item], float] = lambda _: 1.0) -> Iterator[Item]:
+    """The items one after another; the stage says which of how many is under way. work : of an item, in any unit."""
+    shares = [work(item) for item in items]
+    whole = sum(shares) or 1.0
+    with stage(name) as under_way:
+        under_way.total = len(items)
+        for number, item in enumerate(items):
+            under_way.number = number + 1
+            under_way.done.append((time.perf_counter() - under_way.began, sum(shares[:number]) / whole))
+            under_way.tell(None)
+            yield item

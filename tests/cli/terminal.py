@@ -1,0 +1,69 @@
+"""Commands on a terminal: what each writing of its line says."""
+
+import contextlib
+import os
+import re
+import struct
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+
+CONTROL = re.compile(rb"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+@dataclass
+class Session:
+    """frames : (seconds since the start, text) of each writing. raw : all that stderr wrote."""
+
+    returncode: int
+    stdout: str
+    frames: list[tuple[float, str]] = field(default_factory=list)
+    raw: bytes = b""
+    seconds: float = 0.0
+
+
+def on_terminal(*words, columns=100, stop=None):
+    """Run `bearings` with stderr on a pseudo-terminal of that width. stop : ends it by Ctrl-C once this is written."""
+    import fcntl
+    import pty
+    import termios
+
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    command = [sys.executable, "-m", "taichi_bearings_cli", *map(str, words)]
+    began, session = time.monotonic(), Session(-1, "")
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=theirs, text=True, env=environment | {"TERM": "xterm"}
+    ) as process:
+        os.close(theirs)
+        with contextlib.suppress(OSError):  # EIO: the other end is closed
+            while part := os.read(ours, 65536):
+                session.raw += part
+                text = CONTROL.sub(b"\r", part).decode(errors="replace")
+                now = time.monotonic() - began
+                session.frames += [(now, line.strip()) for line in re.split(r"[\r\n]+", text) if line.strip()]
+                if stop is not None and any(stop in line for _, line in session.frames):
+                    process.send_signal(2)
+                    stop = None
+        session.stdout = process.stdout.read()
+    os.close(ours)
+    session.returncode, session.seconds = process.returncode, time.monotonic() - began
+    return session
+
+
+def show(session, every=1.0):
+    """Print what was on the terminal, a writing at a time."""
+    last = -every
+    for seconds, line in session.frames:
+        if seconds - last >= every:
+            print(f"{seconds:7.1f} s  {line}")
+            last = seconds
+
+
+if __name__ == "__main__":
+    seen = on_terminal(*sys.argv[2:], columns=int(sys.argv[1]))
+    show(seen, seen.seconds / 40)
+    print(f"took {seen.seconds:.1f} s, exit code {seen.returncode}")
+    print(seen.stdout, end="")

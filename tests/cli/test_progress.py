@@ -1,0 +1,67 @@
+"""What a terminal shows while commands work: phases, times left from what is left, one line. Nothing in a pipe."""
+
+import re
+import sys
+import time
+
+import pytest
+from taichi_bearings_cli.progress import Display, describe_scan
+
+from taichi_bearings.stages import each, stage
+from taichi_bearings.studies.scan import ScanProgress
+from tests.cli.test_cli import bearings
+
+if sys.platform == "win32":
+    pytest.skip("pseudo-terminals are of Unix", allow_module_level=True)
+from tests.cli.terminal import on_terminal
+
+CUBE = ("--shape", "10,10,10", "--threads", "1")
+
+
+def test_a_run_names_its_phases_on_one_line_and_says_where_the_time_went(tmp_path):
+    session = on_terminal("run", *CUBE, "--out", tmp_path / "a", columns=60)
+    assert session.returncode == 0
+    shown = [line for _, line in session.frames]
+    assert any("drawing" in line for line in shown)
+    assert all(len(line) <= 60 for line in shown)
+    assert not any(" h left" in line for line in shown)
+    (times,) = re.findall(r"([\d.]+) s: (.*)", session.stdout)
+    parts = dict(part.rsplit(" ", 1) for part in times[1].split(", "))
+    assert {"loading", "drawing"} <= parts.keys()
+    assert sum(map(float, parts.values())) == pytest.approx(float(times[0]), abs=0.5)
+    assert float(times[0]) > 0.8 * session.seconds - 0.3
+
+
+def test_nothing_but_the_answer_in_a_pipe(tmp_path):
+    done = bearings("run", *CUBE, "--out", tmp_path / "a")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_stages_in_parts_foretell_their_end_from_the_parts_that_are_done():
+    display, seen = Display(), []
+    with display:
+        for number in each(range(12), "sample"):
+            time.sleep(0.2 if number == 0 else 0.02)  # the first one compiles
+            with stage("solving"):
+                seen.append(display.line())
+    assert seen[0] == "sample 1 of 12 · solving"
+    assert seen[6] == "sample 7 of 12, 0 s left · solving"
+
+
+@pytest.mark.parametrize("columns", [60, 140])
+def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
+    file = tmp_path / "scan.toml"
+    file.write_text(
+        'shape = [10, 10, 10]\nlaw = "coulomb"\n[scan]\nseed = { start = 0, stop = 12 }\nspin_bottom = [0.1, 0.25]\n'
+        'distribution = ["uniform:0.1,1.0", "lognormal:0.4,1.0"]\ndirection = [[1, 1, 0], [1, 0, 0]]\n'
+    )
+    session = on_terminal("scan", file, "--out", tmp_path / "s", "--workers", "1", columns=columns, stop="now")
+    assert session.returncode == 130
+    lines = [line for _, line in session.frames if "samples" in line]
+    assert lines
+    assert all(len(line) <= columns for line in lines)
+    assert any(line.endswith("…") for line in lines) == (columns < 140)
+
+
+def test_a_scan_whose_samples_are_done_is_writing():
+    assert describe_scan(ScanProgress(4, 0, done=3, failed=1)).endswith("writing")
