@@ -24,8 +24,11 @@ def throughput(shape: str, threads: str | None, as_json: bool) -> None:
     Example:
       bearings benchmark throughput --shape 32,32,32 --threads 1,2
     """
+    from taichi_bearings_cli.progress import Display
+
     from taichi_bearings.errors import InputError
     from taichi_bearings.runtime import available_threads
+    from taichi_bearings.stages import each
     from taichi_bearings.studies.settings import RunSettings
     from taichi_bearings.studies.throughput import measure
 
@@ -39,7 +42,8 @@ def throughput(shape: str, threads: str | None, as_json: bool) -> None:
         raise InputError(f"threads is {threads!r}; it must be whole numbers such as 1,2") from None
     if not all(1 <= number <= most for number in counts):
         raise InputError(f"threads is {threads!r}; this process may use 1 to {most}")
-    rows = [row for number in counts for row in measure(sides, number)]
+    with Display():
+        rows = [row for number in each(counts, "measuring, thread count") for row in measure(sides, number)]
     if as_json:
         click.echo(json.dumps({"shape": list(sides), "rows": [asdict(row) for row in rows]}))
         return
@@ -92,6 +96,8 @@ def accuracy(
       bearings benchmark accuracy --time-limit 60 --out outputs/accuracy
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
+    from taichi_bearings_cli.progress import Display
+
     from taichi_bearings.studies.accuracy import choose_methods, choose_scenes, measure_all
     from taichi_bearings.studies.accuracy_report import ReportFiles, summarise, table
     from taichi_bearings.studies.peers import find_peers
@@ -101,7 +107,8 @@ def accuracy(
     chosen = choose_methods(methods)
     files = ReportFiles(Path(out) if out else default_run_path("accuracy"), force)
     here, missing = find_peers() if peers else ([], {})
-    results, interrupted = measure_all(scenes, chosen, here, lambda line: click.echo(line, err=True))
+    with Display():
+        results, interrupted = measure_all(scenes, chosen, here, lambda line: click.echo(line, err=True))
     if not results:
         context.exit(130)
     files.write(results)

@@ -44,10 +44,13 @@ def command(
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --out outputs --force
       bearings histogram outputs/my-scan --by spin_bottom --normalise unit
     """
+    from taichi_bearings_cli.progress import Display
+
     from taichi_bearings.studies.histogram import histogram
 
     paths = [Path(run) for run in runs]
-    report = histogram(paths, Path(out) if out else None, force, bins_per_decade, normalise, by)
+    with Display():
+        report = histogram(paths, Path(out) if out else None, force, bins_per_decade, normalise, by)
     if as_json:
         click.echo(json.dumps(report, allow_nan=False))
         return

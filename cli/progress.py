@@ -99,9 +99,11 @@ class Display(Watch):
         """Stages under way, outermost first, with what is known of them; the innermost one is always timed."""
         now, stages = time.perf_counter(), list(self.stages)
         words = [self._words(stage, now, stage is stages[-1]) for stage in stages]
-        return " · ".join(words) or self.between
+        return " · ".join(filter(None, words)) or self.between
 
     def _words(self, stage: Stage, now: float, innermost: bool) -> str:
+        if stage.total == 1 and not innermost:
+            return ""
         words, forecast = [stage.name], self._forecasts.get(id(stage))
         words[0] += f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else ""
         left = time_of_parts_left(stage, now)

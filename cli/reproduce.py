@@ -43,25 +43,39 @@ def command(
           the claims about Figs. 3 and 4 over samples from 3x3x3 to 32x32x32 (8 minutes): P_min / P_cut, slipless
           network, rigid domains, what slip thresholds make of them, and other bearing states
 
-    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, report.json and report.md. Exit code 0 if every claim is confirmed,
-    some of them refined, 1 if one is refuted.
+    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, report.json and report.md, the report anew after each figure. The same
+    command with the same --out goes on with the figures that are missing, and adds others. A claim is confirmed,
+    refined (it holds with a condition or a correction), refuted, or has too few samples for a verdict; of each the
+    report says whether it rests on the samples, is a theorem, or was selected after looking.
+
+    \b
+    Exit codes: 0 no claim is refuted, 1 one is, 2 bad input, 130 interrupted (figures that are done are kept).
 
     \b
     Example:
       bearings reproduce fig2 --out outputs/fig2
     """
+    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli.progress import Display
+
     from taichi_bearings.studies.claims import Effort
     from taichi_bearings.studies.reproduce import reproduce
     from taichi_bearings.studies.run_directory import default_run_path
 
     folder = Path(out) if out else default_run_path("reproduce")
-    report = reproduce(figures, folder, Effort(seed, samples), force, lambda line: click.echo(line, err=True))
+    with Display(STARTED) as display:
+        report = reproduce(figures, folder, Effort(seed, samples), force, lambda line: click.echo(line, err=True))
     if as_json:
         click.echo(json.dumps(report, allow_nan=False))
     else:
         for found in report["figures"].values():
             for claim in found["claims"]:
-                click.echo(f"{claim['verdict']:9}  {claim['claim']}\n           {claim['finding']}")
+                rests = "" if claim["kind"] == "samples" else f" ({claim['kind']})"
+                click.echo(f"{claim['verdict']:9}  {claim['claim']}{rests}\n           {claim['finding']}")
             click.echo("\n".join(found["files"]))
-        click.echo("\n".join(report["files"]))
-    context.exit(1 if report["refuted"] else 0)
+        click.echo("\n".join([*report["files"], display.times()]))
+        if report["missing"]:
+            click.echo(
+                f"missing: {', '.join(report['missing'])}; the same command with --out {folder} goes on", err=True
+            )
+    context.exit(130 if report["interrupted"] else 1 if report["refuted"] else 0)

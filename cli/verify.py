@@ -28,15 +28,19 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
       bearings run --shape 10,10,10 --out outputs/a
       bearings verify outputs/a
     """
+    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli.progress import Display
+
     from taichi_bearings.studies.verify import verify
 
-    report = verify(Path(run))
-    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report))
+    with Display(STARTED) as display:
+        report = verify(Path(run))
+    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report, display.times()))
     context.exit(0 if report["verified"] else 1)
 
 
-def describe(report: dict[str, Any]) -> str:
-    """The verdict for people."""
+def describe(report: dict[str, Any], times: str = "") -> str:
+    """The verdict for people. times : where the time went."""
     shape = "x".join(map(str, report["shape"]))
     status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
     lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
@@ -66,7 +70,7 @@ def describe(report: dict[str, Any]) -> str:
         f"{'verified' if report['verified'] else 'NOT verified'} in {report['seconds']:.1f} s: "
         f"{'the file proves' if report['verified'] else 'the file does not prove'} what it claims"
     )
-    return "\n".join(lines)
+    return "\n".join([*lines, *([times] if times else [])])
 
 
 def _origin(report: dict[str, Any]) -> str:

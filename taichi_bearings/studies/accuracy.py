@@ -10,7 +10,7 @@ A conic solver gives no checks that the certificate could judge, so it runs once
   the true error: it never falls below the gap of the reference, and says no more than that where it comes near it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,7 @@ from taichi_bearings.scene.scene import LAWS
 from taichi_bearings.solvers import METHODS, method_class
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+from taichi_bearings.stages import each, stage
 from taichi_bearings.studies.conic import conic_programme
 from taichi_bearings.studies.peers import TOLERANCES, Peer
 from taichi_bearings.studies.run import build_scene
@@ -137,7 +138,7 @@ def choose_methods(names: str | None) -> tuple[str, ...]:
 
 
 def measure_all(
-    scenes: Iterable[RunSettings],
+    scenes: Sequence[RunSettings],
     methods: Sequence[str],
     peers: Sequence[Peer],
     say: Callable[[str], None] = lambda line: None,
@@ -149,7 +150,7 @@ def measure_all(
     """
     results: list[SceneResult] = []
     try:
-        for settings in scenes:
+        for settings in each(scenes, "scene"):
             results.append(SceneResult(build_scene(settings)))
             _measure(results[-1], settings, methods, peers, say)
     except KeyboardInterrupt:
@@ -167,7 +168,8 @@ def _measure(
     def run(name: str, call: Callable[[], Entry]) -> None:
         say(f"{result.label}: {name}")
         try:
-            entry = call()
+            with stage(f"{result.label} by {name}"):
+                entry = call()
         except InputError as error:
             result.left_out[name] = str(error)
             say(f"  left out: {error}")
@@ -176,10 +178,12 @@ def _measure(
         best = result.best(entry)
         say(f"  gap {result.gaps(entry)[best]:.1e} after {entry.seconds[best]:.3g} s ({entry.statuses[best]})")
 
-    for name in methods:
-        run(name, lambda name=name: run_method(result.scene, name, settings))  # type: ignore[misc]
-    for peer in peers:
-        run(f"{peer.name} ({peer.linear_solver})", lambda peer=peer: run_peer(result.scene, peer, settings))  # type: ignore[misc]
+    for candidate in each([*methods, *peers], "method"):
+        if isinstance(candidate, str):
+            run(candidate, lambda name=candidate: run_method(result.scene, name, settings))  # type: ignore[misc]
+        else:
+            name = f"{candidate.name} ({candidate.linear_solver})"
+            run(name, lambda peer=candidate: run_peer(result.scene, peer, settings))  # type: ignore[misc]
     if not result.entries:
         raise InputError(f"nothing can solve {result.label}: {'; '.join(result.left_out.values()) or 'no methods'}")
 

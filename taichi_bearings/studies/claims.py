@@ -2,7 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
+
+from scipy.special import betaincinv
+
+from taichi_bearings.words import counted, share
+
+VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
+KINDS = {
+    "samples": "holds for the samples drawn, and by their number for most others",
+    "theorem": "follows from the equations; the samples check the program, not the claim",
+    "selected": "the sample or the limit was chosen after looking at the results",
+}
+"""What a verdict rests on."""
+CONFIDENCE = 0.95
+HALF = 0.5
+FEWEST = 5  # samples without an exception that say, at this confidence, that most others are like them
 
 
 @dataclass(frozen=True)
@@ -10,6 +25,7 @@ class Claim:
     """text : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
 
     confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
+    samples : how many it was judged by. needed : fewer say nothing. kind : what the verdict rests on, one of KINDS.
     """
 
     text: str
@@ -17,15 +33,69 @@ class Claim:
     confirmed: bool
     numbers: Mapping[str, Any] = field(default_factory=dict)
     refined: bool = False
+    samples: int = 1
+    needed: int = 1
+    kind: Literal["samples", "theorem", "selected"] = "samples"
 
     @property
     def verdict(self) -> str:
+        if self.samples < self.needed:
+            return "too few samples"
         if not self.confirmed:
             return "refuted"
         return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
-        return {"claim": self.text, "verdict": self.verdict, "finding": self.finding, "numbers": dict(self.numbers)}
+        finding = self.finding
+        if self.verdict == "too few samples":
+            finding += f" No verdict: this needs {counted(self.needed, 'sample')} and has {self.samples:,}."
+        return {
+            "claim": self.text,
+            "verdict": self.verdict,
+            "kind": self.kind,
+            "samples": self.samples,
+            "samples_needed": self.needed,
+            "finding": finding,
+            "numbers": dict(self.numbers),
+        }
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of all samples, as a number of those drawn shows it. least, most : the exact interval (Clopper, Pearson),
+    each end at the confidence CONFIDENCE."""
+
+    hits: int
+    samples: int
+
+    @property
+    def least(self) -> float:
+        misses = self.samples - self.hits
+        return float(betaincinv(self.hits, misses + 1, 1 - CONFIDENCE)) if self.hits else 0.0
+
+    @property
+    def most(self) -> float:
+        misses = self.samples - self.hits
+        return float(betaincinv(self.hits + 1, misses, CONFIDENCE)) if misses else 1.0
+
+    def above(self, limit: float) -> dict[str, Any]:
+        """What a Claim that the share is above `limit`, within (0, 1), is judged by."""
+        return {"confirmed": self.least > limit, "samples": self.samples, "needed": self.needed_for(limit)}
+
+    def needed_for(self, limit: float) -> int:
+        """Number of samples from which such a share tells on which side of `limit` it is; no more than there are if it
+        does already."""
+        number = max(self.samples, 1)
+        while True:
+            scaled = Share(round(self.hits / max(self.samples, 1) * number), number)
+            if scaled.least > limit or scaled.most <= limit:
+                return number
+            number = number + 1 if number < 100 else int(1.05 * number)
+            if number > 10**6:
+                return number
+
+    def __str__(self) -> str:
+        return f"{self.hits:,} of {self.samples:,} ({share(self.least, 0)} to {share(self.most, 0)} of all)"
 
 
 @dataclass(frozen=True)

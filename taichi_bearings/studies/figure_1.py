@@ -34,10 +34,12 @@ from taichi_bearings.solvers.linear_solver import LinearSolver
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.studies.claims import Claim, Effort
+from taichi_bearings.stages import each, stage
+from taichi_bearings.studies.claims import FEWEST, HALF, Claim, Effort, Share
 from taichi_bearings.studies.relaxation import relax
 from taichi_bearings.studies.run import build_scene
 from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.words import counted, share
 
 SHAPE, CUBE = (10, 10), (10, 10, 10)
 PAPER_SAMPLES, PAPER_OTHERS = 1000, 17  # the paper's, and how many of them did not end at the minimum cut
@@ -58,33 +60,42 @@ END = 1e-6  # of the jump: spins at rest this close to one of the driven ones be
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write fig1.png, fig1.pdf, fig1.csv and fig1-samples.csv into `folder`; returns the claims with their verdicts."""
     runtime.start("cpu", "f64")
-    viscous = _solved(draw_scene(effort.seed, effort.samples, law="viscous"), LinearSolver())
-    cubes = _solved(draw_scene(effort.seed, min(CUBES, effort.samples), CUBE, "viscous"), LinearSolver())
-    coulomb = Minimum.of(draw_scene(effort.seed, CHEAP * effort.samples))
-    descent = Descent.of(coulomb)
-    settled = Settled.of(draw_scene(effort.seed, effort.samples))
+    with stage("viscous states"):
+        viscous = _solved(draw_scene(effort.seed, effort.samples, law="viscous"), LinearSolver())
+        cubes = _solved(draw_scene(effort.seed, min(CUBES, effort.samples), CUBE, "viscous"), LinearSolver())
+    with stage("minimum cuts"):
+        coulomb = Minimum.of(draw_scene(effort.seed, CHEAP * effort.samples))
+    with stage("descents"):
+        descent = Descent.of(coulomb)
+    with stage("minima without cuts"):
+        settled = Settled.of(draw_scene(effort.seed, effort.samples))
     few = min(FEW, effort.samples)
-    others = [Settled.of(draw_scene(effort.seed, few, distribution=name)) for name in DISTRIBUTIONS]
-    driven = [Settled.of(draw_scene(effort.seed, few, spin_bottom=bottom)) for bottom in BOTTOMS]
+    others = [
+        Settled.of(draw_scene(effort.seed, few, distribution=name)) for name in each(DISTRIBUTIONS, "distribution")
+    ]
+    driven = [Settled.of(draw_scene(effort.seed, few, spin_bottom=bottom)) for bottom in each(BOTTOMS, "driving")]
+    with stage("relaxations"):
+        any_start = _any_start(draw_scene(effort.seed, few))
     shown = shown_sample(coulomb, len(viscous.spin))
     write_spins(folder / "fig1.csv", shown, viscous, coulomb.solution)
     write_samples(folder / "fig1-samples.csv", coulomb, descent)
-    figure = draw_configurations(
-        np.abs(viscous.spin[shown]),
-        np.abs(coulomb.solution.spin[shown]),
-        [values[shown] for values in coulomb.contacts],
-        coulomb.distance,
-        descent.differs,
-    )
-    for ending in ("png", "pdf"):
-        save(figure, folder / f"fig1.{ending}")
+    with stage("drawing"):
+        figure = draw_configurations(
+            np.abs(viscous.spin[shown]),
+            np.abs(coulomb.solution.spin[shown]),
+            [values[shown] for values in coulomb.contacts],
+            coulomb.distance,
+            descent.differs,
+        )
+        for ending in ("png", "pdf"):
+            save(figure, folder / f"fig1.{ending}")
     return [
         _continuous(viscous, cubes),
         _least_power(coulomb, settled),
         _interface(coulomb, settled),
         _counted(coulomb, descent),
         _two_boundaries(coulomb, descent),
-        _any_start(draw_scene(effort.seed, few)),
+        any_start,
         _any_distribution(others),
         _any_bottom(driven),
     ]
@@ -251,8 +262,8 @@ def _continuous(flat: Solution, cubes: Solution) -> Claim:
         smooth &= least > STILL and rising > 0 and largest < 0.5
         name = "x".join(map(str, scene.lattice.shape))
         found.append(
-            f"{name}, {_samples(scene.replicas)}: every contact slips, by {least:.1e} to {largest:.2f} of the jump, "
-            f"and the mean spin rises by at least {rising:.3f} of it from each layer to the next"
+            f"{name}, {counted(scene.replicas, 'sample')}: every contact slips, by {least:.1e} to {largest:.2f} of the "
+            f"jump, and the mean spin rises by at least {rising:.3f} of it from each layer to the next"
         )
         numbers[name] = {"samples": scene.replicas, "least_slip": least, "largest_slip": largest, "least_rise": rising}
     return Claim(
@@ -260,6 +271,8 @@ def _continuous(flat: Solution, cubes: Solution) -> Claim:
         f"{'; '.join(found)} (limits: more than {STILL:g}, less than 0.5, more than 0).",
         bool(smooth),
         numbers,
+        samples=min(flat.scene.replicas, cubes.scene.replicas),
+        needed=FEWEST,
     )
 
 
@@ -287,11 +300,12 @@ def _least_power(minimum: Minimum, settled: Settled) -> Claim:
     return Claim(
         "Coulomb, 2D: the least power is that of the minimum cut.",
         f"Shortest path, largest flow and the friction forces that prove the path agree to {spread:.1e} in "
-        f"{_samples(len(minimum.spread))}, and cut the same contacts in {minimum.same_cut.sum()}. Both bounds of the "
-        f"interior-point method, which knows of no cut, agree with them to {apart:.1e} in "
-        f"{_samples(len(settled.spread))} (limit {SAME:g}).",
+        f"{counted(len(minimum.spread), 'sample')}, and cut the same contacts in {minimum.same_cut.sum()}. Both bounds "
+        f"of the interior-point method, which knows of no cut, agree with them to {apart:.1e} in "
+        f"{counted(len(settled.spread), 'sample')} (limit {SAME:g}).",
         bool(max(spread, apart) <= SAME and minimum.same_cut.all()),
         {"samples": len(minimum.spread), "spread": spread, "other_samples": len(settled.spread), "other_spread": apart},
+        kind="theorem",
     )
 
 
@@ -300,10 +314,10 @@ def _interface(minimum: Minimum, settled: Settled) -> Claim:
     nearest = float(minimum.distance.min())
     return Claim(
         "Coulomb, 2D: two bearing states, and their interface is the minimum cut.",
-        f"The minimum cut is unique in {unique.sum()} of {_samples(len(unique))} (the nearest second cut is heavier by "
-        f"{nearest:.1e}), so the minimum is, and all its slip is at the cut. The contacts that slip by the "
-        f"interior-point method are exactly those of the cut in {same.sum()} of {_samples(len(same))}, proven by "
-        f"forces in {proven.sum()}.",
+        f"The minimum cut is unique in {unique.sum()} of {counted(len(unique), 'sample')} (the nearest second cut is "
+        f"heavier by {nearest:.1e}), so the minimum is, and all its slip is at the cut. The contacts that slip by the "
+        f"interior-point method are exactly those of the cut in {same.sum()} of {counted(len(same), 'sample')}, proven "
+        f"by forces in {proven.sum()}.",
         bool(unique.all() and same.all()),
         {
             "samples": len(unique),
@@ -313,11 +327,13 @@ def _interface(minimum: Minimum, settled: Settled) -> Claim:
             "identical": int(same.sum()),
             "proven": int(proven.sum()),
         },
+        kind="theorem",
     )
 
 
 def _counted(minimum: Minimum, descent: Descent) -> Claim:
     samples, failed = len(descent.differs), int(descent.differs.sum())
+    others = Share(failed, samples)
     order = np.sort(minimum.distance)
     expected = round(PAPER_OTHERS * samples / PAPER_SAMPLES)
     limit = float(order[min(expected, samples - 1)])
@@ -328,13 +344,13 @@ def _counted(minimum: Minimum, descent: Descent) -> Claim:
     return Claim(
         "The boundary that a descent reaches is the minimum cut in 983 of 1000 samples; the others nearly tie.",
         f"After {DESCENT} iterations with momentum, from random spins, the contacts that slip by more than {VISIBLE:g} "
-        f"of the jump are those of the cut in {samples - failed} of {samples} (limit {MOST:.0%} others, or two). In "
+        f"of the jump are those of the cut in {samples - failed} of {samples}; others: {others} (limit {MOST:.0%}). In "
         f"{explained.sum()} of the {failed} others the second cut, heavier by e, is near enough to explain it (e <= "
-        f"excess of the power / {VISIBLE:g}).{farthest} In {higher:.1%} of all pairs the sample that ends at the cut "
-        f"has the larger e (limit {IN_ORDER:.0%}). {expected} of {samples} have e below {limit:.1e}: if two cuts "
-        "that near count as tied, the paper's count follows. The count of a descent depends on its length and on what "
-        "counts as slip; at the exact minimum it is all of them.",
-        bool(failed <= max(2, MOST * samples) and explained.all() and higher >= IN_ORDER),
+        f"excess of the power / {VISIBLE:g}).{farthest} In {share(higher)} of all pairs the sample that ends at the "
+        f"cut has the larger e (limit {IN_ORDER:.0%}, from {FEWEST} others on). {expected} of {samples} have e below "
+        f"{limit:.1e}: if two cuts that near count as tied, the paper's count follows. The count of a descent "
+        "depends on its length and on what counts as slip; at the exact minimum it is all of them.",
+        bool(others.most <= MOST and explained.all() and (failed < FEWEST or higher >= IN_ORDER)),
         {
             "samples": samples,
             "iterations": DESCENT,
@@ -347,6 +363,8 @@ def _counted(minimum: Minimum, descent: Descent) -> Claim:
             "median_excess": float(np.median(descent.excess)),
         },
         refined=True,
+        samples=samples,
+        needed=others.needed_for(MOST),
     )
 
 
@@ -366,18 +384,21 @@ def _two_boundaries(minimum: Minimum, descent: Descent) -> Claim:
         outside.append(slips[chosen] & ~first[chosen] & ~other)
         both.append(slips[chosen] & other & ~first[chosen])
     within, at_second = count(outside) == 0, count(both) > 0
+    found = Share(int((within & at_second).sum()), len(chosen))
     return Claim(
         "In the remaining cases two boundaries are present, at two minimal cuts of nearly equal value.",
         f"In {within.sum()} of {len(chosen)} such samples all visible slip is on the lightest two cuts, and in "
-        f"{at_second.sum()} contacts of the second cut alone do slip (limit: two thirds but one; a third may be near). "
+        f"{at_second.sum()} contacts of the second cut alone do slip; both: {found} (limit: more than half). "
         f"Flows that spare a contact of the cut find the second cut as heavy as the paths do in {same.sum()}.",
-        bool(3 * (within & at_second).sum() >= 2 * len(chosen) - 3 and same.all()),
+        bool(found.least > HALF and same.all()),
         {
             "seeds": [minimum.solution.scene.seeds[n] for n in chosen],
             "distance": minimum.distance[chosen].tolist(),
             "excess": descent.excess[chosen].tolist(),
             "on_two_cuts": within.tolist(),
         },
+        samples=found.samples,
+        needed=found.needed_for(HALF),
     )
 
 
@@ -389,9 +410,11 @@ def _any_start(scene: Scene) -> Claim:
     return Claim(
         "Whatever the initial spins, the system evolves to the same stationary state.",
         f"Cundall-Strack dynamics from {' and from '.join(STARTS)} spins end with all spins within {worst:.1e} of the "
-        f"jump of the two domains of the minimum cut, in {_samples(scene.replicas)} (limit {END:g}).",
+        f"jump of the two domains of the minimum cut, in {counted(scene.replicas, 'sample')} (limit {END:g}).",
         worst <= END,
         {"samples": scene.replicas} | {f"apart_from_{start}": float(value) for start, value in apart.items()},
+        samples=scene.replicas,
+        needed=FEWEST,
     )
 
 
@@ -408,6 +431,7 @@ def _any_distribution(others: Sequence[Settled]) -> Claim:
         f"samples whose slipping contacts are those of the cut, of those whose cut is unique: {'; '.join(found)}.",
         holds,
         numbers,
+        kind="theorem",
     )
 
 
@@ -425,8 +449,5 @@ def _any_bottom(driven: Sequence[Settled]) -> Claim:
         f"{'; '.join(found)}.",
         holds,
         numbers,
+        kind="theorem",
     )
-
-
-def _samples(number: int) -> str:
-    return f"{number} sample{'' if number == 1 else 's'}"

@@ -14,13 +14,16 @@ from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.style import save
-from taichi_bearings.studies.claims import Claim, Effort
+from taichi_bearings.stages import each, stage
+from taichi_bearings.studies.claims import FEWEST, Claim, Effort, Share
 from taichi_bearings.studies.network import MOST, certified, mean
 from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.words import share as in_percent
 
 SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
 MOST_SAMPLES = 40
 NETWORK = "Its slipless contacts form a network that joins bottom and top and attains practically every sphere."
+RARE = 0.1  # share of the samples up to which a network that joins the planes counts as missing
 INTERMEDIATE = 0.1  # share of the free spheres that counts as many
 
 
@@ -29,9 +32,10 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     samples = spanning_samples(effort)
     shown = samples[0]
     scene = shown.scene
-    figure = draw_network(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
-    for ending in ("png", "pdf"):
-        save(figure, folder / f"fig3.{ending}")
+    with stage("drawing"):
+        figure = draw_network(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
+        for ending in ("png", "pdf"):
+            save(figure, folder / f"fig3.{ending}")
     write_path(folder / "fig3.csv", shown)
     if not shown.network.spans:
         return [_intermediate(shown), _no_network(effort)]
@@ -42,7 +46,9 @@ def spanning_samples(effort: Effort) -> list[Structure]:
     """Certified samples of the paper's size whose slipless contacts join bottom and top, and the first one if none."""
     runtime.start("cpu", "f64")
     seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
-    samples = [certified(RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM)) for seed in seeds]
+    samples = []
+    for seed in each(seeds, "sample"):
+        samples.append(certified(RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM)))
     return [sample for sample in samples if sample.network.spans] or samples[:1]
 
 
@@ -60,10 +66,11 @@ def _intermediate(shown: Structure) -> Claim:
     return Claim(
         "10x10x10, omega_T = 10 omega_B: many spheres in the middle are in intermediate bearing states.",
         f"Seed {shown.scene.seeds[0]}, minimum proven within {(shown.power - shown.lower_bound) / shown.power:.0e}: "
-        f"{share:.0%} of the {total} free spheres are locked to neither plane (limit {INTERMEDIATE:.0%}), "
+        f"{in_percent(share, 0)} of the {total} free spheres are locked to neither plane (limit {INTERMEDIATE:.0%}), "
         f"{kinds['bottom']} turn with the bottom, {kinds['top']} with the top.",
         share > INTERMEDIATE,
         {"seed": shown.scene.seeds[0], "free_spheres_locked_to": kinds, "domains": shown.domains.number},
+        kind="selected",
     )
 
 
@@ -72,21 +79,23 @@ def _network(shown: Structure) -> Claim:
     return Claim(
         NETWORK,
         f"Seed {shown.scene.seeds[0]}, the first one whose network joins them: {len(network.axis)} slipless "
-        f"contacts touch {network.reached_fraction:.2%} of the free spheres; {network.spanning_fraction:.2%} belong to "
+        f"contacts touch {in_percent(network.reached_fraction, 2)} of the free spheres; "
+        f"{in_percent(network.spanning_fraction, 2)} belong to "
         "the piece that joins the planes. Not every sample has one: see `network`.",
         network.spans and network.spanning_fraction > 0.99,
         {"reached_fraction": network.reached_fraction, "spanning_fraction": network.spanning_fraction},
         refined=True,
+        kind="selected",
     )
 
 
 def _no_network(effort: Effort) -> Claim:
+    none = Share(0, min(MOST_SAMPLES, effort.samples))
     return Claim(
         NETWORK,
-        f"In none of {min(MOST_SAMPLES, effort.samples)} samples from seed {effort.seed} do they join the planes; more "
-        "samples may have one, see `network`.",
-        False,
-        {"seed": effort.seed, "samples": min(MOST_SAMPLES, effort.samples)},
+        f"They join the planes in {none} samples from seed {effort.seed} (limit: {RARE:.0%}); see `network`.",
+        numbers={"seed": effort.seed, "samples": none.samples},
+        **none.above(RARE),
     )
 
 
@@ -99,6 +108,7 @@ def _path(shown: Structure) -> Claim:
         "across y. It needs two of each at least, since slipless contacts within a plane across x tie Omega_x.",
         min(planes) > 1,
         {"contacts": max(len(path) - 1, 0), "planes": list(planes)},
+        kind="theorem",
     )
 
 
@@ -116,4 +126,6 @@ def _few_links(samples: list[Structure]) -> Claim:
         f"samples have links that part the planes alone, on average {mean(parting)} in each sample.",
         bool(largest.min() > MOST),
         {"busiest": largest.tolist(), "effective_links": effective.tolist(), "parting_links": parting},
+        samples=len(samples),
+        needed=FEWEST,
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, planes_of
 from taichi_bearings.plots.style import save
+from taichi_bearings.stages import stage
 from taichi_bearings.studies.claims import Claim, Effort
 from taichi_bearings.studies.figure_3 import spanning_samples
 
@@ -15,9 +16,10 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     samples = spanning_samples(effort)
     shown = samples[0]
     scene, path = shown.scene, shown.network.shortest_path
-    figure = draw_plane_cuts(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
-    for ending in ("png", "pdf"):
-        save(figure, folder / f"fig4.{ending}")
+    with stage("drawing"):
+        figure = draw_plane_cuts(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
+        for ending in ("png", "pdf"):
+            save(figure, folder / f"fig4.{ending}")
     if not shown.network.spans:
         return []
     within = [bool(sample.network.spans_within_planes(axis).any()) for sample in samples for axis in (0, 1)]
@@ -33,5 +35,6 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
             f"{held.sum()} of the {len(held)} contacts of the path.",
             not any(within),
             {"samples": len(samples), "planes": [[int(axis), int(index)] for axis, index in planes]},
+            kind="theorem",
         )
     ]

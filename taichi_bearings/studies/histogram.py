@@ -18,6 +18,7 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.run_file import StoredRun, read_run_file
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import write_csv, write_hdf5
+from taichi_bearings.stages import each, stage
 from taichi_bearings.studies.run import settings_of
 from taichi_bearings.studies.run_directory import default_run_path
 from taichi_bearings.studies.settings import RunSettings
@@ -189,7 +190,7 @@ def histogram(
 
     Raises InputError or FileError before anything is written.
     """
-    sources = [read_source(path) for path in paths]
+    sources = [read_source(path) for path in each(paths, "reading")]
     if len({source.stored.path.resolve() for source in sources}) < len(sources):
         raise InputError(f"the runs {', '.join(map(str, paths))} name the same run twice")
     folder = out or default_run_path("histogram")
@@ -197,17 +198,20 @@ def histogram(
     standing = [path for path in (table, arrays, figure) if path.exists()]
     if standing and not force:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-    found = pooled(sources, bins_per_decade, normalise, by)
+    with stage("counting"):
+        found = pooled(sources, bins_per_decade, normalise, by)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
-    write_table(table, found, by)
-    write_arrays(arrays, found, by)
-    from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
-    from taichi_bearings.plots.style import save
+    with stage("writing"):
+        write_table(table, found, by)
+        write_arrays(arrays, found, by)
+    with stage("drawing"):
+        from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
+        from taichi_bearings.plots.style import save
 
-    save(draw_histograms(found, by), figure)
+        save(draw_histograms(found, by), figure)
     return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.stages import stage
 from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
 from taichi_bearings.verifier.verdict import as_report, verdict_of
 
@@ -21,9 +22,12 @@ def verify(path: Path) -> dict[str, Any]:
     Raises FileError if the file cannot be read.
     """
     began = time.perf_counter()
-    run = read_stored_run(path)
-    report = as_report(verdict_of(run), run.samples.count)
-    report["contradictions"] += _coefficients(run)
+    with stage("reading"):
+        run = read_stored_run(path)
+    with stage("proving"):
+        report = as_report(verdict_of(run), run.samples.count)
+    with stage("drawing the coefficients again"):
+        report["contradictions"] += _coefficients(run)
     return {
         "verified": not report["contradictions"],
         **report,

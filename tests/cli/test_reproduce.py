@@ -3,6 +3,7 @@
 import csv
 import itertools
 import json
+import sys
 
 import pytest
 from click.testing import CliRunner
@@ -24,9 +25,11 @@ def test_json_is_one_object_and_the_files_are_there(reproduced):
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     figure = report["figures"]["fig2"]
-    assert report["refuted"] == 0
-    assert report["confirmed"] == len(figure["claims"]) == 9
-    assert all(claim["verdict"] == "confirmed" and claim["finding"] for claim in figure["claims"])
+    assert (report["refuted"], report["missing"], report["interrupted"]) == (0, [], False)
+    assert len(figure["claims"]) == 9
+    assert all(claim["finding"] for claim in figure["claims"])
+    for claim in figure["claims"]:  # one sample checks a theorem and says nothing of others
+        assert claim["verdict"] == ("confirmed" if claim["kind"] == "theorem" else "too few samples"), claim
     assert figure["files"] == [str(folder / f"fig2.{ending}") for ending in ("png", "pdf", "csv")]
     assert sorted(path.name for path in folder.iterdir()) == [
         "fig2.csv",
@@ -35,17 +38,19 @@ def test_json_is_one_object_and_the_files_are_there(reproduced):
         "report.json",
         "report.md",
     ]
+    del report["interrupted"]
     assert json.loads((folder / "report.json").read_text(encoding="utf-8")) == report
     text = (folder / "report.md").read_text(encoding="utf-8")
-    assert text.count("**confirmed**") == 9
+    assert text.count("**confirmed**") == report["confirmed"] == 5
+    assert text.count("**too few samples**") == report["too_few_samples"] == 4
 
 
-def test_nothing_is_overwritten(reproduced):
+def test_nothing_of_other_options_is_overwritten(reproduced):
     folder, _ = reproduced
     before = (folder / "report.json").read_bytes()
-    again = bearings("reproduce", "fig2", "--out", folder)
+    again = bearings("reproduce", "fig2", "--out", folder, "--seed", "5")
     assert again.returncode == 2
-    assert "already exists" in again.stderr
+    assert "already exists and has seed 0 instead of 5, samples 1 instead of 200" in again.stderr
     assert (folder / "report.json").read_bytes() == before
 
 
@@ -69,9 +74,13 @@ def test_a_refuted_claim_is_exit_code_1(tmp_path, monkeypatch):
     done = CliRunner().invoke(command, ["fig2", "--out", str(tmp_path / "a")])
     assert done.exit_code == 1
     assert "refuted    Water runs uphill.\n           It runs downhill." in done.stdout
+    assert "fig2: 1 refuted, 1 confirmed" in done.stderr
     report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     assert (report["confirmed"], report["refuted"]) == (1, 1)
-    assert "| Water runs uphill. | **refuted** | It runs downhill. |" in (tmp_path / "a" / "report.md").read_text()
+    assert (
+        "| Water runs uphill. | **refuted** | samples | It runs downhill. |"
+        in (tmp_path / "a" / "report.md").read_text()
+    )
 
 
 @pytest.mark.parametrize(
@@ -88,3 +97,115 @@ def test_bad_input_is_exit_code_2(words, expected, tmp_path):
     assert expected in done.stderr
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+class Figures:
+    """Stands in for the studies: notes what is computed, writes the files, is interrupted where that is asked for."""
+
+    def __init__(self, monkeypatch):
+        self.computed, self.interrupted_at = [], None
+        monkeypatch.setattr(reproduce.PaperFigure, "reproduce", lambda figure, *words: self.compute(figure, *words))
+
+    def compute(self, figure, folder, effort):
+        for file in figure.files:
+            (folder / file).write_text(f"{effort.seed}")
+        if figure.files[0] == f"{self.interrupted_at}.png":
+            raise KeyboardInterrupt
+        self.computed.append(figure.files[0].removesuffix(".png"))
+        return [Claim(f"{self.computed[-1]} is right.", "It is.", True)]
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    return Figures(monkeypatch)
+
+
+def ask(folder, *words):
+    done = CliRunner().invoke(command, [*words, "--out", str(folder), "--json"])
+    return done.exit_code, json.loads(done.stdout) if done.stdout else done.exception
+
+
+def test_what_is_done_before_ctrl_c_is_kept_and_the_same_command_goes_on(figures, tmp_path):
+    folder = tmp_path / "a"
+    figures.interrupted_at = "fig3"
+    code, report = ask(folder)
+    assert (code, report["interrupted"], report["missing"]) == (130, True, ["fig3", "fig4", "network"])
+    stored = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert list(stored["figures"]) == ["fig1", "fig2"] == figures.computed
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    assert "Not done yet: fig3, fig4, network." in text
+    assert "| fig2 is right. | **confirmed** |" in text
+    figures.interrupted_at = None
+    code, report = ask(folder)
+    assert (code, report["interrupted"], report["missing"], report["confirmed"]) == (0, False, [], 5)
+    assert figures.computed == ["fig1", "fig2", "fig3", "fig4", "network"]
+    assert ask(folder) == (0, report)  # nothing is missing, nothing is computed
+    assert len(figures.computed) == 5
+
+
+def test_what_was_asked_for_first_is_not_forgotten_by_another_command(figures, tmp_path):
+    folder, figures.interrupted_at = tmp_path / "a", "fig2"
+    ask(folder, "fig2", "fig3")
+    figures.interrupted_at = None
+    code, report = ask(folder, "fig1")
+    assert (code, list(report["figures"]), report["missing"]) == (0, ["fig1"], ["fig2", "fig3"])
+    code, report = ask(folder, "fig2", "fig3")
+    assert (code, report["missing"], figures.computed) == (0, [], ["fig1", "fig2", "fig3"])
+
+
+def test_nothing_is_computed_twice(figures, tmp_path):
+    code, report = ask(tmp_path / "a")
+    assert ask(tmp_path / "a") == (code, report) == (0, report)
+    assert len(figures.computed) == 5
+
+
+def test_the_report_stands_after_each_figure(figures, tmp_path, monkeypatch):
+    seen, compute = [], Figures.compute
+    path = tmp_path / "a" / "report.json"
+    monkeypatch.setattr(Figures, "compute", lambda *words: seen.append(json.loads(path.read_text())) or compute(*words))
+    assert ask(tmp_path / "a", "fig1", "fig3", "fig4")[0] == 0
+    assert [(list(report["figures"]), report["missing"]) for report in seen] == [
+        ([], ["fig1", "fig3", "fig4"]), (["fig1"], ["fig3", "fig4"]), (["fig1", "fig3"], ["fig4"]),
+    ]  # fmt: skip
+
+
+def test_other_figures_join_the_report_and_force_begins_anew(figures, tmp_path):
+    folder = tmp_path / "a"
+    ask(folder, "fig3")
+    code, report = ask(folder, "fig1")
+    assert (code, list(report["figures"]), figures.computed) == (0, ["fig1", "fig3"], ["fig3", "fig1"])
+    code, report = ask(folder, "fig1", "--force", "--seed", "4")
+    assert (code, list(report["figures"]), report["seed"]) == (0, ["fig1"], 4)
+    assert (folder / "fig1.png").read_text() == "4"
+
+
+def test_a_figure_whose_files_are_gone_is_computed_again(figures, tmp_path):
+    ask(tmp_path / "a", "fig1", "fig2")
+    (tmp_path / "a" / "fig1.pdf").unlink()
+    assert ask(tmp_path / "a", "fig1", "fig2")[0] == 0
+    assert figures.computed == ["fig1", "fig2", "fig1"]
+
+
+def test_what_a_report_does_not_know_is_not_replaced(figures, tmp_path):
+    folder = tmp_path / "a"
+    folder.mkdir()
+    (folder / "fig2.csv").write_text("mine")
+    assert "fig2.csv already exists" in str(ask(folder, "fig2")[1])
+    assert (ask(folder, "fig1")[0], figures.computed) == (0, ["fig1"])
+    assert "fig2.csv already exists" in str(ask(folder, "fig2")[1])
+    (folder / "report.json").write_text("{}")
+    assert "is no report" in str(ask(folder, "fig1")[1])
+    assert (folder / "fig2.csv").read_text() == "mine"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are of Unix")
+def test_a_real_figure_interrupted_on_a_terminal_names_its_stages_and_what_is_missing(tmp_path):
+    from tests.cli.terminal import on_terminal
+
+    words = ("reproduce", "fig4", "--samples", "8", "--out", tmp_path / "a")
+    session = on_terminal(*words, stop="sample 3 of 8", columns=200)
+    assert session.returncode == 130
+    lines = [line for _, line in session.frames]
+    assert any("fig4 · sample 3 of 8" in line for line in lines)
+    assert f"missing: fig4; the same command with --out {tmp_path / 'a'} goes on" in "".join(lines)
+    assert json.loads((tmp_path / "a" / "report.json").read_text())["missing"] == ["fig4"]

@@ -91,14 +91,16 @@ def descent_with(minimum, failed, excess):
     return Descent(minimum.contacts, np.full(len(failed), excess), failed)
 
 
-def test_a_descent_that_errs_where_cuts_nearly_tie_is_explained(minimum):
-    nearest = minimum.distance == minimum.distance.min()
+def test_a_descent_that_errs_where_cuts_nearly_tie_is_explained(minimum, monkeypatch):
+    rank = minimum.distance.argsort().argsort()
     enough = figure_1.VISIBLE * minimum.distance.min() * 1.01
-    assert figure_1._counted(minimum, descent_with(minimum, nearest, enough)).confirmed
-    assert not figure_1._counted(minimum, descent_with(minimum, nearest, enough / 2)).confirmed
-    farthest = minimum.distance == minimum.distance.max()
-    assert not figure_1._counted(minimum, descent_with(minimum, farthest, 1.0)).confirmed
-    assert not figure_1._counted(minimum, descent_with(minimum, minimum.distance >= 0, 1.0)).confirmed
+    assert figure_1._counted(minimum, descent_with(minimum, rank == 0, enough)).verdict == "too few samples"
+    assert figure_1._counted(minimum, descent_with(minimum, rank >= 0, 1.0)).verdict == "refuted"
+    monkeypatch.setattr(figure_1, "MOST", 0.7)
+    assert figure_1._counted(minimum, descent_with(minimum, rank == 0, enough)).verdict == "refined"
+    assert figure_1._counted(minimum, descent_with(minimum, rank == 0, enough / 2)).verdict == "refuted"
+    assert figure_1._counted(minimum, descent_with(minimum, rank < 5, 1.0)).verdict == "refined"
+    assert figure_1._counted(minimum, descent_with(minimum, rank >= 7, 1.0)).verdict == "refuted"
 
 
 def test_a_start_that_leads_elsewhere_refutes(minimum, monkeypatch):
@@ -125,7 +127,8 @@ def test_two_boundaries_are_the_lightest_two_cuts(minimum):
     everywhere = tuple(np.ones_like(values) for values in both)
     assert not figure_1._two_boundaries(minimum, Descent(everywhere, excess, failed)).confirmed
     assert not figure_1._two_boundaries(minimum, Descent(minimum.contacts, excess, failed)).confirmed
-    assert figure_1._two_boundaries(minimum, Descent(both, excess, np.zeros(12, dtype=bool))).confirmed
+    none = figure_1._two_boundaries(minimum, Descent(both, excess, np.zeros(12, dtype=bool)))
+    assert (none.verdict, none.samples, none.needed) == ("too few samples", 0, 5)
 
 
 def test_an_excess_of_power_bounds_the_slip_off_the_cut(minimum, monkeypatch, needs_f64):
@@ -170,7 +173,10 @@ def test_files_and_claims_of_a_small_effort(tmp_path, monkeypatch, needs_f64):
     monkeypatch.setattr(figure_1.runtime, "start", lambda *_: None)  # the tests' own is running
     claims = figure_1.reproduce(tmp_path, Effort(seed=0, samples=2))
     assert len(claims) == 8
-    assert all(claim.confirmed for claim in claims if "descent" not in claim.text)
+    verdicts = {claim.text.split(":")[0]: claim.verdict for claim in claims}
+    assert "refuted" not in verdicts.values()
+    assert all((claim.verdict == "confirmed") == (claim.kind == "theorem") for claim in claims)
+    assert verdicts["Viscous"] == "too few samples"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fig1-samples.csv", "fig1.csv", "fig1.pdf", "fig1.png"]
     with (tmp_path / "fig1.csv").open(encoding="utf-8") as file:
         discs = list(csv.DictReader(file))

@@ -26,9 +26,14 @@ def run_of(*powers):
     return Run("random", np.arange(len(power), dtype=float), power, spins, spins)
 
 
-def minima_like(power, cut):
-    power, cut = np.array([power]), np.array([cut])
-    return Minima(power, power * (1 - 1e-11), cut, cut * (1 - 1e-13), np.zeros((1, 3, 3, 3, 3)))
+def repeated(run, samples=5):
+    """The same run of that many samples."""
+    return replace(run, power=np.repeat(run.power, samples, axis=1))
+
+
+def minima_like(power, cut, samples=1):
+    power, cut = np.full(samples, power), np.full(samples, cut)
+    return Minima(power, power * (1 - 1e-11), cut, cut * (1 - 1e-13), np.zeros((samples, 3, 3, 3, 3)))
 
 
 def test_the_largest_rise_is_measured_from_the_lowest_power_before():
@@ -38,22 +43,41 @@ def test_the_largest_rise_is_measured_from_the_lowest_power_before():
 
 def test_verdicts_follow_the_numbers():
     scene = draw_scene((3, 3, 3), 0, 1)
-    falls, rises, creeps = run_of(10, 4, 3, 1), run_of(10, 4, 4.2, 1), run_of(10, 4, 4.05, 1)
-    assert figure_2._falls(scene, falls, falls, falls).confirmed
-    assert figure_2._falls(scene, creeps, falls, falls).confirmed
-    assert not figure_2._falls(scene, creeps, creeps, falls).confirmed  # creep must be less where contacts are stiffer
-    assert not figure_2._falls(scene, rises, falls, falls).confirmed
+    falls = run_of(10, 4, 3, 1)
     assert figure_2._falls_rigidly(scene, [falls, run_of(10, 5, 5 + 1e-12, 1)]).confirmed
     assert not figure_2._falls_rigidly(scene, [falls, run_of(10, 5, 5 + 1e-10, 1)]).confirmed
     assert figure_2._same_rigid_end(scene, [falls, falls], minima_like(1.0, 2.0)).confirmed
     assert not figure_2._same_rigid_end(scene, [falls, run_of(10, 1 + 1e-8)], minima_like(1.0, 2.0)).confirmed
     assert figure_2._same_end(scene, [falls, falls], minima_like(1.0, 2.0)).confirmed
     assert not figure_2._same_end(scene, [falls, falls], minima_like(0.9999, 2.0)).confirmed
-    assert figure_2._below_cut(minima_like(1.0, 1.1), scene, 0).confirmed
-    assert not figure_2._below_cut(minima_like(1.1, 1.1), scene, 0).confirmed
-    assert figure_2._leaves_cut(scene, run_of(2, 1), minima_like(1.0, 2.0)).confirmed
-    assert not figure_2._leaves_cut(scene, run_of(2, 2), minima_like(1.0, 2.0)).confirmed
-    assert not figure_2._larger_systems(minima_like(1.1, 1.1)).confirmed
+    assert figure_2._leaves_cut(scene, run_of(2, 1), minima_like(1.0, 2.0)).verdict == "confirmed"
+    assert figure_2._leaves_cut(scene, run_of(2, 2), minima_like(1.0, 2.0)).verdict == "refuted"
+    assert figure_2._leaves_cut(scene, run_of(2, 2), minima_like(2.0, 2.0)).verdict == "too few samples"
+
+
+@pytest.mark.parametrize("samples", [1, 5])
+def test_what_most_samples_do_takes_samples_to_judge(samples):
+    scene = draw_scene((3, 3, 3), 0, 1)
+    for claim in (lambda minima: figure_2._below_cut(minima, scene, 0), figure_2._larger_systems):
+        lower, equal = minima_like(1.0, 1.1, samples), minima_like(1.1, 1.1, samples)
+        wanted = ("confirmed", "refuted") if samples == 5 else ("too few samples",) * 2
+        assert (claim(lower).verdict, claim(equal).verdict) == wanted
+        assert claim(lower).needed == 5
+
+
+def test_a_rise_is_measured_against_the_fall():
+    """Of 10 to 9.9, where 0.05 is half a per cent of the power but half of the fall."""
+    scene = draw_scene((3, 3, 3), 0, 5)
+    falls, creeps = repeated(run_of(10, 9.95, 9.9)), repeated(run_of(10, 10.05, 9.9))
+    less = repeated(run_of(10, 10.005, 9.9))
+    assert figure_2._falls(scene, falls, falls, falls).verdict == "confirmed"
+    assert figure_2._falls(scene, creeps, less, falls).verdict == "refined"
+    assert figure_2._falls(scene, creeps, creeps, falls).verdict == "refuted"  # no creep: stiffer contacts rise as much
+    assert figure_2._falls(scene, creeps, less, creeps).verdict == "refuted"  # nor do rigid ones
+    still = repeated(run_of(10, 10.05, 10))
+    assert figure_2._falls(scene, still, still, falls).verdict == "too few samples"  # no fall to compare with
+    one = run_of(10, 9.95, 9.9)
+    assert figure_2._falls(draw_scene((3, 3, 3), 0, 1), one, one, one).verdict == "too few samples"
 
 
 def test_powers_are_compared_at_equal_times_as_long_as_both_runs_last():

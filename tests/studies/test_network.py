@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.studies import figure_3, figure_4, network
 from taichi_bearings.studies.claims import Effort
 from taichi_bearings.studies.network import Sample
 
 GOOD = Sample(
     side=24, seed=0, power=1.0, gap=1e-12, power_over_cut=0.97, below_cut=True, slipless_fraction=0.6,
-    states_proven=True, unique=True, spans=True, reached_fraction=0.999, spanning_fraction=0.999, intermediate=0.9,
-    domains=1000, largest_intermediate=8, shortest_path=60, planes_x=5, planes_y=6, disjoint_paths=2,
-    busiest_link_share=0.8, effective_links=50.0, parting_links=0, plane_spans=False,
+    states_proven=True, unique=True, spans=True, reached_fraction=0.999, reached_by_chance=0.98,
+    spanning_fraction=0.999, intermediate=0.9, domains=1000, largest_intermediate=8, shortest_path=60, planes_x=5,
+    planes_y=6, disjoint_paths=2, busiest_link_share=0.8, effective_links=50.0, parting_links=0, plane_spans=False,
 )  # fmt: skip
+MANY = [GOOD] * 5
 PARTED = replace(GOOD, side=10, spans=False, spanning_fraction=0.0, shortest_path=0, planes_x=0, planes_y=0)
 CUT = replace(PARTED, side=3, below_cut=False, power_over_cut=1.0)
 
@@ -34,21 +36,34 @@ def small(taichi_runtime, precision, monkeypatch):
 
 
 def test_verdicts_follow_the_samples():
-    assert network._below_cut([GOOD, PARTED]).verdict == "confirmed"
-    assert network._below_cut([GOOD, PARTED, CUT]).verdict == "refined"
-    assert network._below_cut([GOOD, replace(PARTED, below_cut=False)]).verdict == "refuted"
-    assert network._spans([GOOD]).verdict == "confirmed"
-    assert network._spans([GOOD, PARTED]).verdict == "refined"
-    assert network._spans([GOOD, GOOD, replace(GOOD, spans=False)]).verdict == "refined"
-    assert network._spans([GOOD, replace(GOOD, spans=False)]).verdict == "refuted"
-    assert network._reaches([GOOD, PARTED]).confirmed
-    assert not network._reaches([GOOD, replace(PARTED, reached_fraction=0.97)]).confirmed
-    assert not network._intermediate([replace(GOOD, intermediate=0.05)]).confirmed
-    assert network._crosses_planes([GOOD, PARTED]).confirmed
-    assert not network._crosses_planes([replace(GOOD, plane_spans=True)]).confirmed
-    assert not network._crosses_planes([replace(GOOD, planes_x=1)]).confirmed
-    assert network._few_links([GOOD, PARTED]).confirmed
-    assert not network._few_links([replace(GOOD, busiest_link_share=0.3)]).confirmed
+    assert network._below_cut([*MANY, PARTED]).verdict == "confirmed"
+    assert network._below_cut([*MANY, PARTED, CUT]).verdict == "refined"
+    assert network._below_cut([*MANY, replace(PARTED, below_cut=False)]).verdict == "refuted"
+    assert network._spans(MANY).verdict == "confirmed"
+    assert network._spans([*MANY, PARTED]).verdict == "refined"
+    assert network._spans([replace(GOOD, spans=False)] * 5).verdict == "refuted"
+    assert network._reaches([*MANY, PARTED]).verdict == "confirmed"
+    assert network._reaches([*MANY, replace(PARTED, reached_fraction=0.97)]).verdict == "refuted"
+    assert network._reaches([replace(GOOD, reached_by_chance=0.999)] * 5).verdict == "refined"
+    assert network._intermediate([*MANY, replace(GOOD, intermediate=0.05)]).verdict == "refuted"
+    assert network._crosses_planes([GOOD, PARTED]).verdict == "confirmed"
+    assert network._crosses_planes([replace(GOOD, plane_spans=True)]).verdict == "refuted"
+    assert network._crosses_planes([replace(GOOD, planes_x=1)]).verdict == "refuted"
+    assert network._few_links([*MANY, PARTED]).verdict == "confirmed"
+    assert network._few_links([*MANY, replace(GOOD, busiest_link_share=0.3)]).verdict == "refuted"
+
+
+@pytest.mark.parametrize("claim", ["_below_cut", "_spans", "_reaches", "_intermediate", "_few_links"])
+def test_few_samples_are_too_few(claim):
+    found = getattr(network, claim)(MANY[:2])
+    assert found.verdict == "too few samples"
+    assert "No verdict: this needs 5 samples and has 2." in found.as_dict()["finding"]
+
+
+def test_chance_touches_spheres_by_their_contacts():
+    """A sphere of a 2x2x3 lattice's middle layer has four contacts; every free sphere is there."""
+    assert network.reached_by_chance(Lattice((2, 2, 3)), 0.5) == pytest.approx(1 - 0.5**4)
+    assert network.reached_by_chance(Lattice((3, 3)), 0.25) == pytest.approx(1 - (2 * 0.75**3 + 0.75**4) / 3)
 
 
 def view(**changes):
@@ -57,12 +72,14 @@ def view(**changes):
 
 
 def test_thresholds_matter_where_they_change_what_is_seen():
-    same = [[view()] * (len(THRESHOLDS) + 1)] * 2
-    assert not network._spans_by_threshold(10, same).confirmed
-    assert not network._domains_by_threshold(10, same).confirmed
+    same = [[view()] * (len(THRESHOLDS) + 1)] * 5
+    assert network._spans_by_threshold(10, same).verdict == "refuted"
+    assert network._spans_by_threshold(10, same[:4]).verdict == "too few samples"
+    assert network._domains_by_threshold(10, same).verdict == "refuted"
     merged = [view(domains=4)] + [view(spans=False)] * len(THRESHOLDS)
-    assert network._spans_by_threshold(10, [*same[:1], merged]).confirmed
-    assert network._domains_by_threshold(10, [merged]).confirmed
+    assert network._spans_by_threshold(10, [*same[:1], merged]).verdict == "confirmed"
+    assert network._domains_by_threshold(10, [merged] * 5).verdict == "confirmed"
+    assert network._domains_by_threshold(10, [merged]).verdict == "too few samples"
 
 
 def test_means_come_with_their_standard_errors():
@@ -83,9 +100,10 @@ def test_the_study_writes_its_table_and_figure(small, tmp_path):
     assert [(row["side"], row["seed"]) for row in rows] == [("3", "3"), ("3", "4"), ("5", "3"), ("5", "4")]
     assert all(float(row["gap"]) < 1e-9 and float(row["power_over_cut"]) <= 1 + 1e-9 for row in rows)
     assert all(row["unique"] == "True" for row in rows)
-    only_disorder = next(claim for claim in claims if "imposed bearing states" in claim.text)
-    assert only_disorder.verdict == "refined"
-    changed = only_disorder.numbers["contacts_that_differ"]
+    speeds, axis = (claim for claim in claims if "imposed bearing states" in claim.text)
+    assert (speeds.verdict, speeds.kind) == ("confirmed", "theorem")
+    assert axis.verdict == "refuted"  # by one sample: no contact may differ
+    changed = axis.numbers["contacts_that_differ"]
     assert all(not any(changed[name]) for name in network.EQUIVALENT)
     assert any(changed["axis (1, 0, 0)"])
 
@@ -109,6 +127,6 @@ def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
 
 def test_without_a_sample_that_spans_there_is_no_path_to_judge(small, tmp_path):
     claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=1))
-    assert [claim.verdict for claim in claims] == ["confirmed", "refuted"]
-    assert "none of 1 samples" in claims[1].finding
+    assert [claim.verdict for claim in claims] == ["confirmed", "too few samples"]
+    assert claims[1].needed == 29
     assert figure_4.reproduce(tmp_path, Effort(0, 1)) == []
