@@ -108,10 +108,10 @@ class Display(Watch):
         words[0] += f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else ""
         left = time_of_parts_left(stage, now)
         if forecast is not None and innermost:
-            words, left = [*words, forecast.standing], forecast.left(now)
+            left = forecast.left(now)
         if not left and innermost and now - stage.began >= 1:
             left = f"{duration(now - stage.began)} so far"
-        return ", ".join(filter(None, [*words, left]))
+        return ", ".join(filter(None, [*words, left, forecast.standing if forecast is not None and innermost else ""]))
 
     def times(self) -> str:
         """All the time since the process began, and its parts."""

@@ -20,7 +20,7 @@ class Stage:
     """Some work under way. name : what it is, as in "drawing". began : by time.perf_counter().
 
     number, total : which part of how many is under way; 0 where there are none.
-    done : (seconds since it began, share of the work that was done then), at the start of each part.
+    done : (seconds since it began, share of the work that was done then) at the start of each part, if that is known.
     report : what the work itself tells of where it stands, if it does.
     """
 
@@ -96,14 +96,23 @@ def stage(name: str) -> Iterator[Stage]:
             watch.end(new)
 
 
-def each(items: Sequence[Item], name: str, work: Callable[[Item], float] = lambda _: 1.0) -> Iterator[Item]:
-    """The items one after another; the stage says which of how many is under way. work : of an item, in any unit."""
-    shares = [work(item) for item in items]
-    whole = sum(shares) or 1.0
+def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:
+    """The items one after another; the stage says which of how many is under way.
+
+    work : of an item, in any unit, where that is roughly known; `alike` where all take the same.
+    """
+    shares = [] if work is None else [work(item) for item in items]
     with stage(name) as under_way:
         under_way.total = len(items)
         for number, item in enumerate(items):
             under_way.number = number + 1
-            under_way.done.append((time.perf_counter() - under_way.began, sum(shares[:number]) / whole))
+            if shares:
+                done = sum(shares[:number]) / sum(shares)
+                under_way.done.append((time.perf_counter() - under_way.began, done))
             under_way.tell(None)
             yield item
+
+
+def alike(_: object) -> float:
+    """The work of each of many that take about the same time."""
+    return 1.0

@@ -12,6 +12,7 @@ A conic solver gives no checks that the certificate could judge, so it runs once
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -178,12 +179,12 @@ def _measure(
         best = result.best(entry)
         say(f"  gap {result.gaps(entry)[best]:.1e} after {entry.seconds[best]:.3g} s ({entry.statuses[best]})")
 
-    for candidate in each([*methods, *peers], "method"):
-        if isinstance(candidate, str):
-            run(candidate, lambda name=candidate: run_method(result.scene, name, settings))  # type: ignore[misc]
-        else:
-            name = f"{candidate.name} ({candidate.linear_solver})"
-            run(name, lambda peer=candidate: run_peer(result.scene, peer, settings))  # type: ignore[misc]
+    calls: dict[str, Callable[[], Entry]] = {
+        name: partial(run_method, result.scene, name, settings) for name in methods
+    }
+    calls |= {f"{peer.name} ({peer.linear_solver})": partial(run_peer, result.scene, peer, settings) for peer in peers}
+    for name, call in each(list(calls.items()), "method"):
+        run(name, call)
     if not result.entries:
         raise InputError(f"nothing can solve {result.label}: {'; '.join(result.left_out.values()) or 'no methods'}")
 

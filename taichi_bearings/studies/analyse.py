@@ -15,7 +15,7 @@ from taichi_bearings.files.analysis_file import write_analysis
 from taichi_bearings.files.run_file import AXES, StoredRun, read_run_file
 from taichi_bearings.plots.style import save
 from taichi_bearings.scene import Scene
-from taichi_bearings.stages import each, stage
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.studies.run import scene_with, settings_of
 from taichi_bearings.studies.run_directory import writable_folder
 from taichi_bearings.studies.structure_figures import FIGURES, FIGURES_OF_ALL
@@ -106,7 +106,7 @@ def analyse(
     with writable_folder(target.parent):
         began = time.perf_counter()
         numbers, findings, loads = [], [], []
-        for number in each(range(samples), "analysing sample" if samples > 1 else "analysing"):
+        for number in each(range(samples), "analysing sample" if samples > 1 else "analysing", alike):
             structure = structure_of(run, number, threshold)
             if number == replica:
                 drawn = structure

@@ -45,7 +45,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     runtime.start("cpu", "f64")
     runs_of = min(RUNS, effort.samples)
     scene = draw_scene(SHAPE, effort.seed, runs_of)
-    runs = [relax(scene, start) for start in each(list(STARTS), "relaxation")]
+    runs = [relax(scene, start) for start in each(tuple(STARTS), "relaxation")]
     stiff = STIFFER * CundallStrackOptions().damping
     stiffer = [relax(scene, start, stiff, STIFFER_STEPS) for start in each(list(STARTS), "stiffer relaxation")]
     rigid_scene = draw_scene(SHAPE, effort.seed, min(RIGID_RUNS, effort.samples))

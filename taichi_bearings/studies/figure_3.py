@@ -14,7 +14,7 @@ from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.style import save
-from taichi_bearings.stages import each, stage
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.studies.claims import FEWEST, Claim, Effort, Share
 from taichi_bearings.studies.network import MOST, certified, mean
 from taichi_bearings.studies.settings import RunSettings
@@ -47,7 +47,7 @@ def spanning_samples(effort: Effort) -> list[Structure]:
     runtime.start("cpu", "f64")
     seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
     samples = []
-    for seed in each(seeds, "sample"):
+    for seed in each(seeds, "sample", alike):
         samples.append(certified(RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM)))
     return [sample for sample in samples if sample.network.spans] or samples[:1]
 

@@ -22,7 +22,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.stages import each, stage
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.studies.claims import FEWEST, HALF, Claim, Effort, Share
 from taichi_bearings.studies.relaxation import uninterrupted
 from taichi_bearings.studies.run import build_scene
@@ -351,7 +351,7 @@ def _only_disorder(effort: Effort) -> list[Claim]:
     side, seeds = BULK, range(effort.seed, effort.seed + max(1, min(10, effort.samples // 20)))
     sets: dict[str, list[np.ndarray]] = {
         name: [_slipless_set(RunSettings(shape=(side, side, side), seed=seed, **DRIVINGS[name])) for seed in seeds]
-        for name in each(list(DRIVINGS), "driving")
+        for name in each(list(DRIVINGS), "driving", alike)
     }
     first = next(iter(sets.values()))
     changed = {name: [int((a != b).sum()) for a, b in zip(found, first, strict=True)] for name, found in sets.items()}

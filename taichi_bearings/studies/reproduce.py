@@ -104,7 +104,7 @@ def _refuse_files(names: Sequence[str], folder: Path) -> None:
 
 
 def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
-    """The figures of the report that a folder has, and those missing there; FileError if its effort or version differ."""
+    """The report that a folder has: figures and those missing. FileError if its effort or version differ."""
     from taichi_bearings import __version__
 
     path = folder / "report.json"

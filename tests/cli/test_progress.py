@@ -7,7 +7,7 @@ import time
 import pytest
 from taichi_bearings_cli.progress import Display, describe_scan
 
-from taichi_bearings.stages import each, stage
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.studies.scan import ScanProgress
 from tests.cli.test_cli import bearings
 
@@ -40,12 +40,19 @@ def test_nothing_but_the_answer_in_a_pipe(tmp_path):
 def test_stages_in_parts_foretell_their_end_from_the_parts_that_are_done():
     display, seen = Display(), []
     with display:
-        for number in each(range(12), "sample"):
+        for number in each(range(12), "sample", alike):
             time.sleep(0.2 if number == 0 else 0.02)  # the first one compiles
             with stage("solving"):
                 seen.append(display.line())
     assert seen[0] == "sample 1 of 12 · solving"
     assert seen[6] == "sample 7 of 12, 0 s left · solving"
+
+
+def test_parts_that_may_differ_foretell_nothing():
+    display = Display()
+    with display:
+        for _ in each(("short", "long", "longer"), "method"):
+            assert display.line() == f"method {display.stages[0].number} of 3"
 
 
 @pytest.mark.parametrize("columns", [60, 140])
