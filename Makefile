@@ -3,14 +3,19 @@ PYTHON ?= python3
 VENV := .venv
 ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
+CALL := $(VENV)\Scripts\bearings
+ACTIVATE := $(VENV)\Scripts\activate
 else
 BIN := $(VENV)/bin
+CALL := $(BIN)/bearings
+ACTIVATE := . $(BIN)/activate
 endif
 
 .PHONY: run test lint check format clean
 
 run: $(VENV)/installed
 	$(BIN)/bearings run --shape 32,32,32
+	@echo "From now on: $(CALL), or first $(ACTIVATE) and then plain bearings"
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest

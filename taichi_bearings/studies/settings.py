@@ -134,7 +134,12 @@ class RunSettings:
     spin_top: float = setting(1.0, REAL, "Imposed spin of the top.")
     spin_bottom: float = setting(0.0, REAL, "Imposed spin of the bottom.")
     direction: tuple[float, ...] = setting((1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.")
-    coefficients: str | None = setting(None, FILE, "Read the coefficients (npz or HDF5) instead of drawing them.")
+    coefficients: str | None = setting(
+        None,
+        FILE,
+        "Read the coefficients instead of drawing them: an npz file with arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z "
+        "(NX,NY,NZ-1), or a run. docs/scenes.md says more.",
+    )
     distribution: str = setting(
         "uniform:0.1,1.0",
         TEXT,
