@@ -4,7 +4,7 @@ What counts as large, 24^3, was chosen after seeing which sizes span.
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from taichi_bearings import runtime
 from taichi_bearings.analysis.network import planes_crossed
 from taichi_bearings.analysis.structure import Structure, structures_of
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.sizes import Column, draw_sizes
@@ -32,6 +33,7 @@ from taichi_bearings.words import counted
 
 SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025, 32: 0.025}
 """Side of the cube -> samples of it, as a share of those that a claim may take."""
+JOURNAL = "network.jsonl"
 BULK, LARGE = 10, 24  # sides: the paper's own, and from which on most samples must span
 SAME = 1e-6  # relative difference up to which two powers count as the same
 PRACTICALLY_ALL = 0.99  # of the free spheres
@@ -84,23 +86,20 @@ class Sample:
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write network.png, network.pdf and network.csv into `folder`; returns the claims with their verdicts."""
     runtime.start("cpu", "f64")
-    samples: list[Sample] = []
-    views: dict[int, list[list[View]]] = {}
     chosen = [
         RunSettings(shape=(side, side, side), seed=effort.seed + number)
         for side, share in SHARE_OF_SAMPLES.items()
         for number in range(int(share * effort.samples))
     ]
-    for settings in each(chosen, "sample", lambda settings: seconds_of(settings, structure=True) or 1.0):
-        structure = certified(settings)
-        samples.append(sample_of(structure))
-        views.setdefault(settings.shape[0], []).append([*structure.views_by_threshold, structure.view])
+    samples, views = measured(chosen, folder / JOURNAL)
     write_csv(folder / "network.csv", [item.name for item in fields(Sample)], [astuple(s) for s in samples])
     paths = {"shortest_path": columns_of([sample for sample in samples if sample.spans])["shortest_path"]}
     with stage("drawing"):
         figure = draw_sizes(columns_of(samples) | paths, {side: by_threshold(seen) for side, seen in views.items()})
         for ending in ("png", "pdf"):
             save(figure, folder / f"network.{ending}")
+    only_disorder = _only_disorder(effort)
+    (folder / JOURNAL).unlink()
     bulk = [sample for sample in samples if sample.side >= BULK]
     return [  # those that the samples can say something about
         *([_below_cut(samples)] if bulk else []),
@@ -109,8 +108,38 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
         *([_reaches(bulk), _intermediate(bulk)] if bulk else []),
         *([_crosses_planes(bulk), _few_links(bulk)] if any(sample.spans for sample in bulk) else []),
         _domains_by_threshold(max(views), views[max(views)]),
-        *_only_disorder(effort),
+        *only_disorder,
     ]
+
+
+def measured(chosen: Sequence[RunSettings], path: Path) -> tuple[list[Sample], dict[int, list[list[View]]]]:
+    """The numbers of these samples, and what thresholds and contact states show of them, by side.
+
+    path : journal that keeps what is done when the study is interrupted; samples that it has are not solved again.
+    """
+
+    def key_of(settings: RunSettings) -> str:
+        return f"{settings.shape[0]}-{settings.seed}"
+
+    known = read_journal(path)
+    missing = [settings for settings in chosen if key_of(settings) not in known]
+    with Journal(path) as journal:
+        for settings in each(missing, "sample", lambda settings: seconds_of(settings, structure=True) or 1.0):
+            structure = certified(settings)
+            views = [_plain(view) for view in (*structure.views_by_threshold, structure.view)]
+            record: dict[str, Any] = {"key": key_of(settings), "sample": _plain(sample_of(structure)), "views": views}
+            journal.append([record])
+            known[record["key"]] = record
+    found = [known[key_of(settings)] for settings in chosen]
+    by_side: dict[int, list[list[View]]] = {}
+    for record in found:
+        by_side.setdefault(record["sample"]["side"], []).append([View(**view) for view in record["views"]])
+    return [Sample(**record["sample"]) for record in found], by_side
+
+
+def _plain(numbers: Sample | View) -> dict[str, Any]:
+    """The same as Python's own numbers."""
+    return {name: value.item() if isinstance(value, np.generic) else value for name, value in asdict(numbers).items()}
 
 
 def certified(settings: RunSettings) -> Structure:

@@ -79,6 +79,8 @@ def reproduce(
         _refuse_files([name for name in missing if name not in (*before["figures"], *before["missing"])], folder)
     interrupted = False
     with writable_folder(folder):
+        for name in chosen if force else ():
+            (folder / f"{name}.jsonl").unlink(missing_ok=True)  # what an interrupted study has kept
         _write(folder, effort, done, missing)
         try:
             for name in each([name for name in chosen if name in missing], "figure"):

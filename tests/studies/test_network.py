@@ -108,6 +108,27 @@ def test_the_study_writes_its_table_and_figure(small, tmp_path):
     assert any(changed["axis (1, 0, 0)"])
 
 
+def test_samples_that_an_interrupted_study_has_kept_are_not_solved_again(small, tmp_path, monkeypatch):
+    chosen = [network.RunSettings(shape=(side,) * 3, seed=seed) for side in (3, 4) for seed in (0, 1)]
+    undisturbed = network.measured(chosen, tmp_path / "undisturbed")
+    solved, certified = [], network.certified
+
+    def interrupted(settings):
+        if len(solved) == 3:
+            raise KeyboardInterrupt
+        solved.append(settings)
+        return certified(settings)
+
+    monkeypatch.setattr(network, "certified", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        network.measured(chosen, tmp_path / "a")
+    with (tmp_path / "a").open("ab") as file:
+        file.write(b'{"torn')
+    solved.clear()
+    assert network.measured(chosen, tmp_path / "a") == undisturbed
+    assert solved == chosen[3:]
+
+
 def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
     claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=4)) + figure_4.reproduce(tmp_path, Effort(0, 4))
     assert {path.name for path in tmp_path.iterdir()} == {
