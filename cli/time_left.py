@@ -15,6 +15,7 @@ WINDOW = 3.0  # the line goes through what has happened since this part of the t
 LAST = 3  # checks that it goes through at least, and at most where a gap falls geometrically
 AGREEMENT = 1.5  # factor between times left, as foretold by now and before, up to which they agree
 FARTHEST = 5.0  # times as long as what has been seen
+EQUAL = 1e-6  # relative difference of steps that are the same
 
 
 class TimeLeft:
@@ -23,6 +24,7 @@ class TimeLeft:
     def __init__(self) -> None:
         self.seen: list[tuple[float, float]] = []  # (seconds, what is followed)
         self.foretold: list[tuple[float, float]] = []  # (seconds, seconds left at that time)
+        self.steps: list[float] = []  # mean length of the steps of a dynamics, at each report
 
     def look(self, report: Any) -> tuple[float, str] | None:
         """Seconds left and until what; None where that is not known."""
@@ -31,7 +33,8 @@ class TimeLeft:
             return None
         if progress.time is not None and math.isfinite(stop.duration):
             left = self._follow(seconds, progress.time, stop.duration)
-            return None if left is None else (left, f"t = {stop.duration:g}")
+            farthest = math.inf if self._steps_are_equal(progress) else FARTHEST * seconds
+            return None if left is None or left > farthest else (left, f"t = {stop.duration:g}")
         if progress.needed is not None:
             left = self._follow(seconds, progress.iteration, progress.needed)
             return None if left is None else (left, "the end")
@@ -43,6 +46,12 @@ class TimeLeft:
         follow = self._follow_newton if progress.geometric else self._follow_power
         left = follow(seconds, math.log(gap), math.log(aim))
         return None if left is None or left > FARTHEST * seconds else (left, f"gap {aim:.0e}")
+
+    def _steps_are_equal(self, progress: Any) -> bool:
+        """True for a dynamics of fixed step, so far; steps that grow say little of those to come."""
+        if progress.iteration > 0:
+            self.steps.append(progress.time / progress.iteration)
+        return max(self.steps, default=0.0) <= (1 + EQUAL) * min(self.steps, default=0.0)
 
     def _follow(self, seconds: float, now: float, end: float) -> float | None:
         """What goes on at a steady pace."""
@@ -77,7 +86,9 @@ class TimeLeft:
             return None
         self.foretold.append((seconds, left))
         agree = all(left / AGREEMENT <= then + told - seconds <= left * AGREEMENT for then, told in before)
-        return left if agree and len(before) >= needed else None
+        if not agree or len(before) < needed:
+            return None
+        return max(left, seconds - self.seen[-2][0])  # the next check is the first to see an end
 
 
 def _further(points: list[tuple[float, float]], end: float) -> float | None:

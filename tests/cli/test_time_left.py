@@ -15,7 +15,7 @@ def reports(seconds, gap=(), time=None, needed=None, geometric=False, tolerance=
     stop = SimpleNamespace(tolerance=tolerance, duration=duration, settle=False, iterations=UNLIMITED)
     for number, now in enumerate(seconds):
         progress = SimpleNamespace(
-            iteration=number, time=None if time is None else time[number], needed=needed, geometric=geometric,
+            iteration=number + 1, time=None if time is None else time[number], needed=needed, geometric=geometric,
             settles_at=None, unsettled=False,
         )  # fmt: skip
         worst = np.array([gap[number] if len(gap) else 1.0])
@@ -63,17 +63,25 @@ def test_a_gap_that_stands_still_or_jumps_foretells_nothing():
 
 def test_a_dynamics_goes_by_its_simulated_time_and_without_a_duration_by_nothing():
     seconds, time = np.arange(1.0, 11.0), np.linspace(0.1, 1.0, 10)
-    shown = foretold(reports(seconds, time=time, duration=4.0))
+    shown = foretold(reports(seconds, time=time, duration=100.0))
     assert len(shown) >= 5
-    assert all(left == pytest.approx(40 - now) for now, left in shown)
+    assert all(left == pytest.approx(1000 - now) for now, left in shown)
     assert foretold(reports(seconds, np.geomspace(1, 1e-6, 10), time=time)) == []
 
 
 def test_steps_that_grow_foretell_nothing_of_simulated_time():
     seconds = np.arange(1.0, 11.0)
     assert foretold(reports(seconds, time=1e-3 * 3.0**seconds, duration=1e6)) == []
+    nearly = 1e-4 * seconds * (1 + 1e-3 * seconds)  # hours at this pace; a rigid limit takes half a minute
+    assert foretold(reports(seconds, time=nearly, duration=5.0)) == []
+
+
+def test_nothing_ends_before_the_next_check():
+    seconds = np.arange(1.0, 9.0)
+    shown = foretold(reports(seconds, 10.0**-seconds, geometric=True, tolerance=0.9e-7))
+    assert shown[-1] == (7.0, 1.0)
 
 
 def test_work_of_known_length_goes_by_its_iterations():
     shown = foretold(reports(np.arange(1.0, 9.0), needed=16))
-    assert shown[-1][1] == pytest.approx(16 - 7)
+    assert shown[-1][1] == pytest.approx(16 - 8)
