@@ -7,7 +7,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import json_option
 
-from taichi_bearings.words import share
+from taichi_bearings.words import counted, share
 
 
 @click.command()
@@ -131,7 +131,7 @@ def _network(report: dict[str, Any]) -> list[str]:
     return [
         *lines,
         f"they join bottom and top, with {share(report['spanning_fraction'], 4)} of the free spheres in that piece",
-        f"shortest path {report['shortest_path']} contacts, through planes: {planes}; "
+        f"shortest path {counted(report['shortest_path'], 'contact')}, through planes: {planes}; "
         f"paths that share no contact: {report['disjoint_paths']:,}",
     ]
 
@@ -143,7 +143,7 @@ def _domains(report: dict[str, Any]) -> list[str]:
     only = {True: "no other slips have the least power", False: "other slips have the least power too", None: ""}
     return [
         f"{report['domains']:,} domains; by what they are locked to, with their free spheres: {words}",
-        f"largest one not locked to a plane: {report['largest_intermediate_domain']:,} spheres",
+        f"largest one not locked to a plane: {counted(report['largest_intermediate_domain'], 'sphere')}",
         *filter(None, [only[report["minimum_is_unique"]]]),
     ]
 

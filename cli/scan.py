@@ -10,6 +10,7 @@ import click
 from taichi_bearings_cli.options import json_option
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.words import counted
 
 
 @click.command()
@@ -154,11 +155,11 @@ def describe_estimate(expected: dict[str, Any]) -> str:
     """What a scan would do, for people."""
     from taichi_bearings_cli.progress import duration
 
-    lines = [f"{expected['samples']:,} samples over {', '.join(expected['scanned']) or 'nothing'}"]
+    lines = [f"{counted(expected['samples'], 'sample')} over {', '.join(expected['scanned']) or 'nothing'}"]
     if expected["missing"] < expected["samples"]:
         lines[0] += f", of which {expected['missing']:,} are missing"
     time = "unknown" if expected["seconds"] is None else f"about {duration(expected['seconds'])}"
-    lines.append(f"time: {time} with {expected['workers']} workers (to a factor of three)")
+    lines.append(f"time: {time} with {counted(expected['workers'], 'worker')} (to a factor of three)")
     lines.append(f"memory: about {expected['bytes'] / 1e9:.1f} GB")
     return "\n".join(lines)
 

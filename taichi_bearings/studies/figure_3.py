@@ -18,6 +18,7 @@ from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.studies.claims import FEWEST, Claim, Effort, Share
 from taichi_bearings.studies.network import MOST, certified, mean
 from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.words import counted
 from taichi_bearings.words import share as in_percent
 
 SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
@@ -120,7 +121,7 @@ def _few_links(samples: list[Structure]) -> Claim:
     parting = [int(one.backbone.parting_links.sum()) for one in found]
     return Claim(
         "There are a few links through which most connecting paths go: they have large betweenness.",
-        f"{len(samples)} samples that span. Of the shortest paths between a bottom and a top sphere the busiest link "
+        f"{counted(len(samples), 'sample')} that span. Of the shortest paths between a bottom and a top sphere the busiest link "
         f"carries {mean(largest)} (limit: {MOST:g} in every sample; the least is {largest.min():.3f}). The load is "
         f"that of {mean(effective)} equal links, of {mean(links)} that are slipless. {sum(n > 0 for n in parting)} "
         f"samples have links that part the planes alone, on average {mean(parting)} in each sample.",

@@ -264,7 +264,7 @@ def _spans(samples: Sequence[Sample]) -> Claim:
         f"They do in {_share_by_side(samples, 'spans')}. So a sample of the paper's size has such a network or not, "
         f"by chance, and a large one mostly has it: from {LARGE}^3 on {spanning} (limit: more than half). P_min "
         f"is below P_cut without it, too. Contact states are proven in {sum(s.states_proven for s in samples)} of "
-        f"{len(samples)} samples, and that no other slips have the least power in {sum(s.unique for s in samples)}.",
+        f"{counted(len(samples), 'sample')}, and that no other slips have the least power in {sum(s.unique for s in samples)}.",
         numbers=_numbers(samples, "spans", "below_cut", "states_proven", "unique"),
         refined=not all(sample.spans for sample in samples),
         kind="selected",
@@ -328,7 +328,7 @@ def _crosses_planes(bulk: Sequence[Sample]) -> Claim:
     return Claim(
         "A slipless path from bottom to top must go through several planes.",
         f"It must: within a plane x = const all slipless contacts tie Omega_x, so no path inside it joins two values "
-        f"of Omega_x, and likewise for y. {within} of {len(bulk)} samples have a plane that spans by itself (limit: "
+        f"of Omega_x, and likewise for y. {within} of {counted(len(bulk), 'sample')} have a plane that spans by itself (limit: "
         f"none). The shortest spanning path has {_by_side(spanning, 'shortest_path')} contacts (samples that span) and "
         f"visits {_by_side(spanning, 'planes_x')} planes across x, {_by_side(spanning, 'planes_y')} across y. Paths "
         f"that share no contact: {_by_side(bulk, 'disjoint_paths')}.",
@@ -367,8 +367,8 @@ def _domains_by_threshold(side: int, views: Sequence[Sequence[View]]) -> Claim:
     ratio = domains[:, 0] / domains[:, -1]
     return Claim(
         f"Beyond the paper, {side}^3: number and size of the domains depend on how well slips are resolved.",
-        f"Means over {len(views)} samples by threshold, in units of R times the jump - {rows}. At 1e-2 there are "
-        f"{mean(ratio)} times as many domains (limit: below 0.9 in each).",
+        f"Means over {counted(len(views), 'sample')} by threshold, in units of R times the jump - {rows}. At 1e-2 there "
+        f"are {mean(ratio)} times as many domains (limit: below 0.9 in each).",
         bool((ratio < 0.9).all()),
         {"threshold": list(THRESHOLDS)} | {name: values.tolist() for name, values in by_threshold(views).items()},
         samples=len(views),

@@ -62,9 +62,12 @@ class ScanProgress:
     seconds: float = 0.0
     _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=400))
 
+    _first: float | None = None
+
     def note(self, seconds: float) -> None:
         """Remember when how many were done, for the rate."""
         self.seconds = seconds
+        self._first = seconds if self._first is None else self._first
         self._recent.append((seconds, self.done + self.failed))
 
     @property
@@ -77,7 +80,9 @@ class ScanProgress:
 
     @property
     def seconds_left(self) -> float | None:
-        """Time left at that rate; None while it is not known."""
+        """Time left at that rate; None while it is not known: first results of several workers come at once."""
+        if self._first is None or self.seconds < 1.5 * self._first:
+            return None
         return (self.total - self.done - self.failed) / self.rate if self.rate > 0 else None
 
 

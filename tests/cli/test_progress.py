@@ -70,5 +70,16 @@ def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
     assert any(line.endswith("…") for line in lines) == (columns < 140)
 
 
+def test_the_first_results_of_two_workers_foretell_nothing():
+    progress = ScanProgress(50, 0)
+    for seconds, done in ((9.5, 1), (9.7, 2), (11.0, 3), (12.1, 4)):
+        progress.done = done
+        progress.note(seconds)
+        assert progress.seconds_left is None
+    progress.done = 10
+    progress.note(15.0)
+    assert progress.seconds_left == pytest.approx(40 / (9 / 5.5))
+
+
 def test_a_scan_whose_samples_are_done_is_writing():
     assert describe_scan(ScanProgress(4, 0, done=3, failed=1)).endswith("writing")
