@@ -328,8 +328,8 @@ def _crosses_planes(bulk: Sequence[Sample]) -> Claim:
     return Claim(
         "A slipless path from bottom to top must go through several planes.",
         f"It must: within a plane x = const all slipless contacts tie Omega_x, so no path inside it joins two values "
-        f"of Omega_x, and likewise for y. {within} of {counted(len(bulk), 'sample')} have a plane that spans by itself (limit: "
-        f"none). The shortest spanning path has {_by_side(spanning, 'shortest_path')} contacts (samples that span) and "
+        f"of Omega_x, and likewise for y. {within} of {counted(len(bulk), 'sample')} have a plane that spans by itself "
+        f"(limit: none). The shortest spanning path has {_by_side(spanning, 'shortest_path')} contacts (samples that span) and "
         f"visits {_by_side(spanning, 'planes_x')} planes across x, {_by_side(spanning, 'planes_y')} across y. Paths "
         f"that share no contact: {_by_side(bulk, 'disjoint_paths')}.",
         within == 0 and all(sample.planes_x > 1 and sample.planes_y > 1 for sample in spanning),
@@ -367,8 +367,8 @@ def _domains_by_threshold(side: int, views: Sequence[Sequence[View]]) -> Claim:
     ratio = domains[:, 0] / domains[:, -1]
     return Claim(
         f"Beyond the paper, {side}^3: number and size of the domains depend on how well slips are resolved.",
-        f"Means over {counted(len(views), 'sample')} by threshold, in units of R times the jump - {rows}. At 1e-2 there "
-        f"are {mean(ratio)} times as many domains (limit: below 0.9 in each).",
+        f"Means over {counted(len(views), 'sample')} by threshold, in units of R times the jump - {rows}. At 1e-2 "
+        f"there are {mean(ratio)} times as many domains (limit: below 0.9 in each).",
         bool((ratio < 0.9).all()),
         {"threshold": list(THRESHOLDS)} | {name: values.tolist() for name, values in by_threshold(views).items()},
         samples=len(views),
