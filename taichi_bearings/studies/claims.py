@@ -48,7 +48,7 @@ class Claim:
     def as_dict(self) -> dict[str, Any]:
         finding = self.finding
         if self.verdict == "too few samples":
-            finding += f" No verdict: this needs {counted(self.needed, 'sample')} and has {self.samples:,}."
+            finding += f" No verdict: this needs {self.needed:,} such samples and has {self.samples:,}."
         return {
             "claim": self.text,
             "verdict": self.verdict,
@@ -95,7 +95,8 @@ class Share:
                 return number
 
     def __str__(self) -> str:
-        return f"{self.hits:,} of {self.samples:,} ({share(self.least, 0)} to {share(self.most, 0)} of all)"
+        ends = f"{share(self.least, 0)} to {share(self.most, 0)} of all"
+        return f"{self.hits:,} of {counted(self.samples, 'sample')} ({ends})"
 
 
 @dataclass(frozen=True)

@@ -344,7 +344,7 @@ def _counted(minimum: Minimum, descent: Descent) -> Claim:
     return Claim(
         "The boundary that a descent reaches is the minimum cut in 983 of 1000 samples; the others nearly tie.",
         f"After {DESCENT} iterations with momentum, from random spins, the contacts that slip by more than {VISIBLE:g} "
-        f"of the jump are those of the cut in {samples - failed} of {samples}; others: {others} (limit {MOST:.0%}). In "
+        f"of the jump are those of the cut, but for {others}; limit: {MOST:.0%}. In "
         f"{explained.sum()} of the {failed} others the second cut, heavier by e, is near enough to explain it (e <= "
         f"excess of the power / {VISIBLE:g}).{farthest} In {share(higher)} of all pairs the sample that ends at the "
         f"cut has the larger e (limit {IN_ORDER:.0%}, from {FEWEST} others on). {expected} of {samples} have e below "
@@ -388,7 +388,7 @@ def _two_boundaries(minimum: Minimum, descent: Descent) -> Claim:
     return Claim(
         "In the remaining cases two boundaries are present, at two minimal cuts of nearly equal value.",
         f"In {within.sum()} of {len(chosen)} such samples all visible slip is on the lightest two cuts, and in "
-        f"{at_second.sum()} contacts of the second cut alone do slip; both: {found} (limit: more than half). "
+        f"{at_second.sum()} contacts of the second cut alone do slip; both: {found}; limit: more than half. "
         f"Flows that spare a contact of the cut find the second cut as heavy as the paths do in {same.sum()}.",
         bool(found.least > HALF and same.all()),
         {

@@ -138,10 +138,10 @@ def _falls(scene: Scene, run: Run, stiffer: Run, rigid: Run) -> Claim:
     return Claim(
         f"3x3x3: from {STARTS[run.start]} the power decreases monotonically.",
         f"P ends at {_range(run.power[-1] / run.power[0])} of P_0. Where it falls, in {falls.sum()} of "
-        f"{counted(len(fall), 'sample')}, it rises on the way by up to {most:.1e} of the whole fall (limit for a "
-        f"monotonic one: {MONOTONIC:g}). The rigid curve, which P follows within {apart.max():.1e} P_0, rises by "
-        f"{rigid.largest_rise.max():.1e} P_0. So it is the creep of contacts that take up load: with {STIFFER:g} times "
-        f"the damping A_t it is {with_less:.1e} of the fall (limit: a fifth). With rigid contacts P only falls.",
+        f"{counted(len(fall), 'sample')}, it rises on the way by up to {most:.2g} times the whole fall (limit "
+        f"for a monotonic one: {MONOTONIC:g}). The rigid curve, which P follows within {apart.max():.1e} P_0, rises by "
+        f"{rigid.largest_rise.max():.1e} P_0. With {STIFFER:g} times the damping A_t, which slows the "
+        f"creep of contacts that take up load, it is {with_less:.2g} times (limit for creep: a fifth of that).",
         bool(most <= MONOTONIC or creeps),
         {
             "seeds": list(scene.seeds),
@@ -191,7 +191,7 @@ def _below_cut(minima: Minima, scene: Scene, shown: int) -> Claim:
     below = Share(int(minima.below_cut.sum()), len(ratio))
     return Claim(
         "3x3x3: the stationary power is generally below that of the minimum cut.",
-        f"P_min < P_cut is proven for {below} samples (limit: more than half); in {equal} the minimum "
+        f"P_min < P_cut is proven in {below}; limit: more than half. In {equal} the minimum "
         f"cut is itself the minimum. P_min / P_cut: median {np.median(ratio):.4f}, least {ratio.min():.4f}; "
         f"{ratio[shown]:.4f} in the figure (seed {scene.seeds[shown]}).",
         numbers={
@@ -244,8 +244,8 @@ def _larger_systems(minima: Minima) -> Claim:
     below = Share(int(minima.below_cut.sum()), len(ratio))
     return Claim(
         "The same behaviour is observed for larger systems.",
-        f"{'x'.join(map(str, LARGER))}: P_min < P_cut is proven for {below} samples "
-        f"(limit: more than half), P_min / P_cut {_range(ratio)}.",
+        f"{'x'.join(map(str, LARGER))}: P_min < P_cut is proven in {below}; limit: more "
+        f"than half. P_min / P_cut {_range(ratio)}.",
         numbers={"shape": list(LARGER), "samples": len(ratio), "below": below.hits, "minimum_over_cut": ratio.tolist()},
         **below.above(HALF),
     )

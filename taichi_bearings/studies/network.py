@@ -262,9 +262,10 @@ def _spans(samples: Sequence[Sample]) -> Claim:
     return Claim(
         "Slipless contacts form a network that joins bottom and top.",
         f"They do in {_share_by_side(samples, 'spans')}. So a sample of the paper's size has such a network or not, "
-        f"by chance, and a large one mostly has it: from {LARGE}^3 on {spanning} (limit: more than half). P_min "
+        f"by chance, and a large one mostly has it: from {LARGE}^3 on {spanning}; limit: more than half. P_min "
         f"is below P_cut without it, too. Contact states are proven in {sum(s.states_proven for s in samples)} of "
-        f"{counted(len(samples), 'sample')}, and that no other slips have the least power in {sum(s.unique for s in samples)}.",
+        f"{counted(len(samples), 'sample')}, and that no other slips have the least power in "
+        f"{sum(s.unique for s in samples)}.",
         numbers=_numbers(samples, "spans", "below_cut", "states_proven", "unique"),
         refined=not all(sample.spans for sample in samples),
         kind="selected",
@@ -329,9 +330,9 @@ def _crosses_planes(bulk: Sequence[Sample]) -> Claim:
         "A slipless path from bottom to top must go through several planes.",
         f"It must: within a plane x = const all slipless contacts tie Omega_x, so no path inside it joins two values "
         f"of Omega_x, and likewise for y. {within} of {counted(len(bulk), 'sample')} have a plane that spans by itself "
-        f"(limit: none). The shortest spanning path has {_by_side(spanning, 'shortest_path')} contacts (samples that span) and "
-        f"visits {_by_side(spanning, 'planes_x')} planes across x, {_by_side(spanning, 'planes_y')} across y. Paths "
-        f"that share no contact: {_by_side(bulk, 'disjoint_paths')}.",
+        f"(limit: none). The shortest spanning path has {_by_side(spanning, 'shortest_path')} contacts (samples that "
+        f"span) and visits {_by_side(spanning, 'planes_x')} planes across x, {_by_side(spanning, 'planes_y')} across "
+        f"y. Paths that share no contact: {_by_side(bulk, 'disjoint_paths')}.",
         within == 0 and all(sample.planes_x > 1 and sample.planes_y > 1 for sample in spanning),
         _numbers(bulk, "shortest_path", "planes_x", "planes_y", "disjoint_paths", "plane_spans"),
         samples=len(spanning),

@@ -10,7 +10,7 @@ def test_too_few_samples_give_no_verdict_whatever_they_show():
     for confirmed in (True, False):
         claim = Claim("All swans are white.", "Those seen are.", confirmed, samples=2, needed=5)
         assert claim.verdict == "too few samples"
-        assert claim.as_dict()["finding"] == "Those seen are. No verdict: this needs 5 samples and has 2."
+        assert claim.as_dict()["finding"] == "Those seen are. No verdict: this needs 5 such samples and has 2."
     assert Claim("All swans are white.", "They are.", True, samples=5, needed=5).verdict == "confirmed"
     assert Claim("All swans are white.", "One is black.", False, samples=5, needed=5).verdict == "refuted"
 

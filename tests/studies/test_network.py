@@ -57,7 +57,7 @@ def test_verdicts_follow_the_samples():
 def test_few_samples_are_too_few(claim):
     found = getattr(network, claim)(MANY[:2])
     assert found.verdict == "too few samples"
-    assert "No verdict: this needs 5 samples and has 2." in found.as_dict()["finding"]
+    assert "No verdict: this needs 5 such samples and has 2." in found.as_dict()["finding"]
 
 
 def test_chance_touches_spheres_by_their_contacts():
