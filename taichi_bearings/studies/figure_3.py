@@ -123,10 +123,11 @@ def _few_links(samples: list[Structure]) -> Claim:
     parting = [int(one.backbone.parting_links.sum()) for one in found]
     return Claim(
         "There are a few links through which most connecting paths go: they have large betweenness.",
-        f"{counted(len(samples), 'sample')} that span. Of the shortest paths between a bottom and a top sphere "
-        f"the busiest link carries {mean(largest)} (limit: {MOST:g} in every sample; the least is {largest.min():.3f}). The "
-        f"load is that of {mean(effective)} equal links, of {mean(links)} that are slipless. "
-        f"{sum(n > 0 for n in parting)} samples have links that part the planes alone, on average {mean(parting)} in each sample.",
+        f"{counted(len(samples), 'sample')} that span. Of the shortest paths between a bottom and a top sphere the "
+        f"busiest link carries {mean(largest)} (limit: {MOST:g} in every sample; the least is {largest.min():.3f}). "
+        f"The load is that of {mean(effective)} equal links, of {mean(links)} that are slipless. "
+        f"{sum(n > 0 for n in parting)} samples have links that part the planes alone, on average {mean(parting)} in "
+        "each sample.",
         bool(largest.min() > MOST),
         {"busiest": largest.tolist(), "effective_links": effective.tolist(), "parting_links": parting},
         samples=len(samples),
