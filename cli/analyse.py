@@ -40,7 +40,7 @@ def command(
       bearings run --shape 10,10,10 --spin-bottom 0.1 --out outputs/a
       bearings analyse outputs/a
     """
-    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.studies.analyse import analyse

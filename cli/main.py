@@ -3,13 +3,10 @@
 import importlib
 import os
 import sys
-import time
 
 import click
 
 from taichi_bearings.errors import BearingsError
-
-STARTED = time.perf_counter()  # what Python itself needs before, some hundredths of a second, is nobody's
 
 COMMANDS = {  # name -> (module, one line for --help)
     "run": "Solve one scene, or a block of seeds, and write a run directory.",

@@ -55,7 +55,7 @@ def command(
     Example:
       bearings reproduce fig2 --out outputs/fig2
     """
-    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.studies.claims import Effort

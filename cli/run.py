@@ -47,7 +47,7 @@ def command(
       bearings run --method cundall-strack --duration 10 --record log:1e-4,10,100 --checkpoint-every 60 --out outputs/a
       bearings run --resume outputs/a --duration 20
     """
-    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.errors import InputError

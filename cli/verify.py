@@ -28,7 +28,7 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
       bearings run --shape 10,10,10 --out outputs/a
       bearings verify outputs/a
     """
-    from taichi_bearings_cli.main import STARTED
+    from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.studies.verify import verify
