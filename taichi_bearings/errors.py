@@ -15,3 +15,7 @@ class DeviceError(InputError):
 
 class FileError(InputError):
     """A file that is missing, damaged, of an unknown layout, or in the way."""
+
+
+class WriteError(FileError):
+    """A file that cannot be written: no room, no permission, or gone. Nothing is wrong with what was to be written."""

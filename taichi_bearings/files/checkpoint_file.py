@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.whole_file import write_hdf5
+from taichi_bearings.files.whole_file import read_hdf5, write_hdf5
 
 SCHEMA = "taichi_bearings.checkpoint"
 SCHEMA_VERSION = 1
@@ -41,16 +41,11 @@ class StoredCheckpoint:
 
 
 def read_checkpoint(folder: Path) -> StoredCheckpoint:
-    """The checkpoint of a run directory; FileError if there is none, or if it is damaged or of an unknown version."""
+    """The checkpoint of a run directory; FileError if there is none, or one that is damaged, changed or unknown."""
     path = folder / NAME
     if not path.is_file():
         raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("schema") != SCHEMA or file.attrs.get("schema_version") != SCHEMA_VERSION:
-                raise FileError(f"{path} is not a checkpoint of layout version {SCHEMA_VERSION}")
-            arrays: dict[str, np.ndarray] = {}
-            file.visititems(lambda name, item: arrays.update({name: item[()]}) if hasattr(item, "shape") else None)
-            return StoredCheckpoint(str(file.attrs["scene"]), arrays or None)
-    except (OSError, KeyError) as error:
-        raise FileError(f"{path} cannot be read as a checkpoint: {str(error).strip(chr(39))}") from None
+    with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a checkpoint") as file:
+        arrays: dict[str, np.ndarray] = {}
+        file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+        return StoredCheckpoint(str(file.attrs["scene"]), arrays or None)

@@ -10,8 +10,9 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import write_hdf5
+from taichi_bearings.files.whole_file import read_hdf5, write_hdf5
 from taichi_bearings.scene import Solution
+from taichi_bearings.scene.solution import ROUNDING
 
 SCHEMA = "taichi_bearings.run"
 SCHEMA_VERSION = 1
@@ -143,20 +144,13 @@ def read_run_file(run: Path) -> StoredRun:
         unfinished = path.with_name(CHECKPOINT).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
-    try:
-        with h5py.File(path, "r") as file:
-            version = file.attrs.get("schema_version")
-            if file.attrs.get("schema") != SCHEMA:
-                raise FileError(f"{path} was not written by taichi_bearings")
-            if version != SCHEMA_VERSION:
-                raise FileError(f"{path} has layout version {version}; this program reads version {SCHEMA_VERSION}")
-            return _read(path, file)
-    except (OSError, KeyError) as error:
-        raise FileError(f"{path} cannot be read as a run: {str(error).strip(chr(39))}") from None
+    with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a run") as file:
+        return _read(path, file)
 
 
 def _read(path: Path, file: h5py.File) -> StoredRun:
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
+    _refuse_bound_above_power(path, attributes)
     axes = AXES[: len(attributes["shape"])]
     one = file["coefficient/x"].ndim == len(axes)
     has_friction = all(f"contact/{axis}/friction" in file for axis in axes)
@@ -176,3 +170,16 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         friction=tuple(get(f"contact/{axis}/friction") for axis in axes) if has_friction else None,
         **sets,
     )
+
+
+def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:
+    """FileError if a lower bound lies above its power by more than rounding. What is no number says nothing."""
+
+    def numbers(name: str) -> np.ndarray:
+        values = np.atleast_1d(attributes.get(name, np.nan))
+        return values.astype(float) if values.dtype.kind in "iuf" else np.full(values.shape, np.nan)
+
+    power, bound = numbers("potential" if "potential" in attributes else "power"), numbers("lower_bound")
+    driven = (numbers("spin_top") != numbers("spin_bottom")).all()
+    if (numbers("gap") < -ROUNDING).any() or (driven and (bound > power * (1 + ROUNDING)).any()):
+        raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")

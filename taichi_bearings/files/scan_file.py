@@ -24,7 +24,8 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.run_file import storable
-from taichi_bearings.files.whole_file import write_csv, write_hdf5
+from taichi_bearings.files.whole_file import read_hdf5, write_csv, write_hdf5
+from taichi_bearings.scene.solution import ROUNDING
 
 SCHEMA = "taichi_bearings.scan"
 SCHEMA_VERSION = 1
@@ -196,16 +197,12 @@ def read_scan(scan: Path) -> StoredScan:
     path = scan / "scan.h5" if scan.is_dir() else scan
     if not path.is_file():
         raise FileError(f"{scan} is not a scan: there is no {path}")
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("schema") != SCHEMA:
-                raise FileError(f"{path} was not written by `bearings scan`")
-            version = file.attrs.get("schema_version")
-            if version != SCHEMA_VERSION:
-                raise FileError(f"{path} has layout version {version}; this program reads version {SCHEMA_VERSION}")
-            return _read(path, file)
-    except (OSError, KeyError, ValueError) as error:
-        raise FileError(f"{path} cannot be read as a scan: {str(error).strip(chr(39))}") from None
+    with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a scan") as file:
+        found = _read(path, file)
+    gap = found.table.get("gap", np.zeros(0))
+    if gap.dtype.kind == "f" and (gap < -ROUNDING).any():
+        raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
+    return found
 
 
 def _read(path: Path, file: h5py.File) -> StoredScan:

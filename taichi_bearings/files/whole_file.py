@@ -1,22 +1,23 @@
-"""Files that are there in full or not at all: HDF5, text and tables."""
+"""Files that are there in full or not at all, and HDF5 that is read only as it was written."""
 
 import contextlib
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.checksums import UNREADABLE, check, seal
+from taichi_bearings.errors import FileError, WriteError
 
 Buffer = bytes | memoryview
 
 
 def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
-    """Replace `path` by a file with this content in one move; FileError if that cannot be done.
+    """Replace `path` by a file with this content in one move; WriteError if that cannot be done.
 
     ending : of the name that the file has meanwhile; processes that may write it at the same time need different ones.
     """
@@ -31,7 +32,7 @@ def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -53,14 +54,41 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
 
 
 def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
-    """Write what `fill` puts into a file, and replace `path` by it in one move; FileError if that cannot be done.
+    """Replace `path` in one move by a file of what `fill` puts into it, with checksums; WriteError if that fails."""
 
-    The file is built in memory first: on a full disk HDF5 itself fails in ways that cannot be caught.
-    """
+    def fill_and_seal(file: h5py.File) -> None:
+        fill(file)
+        seal(file)
+
+    _write(path, fill_and_seal)
+
+
+def _write(path: Path, fill: Callable[[h5py.File], None]) -> None:
+    """The file is built in memory first: on a full disk HDF5 itself fails in ways that cannot be caught."""
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         fill(file)
     replace_file(path, whole.getbuffer())
+
+
+@contextlib.contextmanager
+def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py.File]:
+    """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed.
+
+    kind : what it is for people, such as "a run".
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("schema") != schema:
+                raise FileError(f"{path} is not {kind}: it was not written by taichi_bearings as such")
+            found = file.attrs.get("schema_version")
+            if found != version:
+                raise FileError(f"{path} has layout version {found}; this program reads version {version}")
+            check(path, file)
+            yield file
+    except UNREADABLE as error:
+        words = " ".join(str(error).strip("'").split())
+        raise FileError(f"{path} cannot be read as {kind}: {words}") from None
 
 
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
@@ -68,11 +96,14 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
 
     def copy(whole: h5py.File) -> None:
         with h5py.File(path, "r") as old:
+            check(path, old)
             for key, value in old.attrs.items():
                 whole.attrs[key] = value
             for key in old:
                 if key != name:
                     old.copy(key, whole)
-        fill(whole.create_group(name))
+        group = whole.create_group(name)
+        fill(group)
+        seal(group)
 
-    write_hdf5(path, copy)
+    _write(path, copy)

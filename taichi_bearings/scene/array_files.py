@@ -3,8 +3,10 @@
 import zipfile
 from pathlib import Path
 
+import h5py
 import numpy as np
 
+from taichi_bearings.checksums import UNREADABLE, check
 from taichi_bearings.errors import FileError
 
 
@@ -25,13 +27,12 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         if path.suffix == ".npz":
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 return {name: stored[name if name in stored else name.split("/")[-1]] for name in names}
-        import h5py
-
         with h5py.File(path, "r") as file:
+            check(path, file)
             return {name: file[name][()] for name in names}
     except KeyError:
         raise FileError(f"{path} lacks one of the arrays {', '.join(names)}") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+    except (*UNREADABLE, EOFError, zipfile.BadZipFile):
         raise FileError(
             f"{path} cannot be read as npy, npz or HDF5: it is damaged, truncated or of another kind"
         ) from None

@@ -6,7 +6,10 @@ from enum import Enum
 
 import numpy as np
 
+from taichi_bearings.errors import BearingsError
 from taichi_bearings.scene.scene import Scene
+
+ROUNDING = 1e-11  # relative amount by which a lower bound may seem to lie above the power
 
 
 class Status(Enum):
@@ -121,7 +124,7 @@ class Solution:
         discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
     resolved : (R,), True where the contact states are proven to be those of every minimum.
     slip_bound : Coulomb, one array (R, *contacts) an axis: no minimiser slips faster there; proven. Else empty.
-    power, lower_bound, gap : (R,); gap is (power - lower_bound) / power.
+    power, lower_bound, gap : (R,); gap is (power - lower_bound) / power, and BearingsError where it is negative.
     findings : what else the method has found, by name, (R,) each.
     history : columns of equal length; power and lower_bound are (checks, R).
     snapshots : spins of a dynamics at the times asked for.
@@ -150,6 +153,14 @@ class Solution:
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     snapshots: Snapshots | None = None
+
+    def __post_init__(self) -> None:
+        for power, bound, gap in zip(self.power, self.lower_bound, self.gap, strict=True):
+            if gap < -ROUNDING:
+                raise BearingsError(
+                    f"the lower bound {bound:.17g} lies above the power {power:.17g}: one of them is wrong, and this "
+                    "is no result; please report it with the command"
+                )
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:

@@ -322,7 +322,10 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
 def _scene_of_run(path: Path) -> str:
     import h5py
 
+    from taichi_bearings.checksums import check
+
     with h5py.File(path, "r") as file:
+        check(path, file)
         if "scene" not in file.attrs:
             raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
         return str(file.attrs["scene"])

@@ -28,9 +28,11 @@ def verify(path: Path) -> dict[str, Any]:
         report = as_report(verdict_of(run), run.samples.count)
     with stage("drawing the coefficients again"):
         report["contradictions"] += _coefficients(run)
+    report["contradictions"] += [f"{name} was changed after it was written" for name in run.changed or ()]
     return {
         "verified": not report["contradictions"],
         **report,
+        "unchanged": None if run.changed is None else not run.changed,
         "status": run.attributes["status"],
         "law": run.samples.law,
         "shape": list(run.samples.shape),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +35,8 @@ REPORTED = ("slip", "power", "force", "state")
 class StoredRun:
     """attributes : of the file. settings : its scene. reported : by name, one array (R, *contacts) an axis.
 
-    history : columns (checks,) or (R, checks).
+    history : columns (checks,) or (R, checks). changed : names of what is not as it was written, by the checksums in
+    the file (taichi_bearings.checksums says how they are made); None where it has none.
     """
 
     path: Path
@@ -42,6 +45,7 @@ class StoredRun:
     settings: dict[str, Any]
     reported: dict[str, tuple[np.ndarray, ...]]
     history: dict[str, np.ndarray]
+    changed: tuple[str, ...] | None
 
     def claimed(self, name: str) -> list[Any]:
         """An attribute, sample by sample; None where the file leaves it open."""
@@ -125,7 +129,29 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     names = [*REPORTED, *(["slip_bound"] if "contact/z/slip_bound" in file or "contact/y/slip_bound" in file else [])]
     reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
     history = {name: np.asarray(values[()]) for name, values in file.get("history", {}).items()}
-    return StoredRun(path, samples, attributes, settings, reported, history)
+    return StoredRun(path, samples, attributes, settings, reported, history, _changed(file))
+
+
+def _changed(file: h5py.File) -> tuple[str, ...] | None:
+    """By checksums alone: what is missing is seen by those who need it."""
+    if "sha256" not in file.attrs:
+        return None
+    return tuple(name for name, digest in json.loads(file.attrs["sha256"]).items() if _differs(file, name, digest))
+
+
+def _differs(file: h5py.File, name: str, digest: str) -> bool:
+    path, is_attribute, attribute = name.partition("@")
+    where = file.get(path or "/")
+    if where is None or (is_attribute and attribute not in where.attrs):
+        return False
+    if is_attribute:
+        content = json.dumps(np.asarray(where.attrs[attribute]).tolist()).encode()
+    else:
+        values = np.asarray(where[()])
+        texts = values.dtype == object
+        content = json.dumps(values.tolist(), default=bytes.decode).encode() if texts else values.tobytes()
+        content = f"{values.dtype.str} {values.shape}".encode() + content
+    return hashlib.sha256(content).hexdigest() != digest
 
 
 def _settings(path: Path, text: str) -> dict[str, Any]:

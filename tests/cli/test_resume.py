@@ -204,3 +204,15 @@ def test_a_run_in_use_is_not_resumed(tmp_path):
         done = bearings("run", "--resume", tmp_path / "run", "--duration", "1")
     assert done.returncode == 2
     assert "in use by another process" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["spin", "proof_0", "history/lower_bound", "elapsed"])
+def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path, name):
+    words = ("--shape", "3,3,4", "--method", "rigid-limit", "--initial", "random", "--iterations", "20")
+    assert bearings("run", *words, "--checkpoint-every", "0.001", "--out", tmp_path / "run").returncode == 1
+    with h5py.File(tmp_path / "run" / "checkpoint.h5", "r+") as file:
+        file[name][...] = file[name][()] + 0.5
+    done = bearings("run", "--resume", tmp_path / "run", "--iterations", "1000")
+    assert done.returncode == 2
+    assert f"the checksum of {name} does not match" in done.stderr
+    assert done.stdout == ""

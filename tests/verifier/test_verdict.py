@@ -27,6 +27,8 @@ def folder(tmp_path_factory):
     there = tmp_path_factory.mktemp("verify")
     for name, settings in KEPT.items():
         run(RunSettings(threads=1, **settings), there / name)
+        with h5py.File(there / name / "run.h5", "r+") as file:
+            del file.attrs["sha256"]  # the numbers themselves must contradict each other
     return there
 
 

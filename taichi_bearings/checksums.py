@@ -1,0 +1,71 @@
+"""Checksums of what an HDF5 file holds, in the file itself: a number that has changed since is not read as a result.
+
+The attribute `sha256` of the root is JSON text, name -> SHA-256 in hexadecimal digits: ``contact/x/slip`` for a data
+set (:func:`digest_of_array`), ``path@attribute`` for an attribute of a group, ``@attribute`` for one of the root
+(:func:`digest_of_attribute`). A group that was added later, `/analysis`, has such an attribute of its own.
+Files from before have none and are read unchecked. Who changes a file on purpose removes the attribute, or writes it
+anew with :func:`seal`; what others add is not looked at.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.errors import FileError
+
+ATTRIBUTE = "sha256"
+UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
+"""What HDF5 and NumPy raise at damaged files."""
+
+
+def digest_of_array(values: np.ndarray) -> str:
+    """Of kind and shape, such as ``<f8 (3, 4, 5)``, and the bytes in C order; for texts their list as JSON instead."""
+    content = json.dumps(values.tolist(), default=bytes.decode).encode() if values.dtype == object else values.tobytes()
+    return hashlib.sha256(f"{values.dtype.str} {values.shape}".encode() + content).hexdigest()
+
+
+def digest_of_attribute(value: Any) -> str:
+    """Of a number, a text or a list as JSON."""
+    return hashlib.sha256(json.dumps(np.asarray(value).tolist()).encode()).hexdigest()
+
+
+def _digest(group: h5py.Group, name: str) -> str | None:
+    """Of what has this name; None if there is no such thing."""
+    path, is_attribute, attribute = name.partition("@")
+    found = group.get(path) if path else group
+    if not is_attribute:
+        return None if found is None else digest_of_array(np.asarray(found[()]))
+    return None if found is None or attribute not in found.attrs else digest_of_attribute(found.attrs[attribute])
+
+
+def _names(group: h5py.Group) -> Iterator[str]:
+    """All data sets in a group, and the attributes of the groups."""
+    items: list[tuple[str, Any]] = [("", group)]
+    group.visititems(lambda path, item: items.append((path, item)))
+    for path, item in items:
+        if isinstance(item, h5py.Dataset):
+            yield path
+        else:
+            yield from (f"{path}@{attribute}" for attribute in item.attrs if attribute != ATTRIBUTE)
+
+
+def seal(group: h5py.Group) -> None:
+    """Write the checksums of everything in a file or a group into it."""
+    group.attrs[ATTRIBUTE] = json.dumps({name: _digest(group, name) for name in _names(group)})
+
+
+def check(path: Path, file: h5py.File) -> None:
+    """FileError if something in the open file `path` is not what it was when it was written.
+
+    What is missing altogether is for those to notice who need it.
+    """
+    for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
+        for name, digest in json.loads(group.attrs.get(ATTRIBUTE, "{}")).items():
+            if _digest(group, name) not in (digest, None):
+                where = f"{group.name.strip('/')}/{name}".strip("/")
+                raise FileError(f"{path} is damaged or was changed: the checksum of {where} does not match")
