@@ -1,7 +1,9 @@
 """Entry point of the console script `bearings`. Commands load what they need only when they run."""
 
 import importlib
+import io
 import os
+import signal
 import sys
 
 import click
@@ -63,8 +65,16 @@ def bearings() -> None:
     """
 
 
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
 def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
+    signal.signal(signal.SIGTERM, _interrupt)  # as Ctrl-C, so that nothing half-made is left behind
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = bearings.main(standalone_mode=False)
     except click.ClickException as error:

@@ -61,7 +61,7 @@ def command(
         with Display(STARTED) as display:
             solution, summary = study.resume(Path(resume), given)
             verdict = _verdict(summary, verify)
-        _finish(context, solution, summary, verdict, display.times(), as_json)
+        _finish(context, solution, summary, None, verdict, display.times(), as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
     out, force = out or stored_out, stored_force if force is None else force
@@ -71,7 +71,7 @@ def command(
     with Display(STARTED) as display:
         solution, summary = study.run(settings, Path(out) if out else None, force)
         verdict = _verdict(summary, verify)
-    _finish(context, solution, summary, verdict, display.times(), as_json)
+    _finish(context, solution, summary, out, verdict, display.times(), as_json)
 
 
 def _verdict(summary: dict[str, Any], asked: bool) -> dict[str, Any] | None:
@@ -87,11 +87,12 @@ def _finish(
     context: click.Context,
     solution: Any,
     summary: dict[str, Any],
+    out: str | None,
     verdict: dict[str, Any] | None,
     times: str,
     as_json: bool,
 ) -> None:
-    """Print the summary and leave with the exit code that the status asks for."""
+    """Print the summary and leave with the exit code that the status asks for; 1 too if the run is not in `out`."""
     if as_json:
         click.echo(json.dumps(summary | ({"verification": verdict} if verdict else {}), allow_nan=False))
     else:
@@ -102,7 +103,9 @@ def _finish(
             click.echo(describe_verdict(verdict))
     if solution.status.value == "interrupted":
         context.exit(130)
-    context.exit(0 if solution.status.reached and (verdict is None or verdict["verified"]) else 1)
+    is_verified = verdict is None or verdict["verified"]
+    elsewhere = out is not None and Path(out).resolve() != Path(summary["run"]).resolve()
+    context.exit(0 if solution.status.reached and is_verified and not elsewhere else 1)
 
 
 def describe(summary: dict[str, Any], times: str) -> str:

@@ -101,7 +101,10 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
 
 
 def storable(value: Any) -> Any:
-    """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers."""
+    """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers; what
+    is not UTF-8 in a text, such as the name of a file, is escaped."""
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
     if isinstance(value, list) and None in value:
         return [np.nan if item is None else item for item in value]
     return "" if value is None else value

@@ -1,9 +1,14 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
+import contextlib
+import io
 import json
 import logging
+import secrets
+import shutil
 import sys
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +17,10 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import read_checkpoint, write_checkpoint
 from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_file
+from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.scene import Scene, Solution, Status
@@ -22,7 +28,7 @@ from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.stages import stage
-from taichi_bearings.studies.run_directory import RunDirectory, default_run_path, in_use, undisturbed
+from taichi_bearings.studies.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
 from taichi_bearings.studies.settings import RunSettings, parse_toml
 
 
@@ -288,22 +294,40 @@ def run(
     Raises InputError or FileError before anything is computed or overwritten.
     """
     job = prepare(settings)
-    directory = RunDirectory(out or default_run_path(), force)
-    try:
+    with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
             solution = solve_job(job, monitors)
-            with undisturbed():
-                summary = write_run(directory.partial, directory.path, job, solution)
-                directory.publish()
+            with undisturbed(), _rescued(directory.path, job, solution) as summary:
+                summary |= write_run(directory.partial, directory.path, job, solution)
+                while not directory.publish():
+                    summary |= write_run(directory.partial, directory.path, job, solution)
             return solution, summary
         stored = _self_contained(job, directory.partial)
-        (directory.partial / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
+        write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
-        directory.publish()
-    except BaseException:
-        directory.discard()
-        raise
-    return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
+        while not directory.publish():
+            pass
+        return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
+
+
+@contextlib.contextmanager
+def _rescued(path: Path, job: Job, solution: Solution) -> Iterator[dict[str, Any]]:
+    """The summary of a run that is written within; if `path` cannot be written, the run goes to a temporary folder.
+
+    WriteError if not even that is possible.
+    """
+    summary: dict[str, Any] = {}
+    try:
+        yield summary
+    except WriteError as error:
+        folder = Path(tempfile.gettempdir()) / f"bearings-{secrets.token_hex(4)}" / path.name
+        try:
+            folder.mkdir(parents=True)
+            summary |= write_run(folder, folder, job, solution)
+        except (WriteError, OSError):
+            shutil.rmtree(folder.parent, ignore_errors=True)
+            raise WriteError(f"{error}, nor can {folder.parent.parent}; the result is lost") from None
+        logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
 
 
 CHANGEABLE = (
@@ -359,14 +383,8 @@ def _solve_with_checkpoints(
     assert stored.checkpoint_every is not None
     with in_use(path):
         solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
-        with undisturbed():
-            directory = RunDirectory(path, force=True)
-            try:
-                summary = write_run(directory.partial, path, job, solution)
-                directory.merge(_drawn())
-            except BaseException:
-                directory.discard()
-                raise
+        with undisturbed(), completed(path, _drawn()) as folder:
+            summary = write_run(folder, path, job, solution)
     return solution, summary
 
 
@@ -386,14 +404,17 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
     with stage("writing"):
         stored = _self_contained(job, folder)
         summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
-        (folder / "scene.toml").write_text(stored.to_toml(), encoding="utf-8")
+        write_text(folder / "scene.toml", stored.to_toml())
+        full = summary | {"settings": asdict(job.settings), "versions": versions()}
+        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    try:
         histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
         write_table(folder / "power_histogram.csv", {None: histogram})
-    if stored.figures == "all":
-        with stage("drawing"):
-            _draw(folder, histogram)
-    full = summary | {"settings": asdict(job.settings), "versions": versions()}
-    (folder / "summary.json").write_text(json.dumps(full, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        if stored.figures == "all":
+            with stage("drawing"):
+                _draw(folder, histogram)
+    except WriteError as error:  # a full disk: what was solved is written, and figures can be drawn again
+        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
     return summary
 
 
@@ -441,9 +462,16 @@ def _self_contained(job: Job, folder: Path) -> RunSettings:
         arrays: dict[str, Any] = {
             axis: c[0] if one else c for axis, c in zip("xyz", job.scene.coefficient, strict=False)
         }
-        np.savez(folder / "coefficients.npz", **arrays)
+        _write_arrays(folder / "coefficients.npz", arrays)
         settings = replace(settings, coefficients="coefficients.npz")
     if settings.initial not in STARTS:
-        np.savez(folder / "initial_spin.npz", spin=job.spin[0] if job.scene.replicas == 1 else job.spin)
+        spin = job.spin[0] if job.scene.replicas == 1 else job.spin
+        _write_arrays(folder / "initial_spin.npz", {"spin": spin})
         settings = replace(settings, initial="initial_spin.npz")
     return settings
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    whole = io.BytesIO()
+    np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
+    replace_file(path, whole.getbuffer())

@@ -1,110 +1,255 @@
-"""The directory of a run: there in full under its name, or not at all."""
+"""The directory of a run: there in full under its name, or not at all, and in one process's hands at a time."""
 
 import contextlib
+import ctypes
 import errno
+import itertools
+import logging
 import os
+import re
 import secrets
 import shutil
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
+from taichi_bearings.files.whole_file import write_text
+
+LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
+"""Hidden names beside the directory `name`: its lock, a new directory on its way, and an old one on its way out."""
 
 
 @dataclass
 class RunDirectory:
-    """A run directory that appears under its name only when complete.
-
-    Files are written into a hidden neighbour and renamed at the end, so a killed run leaves nothing half-written; an
-    existing directory is replaced only with `force`, and only then.
-    """
+    """A run directory on its way: its files go to `partial`, and :meth:`publish` gives that the name `path`."""
 
     path: Path
-    force: bool = False
+    partial: Path
+    replaced: os.stat_result | None = None
 
-    def __post_init__(self) -> None:
-        try:
-            self._prepare()
-        except OSError as error:
-            raise FileError(f"output directory {self.path} cannot be written: {error.strerror or error}") from None
+    def publish(self) -> bool:
+        """Give the directory its name in one move, in exchange for the one that it replaces.
 
-    def _prepare(self) -> None:
-        exists = os.path.lexists(self.path)
-        if exists and not self.force:
-            raise FileError(f"output directory {self.path} already exists; choose another --out or add --force")
-        is_run = any((self.path / name).is_file() for name in ("run.h5", CHECKPOINT)) or (
-            self.path.is_dir() and not any(self.path.iterdir())
-        )
-        if exists and not is_run:
-            raise FileError(f"{self.path} is not a run directory; --force replaces only run directories")
-        self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
-        self._made = [folder for folder in self.path.parents if not folder.exists()]  # nearest first
-        self.partial.mkdir(parents=True)
-
-    def publish(self) -> None:
-        """Rename to the final name, replacing an earlier run if that was allowed."""
-        if self.path.exists():
-            retired = self.partial.with_name(self.partial.name + "-replaced")
-            self.path.rename(retired)
-            self.partial.rename(self.path)
-            shutil.rmtree(retired)
-        else:
-            self.partial.rename(self.path)
-
-    def merge(self, outdated: Iterable[str] = ()) -> None:
-        """Move the files into the directory, which stands already, one by one and run.h5 last; others there stay.
-
-        outdated : names of files there that go, if there are such and they can be removed.
+        returns : False if something else has taken the name meanwhile. That stays; `path` is then a free neighbouring
+        name, for another call.
         """
-        for name in outdated:
-            with contextlib.suppress(OSError):
-                (self.path / name).unlink()
-        for file in sorted(self.partial.iterdir(), key=lambda file: file.name == "run.h5"):
-            file.replace(self.path / file.name)
-        self.partial.rmdir()
+        try:
+            standing = os.lstat(self.path) if os.path.lexists(self.path) else None
+            if standing is None or self.replaced is None:
+                self.partial.rename(self.path)  # the system refuses to replace anything but an empty folder
+                return True
+            if os.path.samestat(standing, self.replaced):
+                exchange(self.partial, self.path)
+                shutil.rmtree(self.partial, ignore_errors=True)
+                self.replaced = None
+                return True
+        except OSError as error:
+            if not os.path.lexists(self.path) or not self.partial.is_dir():
+                raise WriteError(f"{self.path} cannot be written: {error.strerror or error}") from None
+        free = (self.path.with_name(f"{self.path.name}-{number}") for number in itertools.count(2))
+        taken, self.path, self.replaced = self.path, next(path for path in free if not os.path.lexists(path)), None
+        logging.getLogger(__name__).warning(
+            "bearings: %s has come into being meanwhile and stays; the result goes to %s", taken, self.path
+        )
+        return False
 
-    def discard(self) -> None:
-        """Leave nothing behind, not even folders that were made for this run."""
-        shutil.rmtree(self.partial, ignore_errors=True)
-        for folder in self._made:
+
+@contextlib.contextmanager
+def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
+    """A run directory that appears under its name only when it is complete and published.
+
+    No other process gets this name meanwhile. A run directory that stands there is replaced with `force` only, and
+    only if nobody works in it; nothing else is replaced ever. Unpublished files are removed at the end.
+    Raises FileError, before anything is written, if the name cannot be had.
+    """
+    refuse_name(path)
+    if path.is_symlink() or path.name in ("", ".."):
+        path = path.resolve()
+    made = [folder for folder in path.parents if not folder.exists()]  # nearest first
+    with contextlib.ExitStack() as stack:
+        stack.callback(_remove_empty, made)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            held = stack.enter_context(_locked(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
+            tidy(path.parent, ours=path.name if held else "")
+            if os.path.lexists(path):
+                _refuse_to_replace(path, force)
+                in_its_use = stack.enter_context(contextlib.ExitStack())
+                in_its_use.enter_context(in_use(path))
+                if sys.platform == "win32":  # where nothing can be renamed while a file in it is open
+                    in_its_use.close()
+            standing = path.stat() if path.exists() else None
+            partial = path.with_name(f".{path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
+            stack.callback(shutil.rmtree, partial, ignore_errors=True)
+            partial.mkdir()
+        except OSError as error:
+            raise WriteError(f"output directory {path} cannot be written: {error.strerror or error}") from None
+        yield RunDirectory(path, partial, standing)
+
+
+def _refuse_to_replace(path: Path, force: bool) -> None:
+    if not force:
+        raise FileError(f"output directory {path} already exists; choose another --out or add --force")
+    is_run = any((path / name).is_file() for name in ("run.h5", CHECKPOINT))
+    if not is_run and not (path.is_dir() and not any(path.iterdir())):
+        raise FileError(f"{path} is not a run directory; --force replaces only run directories")
+
+
+def refuse_name(path: Path) -> None:
+    """InputError for a name that files cannot hold."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"the name {str(path)!r} is not UTF-8, here and now; choose another --out") from None
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def tidy(parent: Path, ours: str = "") -> None:
+    """Remove what killed runs have left beside their directories, and give an old directory its name back if the kill
+    came while it was replaced. What a living process holds stays.
+
+    ours : the name that this process holds itself.
+    """
+    found: dict[str, list[re.Match[str]]] = {}
+    for entry in os.listdir(parent):
+        match = LEFTOVER.fullmatch(entry)
+        if match is not None:
+            found.setdefault(match["name"], []).append(match)
+    for name, leftovers in found.items():
+        with contextlib.suppress(OSError, FileError), contextlib.ExitStack() as stack:
+            held = name == ours or stack.enter_context(_locked(parent / f".{name}.in-use", name))
+            for match in leftovers if held else ():
+                if match["old"] and not os.path.lexists(parent / name):
+                    (parent / match[0]).rename(parent / name)
+                elif match["kind"] != "in-use":
+                    shutil.rmtree(parent / match[0], ignore_errors=True)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Swap two directories, in one move where the system can; else :func:`tidy` mends what a kill leaves."""
+    if _swap(one, other):
+        return
+    retired = one.with_name(one.name + "-replaced")
+    other.rename(retired)
+    try:
+        one.rename(other)
+    except OSError:
+        retired.rename(other)
+        raise
+    retired.rename(one)
+
+
+def _swap(one: Path, other: Path) -> bool:
+    """Swap two names in one move; False where the system or the file system cannot. OSError if it fails."""
+    if sys.platform not in ("linux", "darwin"):
+        return False
+    library, names = ctypes.CDLL(None, use_errno=True), (os.fsencode(one), os.fsencode(other))
+    if sys.platform == "linux":
+        if not hasattr(library, "renameat2"):
+            return False
+        failed = library.renameat2(-100, names[0], -100, names[1], 2)  # -100: from the working folder; 2: exchange
+    else:
+        failed = library.renamex_np(*names, 2)  # 2: swap
+    error = ctypes.get_errno()
+    if failed and error not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
+        raise OSError(error, os.strerror(error), str(other))
+    return not failed
+
+
+@contextlib.contextmanager
+def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
+    """A folder for files that go together into a directory, which stands and is in our use; others there stay.
+
+    Once all are written a kill on the way no longer matters: :func:`in_use` then moves the rest.
+    outdated : names of files in the directory that go.
+    """
+    folder = path / PARTIAL
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        yield folder
+        write_text(folder / OUTDATED, "\n".join(outdated))
+        folder.rename(path / COMPLETE)
+        _complete(path)
+    except OSError as error:
+        raise WriteError(f"{error.filename or path} cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+PARTIAL, COMPLETE, OUTDATED = ".partial", ".complete", ".outdated"
+
+
+def _complete(path: Path) -> None:
+    """Move the files of a complete folder into its directory, run.h5 last."""
+    folder = path / COMPLETE
+    if (folder / OUTDATED).exists():
+        for name in (folder / OUTDATED).read_text(encoding="utf-8").splitlines():
             with contextlib.suppress(OSError):
-                folder.rmdir()
+                (path / name).unlink()
+    for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
+        if file.name != OUTDATED:
+            file.replace(path / file.name)
+    shutil.rmtree(folder)
 
 
 @contextlib.contextmanager
 def in_use(path: Path, part: str = "") -> Iterator[None]:
     """Keep other processes from working in a run directory; FileError if one does. A lock ends with its process.
 
+    What a killed process has left there is removed, or completed if it was whole.
     part : keeps others from that part of the work alone.
     """
     lock = path / (f".in-use-{part}" if part else ".in-use")
-    what = f"{part} in {path}" if part else path
+    with _locked(lock, f"{part} in {path}" if part else f"{path}") as held:
+        if held and not part:
+            try:
+                if (path / COMPLETE).is_dir():
+                    _complete(path)
+                for left in (CHECKPOINT, "run.h5"):
+                    (path / f"{left}.partial").unlink(missing_ok=True)
+                shutil.rmtree(path / PARTIAL, ignore_errors=True)
+            except OSError as error:
+                raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+        yield
+
+
+@contextlib.contextmanager
+def _locked(lock: Path, what: str) -> Iterator[bool]:
+    """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
     while True:
         try:
             file = lock.open("a")
         except OSError as error:
-            raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+            raise WriteError(f"{lock.parent} cannot be written: {error.strerror or error}") from None
         with file:
+            held = True
             try:
                 _lock(file.fileno())
             except OSError as error:
                 if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
                     raise FileError(f"{what} is in use by another process; stop that or wait for its end") from None
-                # this file system has no locks
+                held = False  # this file system has no locks
             if not _is_at(file, lock):
                 continue  # whoever had it before removed it after we opened it: others would lock a new one
             try:
-                yield
+                yield held
             finally:
-                with contextlib.suppress(OSError):
-                    lock.unlink()
+                if _is_at(file, lock):  # a directory that was exchanged has taken its lock with it
+                    with contextlib.suppress(OSError):
+                        lock.unlink()
             return
 
 
@@ -114,16 +259,17 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
 
     part : as in :func:`in_use`.
     """
+    refuse_name(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
     with in_use(path, part):
         try:
             yield
         except OSError as error:
             name = error.filename2 or error.filename or path
-            raise FileError(f"{name} cannot be written: {error.strerror or error}") from None
+            raise WriteError(f"{name} cannot be written: {error.strerror or error}") from None
 
 
 def _lock(descriptor: int) -> None:

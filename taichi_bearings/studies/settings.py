@@ -67,6 +67,7 @@ def _bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, 
 def _text(value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise ValueError
+    value.encode()  # UnicodeEncodeError, a ValueError, for what is not UTF-8 and so cannot be written down
     return value
 
 
@@ -92,8 +93,8 @@ def _one_of(*choices: str) -> Kind:
 
 SHAPE = Kind(_numbers(_integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
 VECTOR = Kind(_numbers(_real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
-TEXT = Kind(_text, "a text", "TEXT")
-FILE = Kind(_text, "the name of a file", "FILE")
+TEXT = Kind(_text, "a text in UTF-8", "TEXT")
+FILE = Kind(_text, "the name of a file, in UTF-8", "FILE")
 LEAST, MOST = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
 
 
@@ -256,13 +257,17 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return f'"{escaped}"'
+        return '"' + "".join(_escaped(letter) for letter in value) + '"'
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(part) for part in value) + "]"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {toml_value(part)}" for key, part in value.items()) + " }"
     return repr(value)
+
+
+def _escaped(letter: str) -> str:
+    is_control = ord(letter) < 0x20 or ord(letter) == 0x7F
+    return f"\\u{ord(letter):04x}" if is_control else f"\\{letter}" if letter in '"\\' else letter
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -307,7 +312,7 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         import tomli as tomllib
     try:
         values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # too many digits or brackets too
         raise FileError(f"scene file {path} is not valid TOML: {error}") from None
     if path is None:
         return values

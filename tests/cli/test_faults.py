@@ -1,0 +1,169 @@
+"""Faults while a run is made: rivals, kills, full disks, strange names. No result is lost, each is one sentence."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from taichi_bearings.files.run_file import read_run_file
+from taichi_bearings.studies.settings import RunSettings, parse_toml
+from tests.cli.test_cli import bearings
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, mounts and names of POSIX")
+LONG = ("--shape", "3,3,4", "--method", "rigid-limit", "--initial", "random", "--duration", "1e9")
+SHORT = ("--shape", "4,5")
+
+
+def start(*words, until, **kwargs):
+    """A run that has come so far that there is a file `until`."""
+    command = [sys.executable, "-m", "taichi_bearings_cli", "run", *map(str, words)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, **kwargs)
+    began = time.monotonic()
+    while not list(until.parent.glob(until.name)) and time.monotonic() - began < 60:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.01)
+    return process
+
+
+def hidden(folder):
+    return sorted(file.name for file in folder.iterdir() if file.name.startswith("."))
+
+
+def refused(*words, **kwargs):
+    done = bearings("run", *words, **kwargs)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    return done.stderr
+
+
+def test_of_two_runs_into_one_directory_the_second_is_refused_and_a_kill_leaves_nothing(tmp_path):
+    first = start(*LONG, "--out", tmp_path / "a", until=tmp_path / ".a.partial-*")
+    for force in ((), ("--force",)):
+        assert "a is in use by another process" in refused(*SHORT, "--out", tmp_path / "a", *force)
+    first.kill()
+    first.communicate()
+    assert len(hidden(tmp_path)) == 2
+    assert bearings("run", *SHORT, "--out", tmp_path / "b").returncode == 0
+    assert [file.name for file in tmp_path.iterdir()] == ["b"]
+
+
+def test_a_directory_with_checkpoints_is_one_run_s(tmp_path):
+    words = (*LONG, "--checkpoint-every", "0.01", "--out", tmp_path / "a")
+    first = start(*words, until=tmp_path / "a" / ".in-use")
+    for force in ((), ("--force",)):
+        assert "in use" in refused(*words, *force)
+    assert "in use" in refused("--resume", tmp_path / "a")
+    first.kill()
+    first.communicate()
+    resumed = subprocess.Popen(
+        [sys.executable, "-m", "taichi_bearings_cli", "run", "--resume", str(tmp_path / "a")], stderr=subprocess.DEVNULL
+    )
+    time.sleep(2)
+    assert "in use" in refused(*SHORT, "--out", tmp_path / "a", "--force")
+    resumed.kill()
+    resumed.communicate()
+    assert bearings("run", *SHORT, "--out", tmp_path / "a", "--force").returncode == 0
+    assert hidden(tmp_path) == hidden(tmp_path / "a") == []
+
+
+def test_what_appears_meanwhile_is_not_replaced(tmp_path):
+    words = ("--shape", "3,3,4", "--method", "rigid-limit", "--duration", "1e9", "--time-limit", "2")
+    run = start(*words, "--out", tmp_path / "a", until=tmp_path / ".a.partial-*")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "mine").touch()
+    errors = run.communicate()[1]
+    assert run.returncode == 1
+    assert f"the result goes to {tmp_path / 'a-2'}" in errors
+    assert [file.name for file in (tmp_path / "a").iterdir()] == ["mine"]
+    assert read_run_file(tmp_path / "a-2").attribute("run") == str(tmp_path / "a-2")
+
+
+def test_a_batch_queue_that_ends_a_run_early_is_an_interrupt(tmp_path):
+    run = start(*LONG, "--out", tmp_path / "a", until=tmp_path / ".a.partial-*")
+    run.send_signal(signal.SIGTERM)
+    run.communicate()
+    assert run.returncode == 130
+    assert hidden(tmp_path) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can mount a small file system")
+@pytest.mark.parametrize(("size", "kept"), [("16k", "elsewhere"), ("64k", "without figures")])
+def test_a_full_disk_at_the_end_of_a_solve(tmp_path, size, kept):
+    disk, temporary = tmp_path / "disk", tmp_path / "temporary"
+    disk.mkdir()
+    temporary.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", disk], capture_output=True).returncode:
+        pytest.skip("this system lets not even root mount a small file system")
+    try:
+        environment = os.environ | {"TMPDIR": str(temporary)}
+        done = bearings("run", *SHORT, "--out", disk / "a", "--json", env=environment)
+        assert "No space left on device" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+        path = json.loads(done.stdout)["run"]
+        if kept == "elsewhere":
+            assert path.startswith(str(temporary))
+            assert path in done.stderr
+            assert done.returncode == 1
+            assert list(disk.iterdir()) == []
+        else:
+            assert path == str(disk / "a")
+            assert done.returncode == 0
+            assert list(temporary.iterdir()) == []
+        assert read_run_file(disk / "a" if kept != "elsewhere" else next(temporary.iterdir()) / "a").shape == (4, 5)
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def test_a_result_that_no_disk_takes_is_one_sentence(tmp_path):
+    import resource
+
+    def small_files():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
+
+    assert "the result is lost" in refused(*SHORT, "--out", tmp_path / "a", preexec_fn=small_files)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--out", "--coefficients", "--initial", "--distribution"])
+def test_a_name_that_is_not_utf_8_is_refused_before_anything_is_computed(tmp_path, option):
+    assert "UTF-8" in refused(*SHORT, option, os.fsdecode(b"caf\xe9"), cwd=tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+NO_UTF_8 = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.parametrize("locale", [{"LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii:strict"}, NO_UTF_8], ids=str)
+def test_locales_lose_nothing(tmp_path, locale):
+    environment = os.environ | locale
+    if locale is NO_UTF_8:
+        assert "UTF-8" in refused(*SHORT, "--out", "café", cwd=tmp_path, env=environment)
+    name = "plain" if locale is NO_UTF_8 else "café €"
+    done = bearings("run", *SHORT, "--out", name, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert read_run_file(tmp_path / name).attribute("run") == name
+
+
+def test_a_scene_file_and_a_folder_with_any_name_are_written_down(tmp_path):
+    folder = tmp_path / os.fsdecode(b"f\xe9\n")
+    folder.mkdir()
+    scene = folder / os.fsdecode(b"caf\xe9.toml")
+    scene.write_text("shape = [4, 5]\n")
+    done = bearings("run", scene.name, "--out", "a", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert r"caf\udce9.toml" in read_run_file(folder / "a").attribute("command")
+
+
+def test_control_characters_come_back_from_a_run(tmp_path):
+    done = bearings("run", *SHORT, "--distribution", "uniform:0.1,1.0\n", "--out", "a\n1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    again = bearings("run", "a\n1", "--out", "b", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    settings = RunSettings(distribution="".join(map(chr, range(1, 160))) + '"\\é€')
+    assert parse_toml(settings.to_toml())["distribution"] == settings.distribution
