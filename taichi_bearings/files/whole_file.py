@@ -16,6 +16,14 @@ from taichi_bearings.errors import FileError, WriteError
 Buffer = bytes | memoryview
 
 
+def make_folder(path: Path) -> None:
+    """A folder and those above it, unless it is there; WriteError if that fails."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
 def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
     """Replace `path` by a file with this content in one move; WriteError if that cannot be done.
 

@@ -20,7 +20,7 @@ from typing import IO
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import write_text
+from taichi_bearings.files.whole_file import make_folder, write_text
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
 """Hidden names beside the directory `name`: its lock, a new directory on its way, and an old one on its way out."""
@@ -260,10 +260,7 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
     part : as in :func:`in_use`.
     """
     refuse_name(path)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+    make_folder(path)
     with in_use(path, part):
         try:
             yield

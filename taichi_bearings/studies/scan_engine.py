@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Protocol
 
-from taichi_bearings.errors import BearingsError
+from taichi_bearings.errors import BearingsError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.studies.scan_plan import Sample
 
@@ -83,7 +83,7 @@ def run_samples(
 
     keep : takes records of finished samples, failed ones too. retry : hears of a sample that will be tried again.
     look : is called now and then; False ends it all. failure : makes the record of a sample that has no result.
-    Raises BearingsError if worker after worker ends without any result.
+    Raises BearingsError if worker after worker ends without any result, WriteError if results cannot be written.
     """
     waiting, last, tries = deque(units), deque[Unit](), Counter[str]()
     lost, any_result = 0, False
@@ -95,6 +95,7 @@ def run_samples(
         if not look():
             return
         finished: list[Record] = []
+        unwritten = ""
         for outcome in engine.collect(PATIENCE):
             lost = lost + 1 if outcome.records is None else 0
             any_result |= outcome.records is not None
@@ -103,6 +104,9 @@ def run_samples(
                 continue
             records = outcome.records or [failure(sample, outcome.reason) for sample in outcome.unit]
             for sample, record in zip(outcome.unit, records, strict=True):
+                if record.get("unwritten", False):
+                    unwritten = record["scalars"]["error"]
+                    continue
                 tries[sample.key] += 1
                 again = record["scalars"]["status"] == FAILED and not record.pop("final", False)
                 if again and tries[sample.key] < TRIES:
@@ -112,6 +116,8 @@ def run_samples(
                     finished.append(record)
         if finished:
             keep(finished)
+        if unwritten:
+            raise WriteError(unwritten)
         if lost >= HOPELESS and not any_result:
             raise BearingsError(f"{lost} workers ended one after the other without a result: {outcome.reason}")
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from taichi_bearings.blas import one_thread
 from taichi_bearings.contact_state import ContactState
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED, bin_of
+from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.studies.run import prepare, solve_job, summarise, write_state
 from taichi_bearings.studies.scan_estimate import method_of
@@ -39,13 +40,17 @@ def solve_samples(samples: Sequence[Sample], wanted: Wanted) -> list[dict[str, A
 
     A record is valid JSON: `key`; `scalars`, the summary of `bearings run` for that sample alone, nothing but numbers
     and texts; `bins`, number of the power bin -> slipping contacts. A sample that raises gives a record whose status is
-    failed, with the reason as `error`, and `final` if another try is pointless.
+    failed, with the reason as `error`, and `final` if another try is pointless; or `unwritten`, if it is the disk that
+    failed and not the sample. Then those after it are not tried either.
     """
     records: dict[str, dict[str, Any]] = {}
     with one_thread():
         for block in _blocks(samples):
             try:
                 found = _solve_block(block, wanted)
+            except WriteError as error:
+                unwritten = {"unwritten": True}
+                return [records.get(sample.key) or failure(sample, error) | unwritten for sample in samples]
             except Exception as error:
                 found = [failure(block[0], error)] if len(block) == 1 else _one_by_one(block, wanted)
             records |= {sample.key: record for sample, record in zip(block, found, strict=True)}
@@ -90,7 +95,7 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
         raise Interrupted
     parts = [one_replica(solution, number) for number in range(len(block))]
     if wanted.states is not None:
-        wanted.states.mkdir(parents=True, exist_ok=True)
+        make_folder(wanted.states)
         for sample, part in zip(block, parts, strict=True):
             path = state_path(wanted.states, sample.key)
             write_state(path, job, part, sample.settings, path, "bearings scan")

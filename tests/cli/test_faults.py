@@ -167,3 +167,22 @@ def test_control_characters_come_back_from_a_run(tmp_path):
     assert again.returncode == 0, again.stderr
     settings = RunSettings(distribution="".join(map(chr, range(1, 160))) + '"\\é€')
     assert parse_toml(settings.to_toml())["distribution"] == settings.distribution
+
+
+def test_a_full_disk_stops_a_scan_and_fails_no_sample(tmp_path):
+    import resource
+
+    def small_files():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = { start = 0, stop = 3 }\n")
+    words = ("scan", tmp_path / "scan.toml", "--workers", "1", "--out", tmp_path / "scan")
+    done = bearings(*words, "--keep-states", preexec_fn=small_files)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (sentence,) = done.stderr.splitlines()
+    assert ".h5 cannot be written: File too large; 0 samples are kept there" in sentence
+    done = bearings(*words, "--keep-states", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["failed"] == 0
+    assert len(list((tmp_path / "scan" / "states").iterdir())) == 3
