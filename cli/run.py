@@ -61,7 +61,7 @@ def command(
         with Display(STARTED) as display:
             solution, summary = study.resume(Path(resume), given)
             verdict = _verdict(summary, verify)
-        _finish(context, solution, summary, None, verdict, display.times(), as_json)
+        _finish(context, solution, summary, resume, verdict, display.times(), as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
     out, force = out or stored_out, stored_force if force is None else force
@@ -104,7 +104,8 @@ def _finish(
     if solution.status.value == "interrupted":
         context.exit(130)
     is_verified = verdict is None or verdict["verified"]
-    elsewhere = out is not None and Path(out).resolve() != Path(summary["run"]).resolve()
+    place = Path(out or summary["run"]).resolve()  # of a directory, or of the run.h5 in it that is resumed
+    elsewhere = Path(summary["run"]).resolve() not in (place, place.parent)
     context.exit(0 if solution.status.reached and is_verified and not elsewhere else 1)
 
 

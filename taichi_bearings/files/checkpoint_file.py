@@ -40,11 +40,17 @@ class StoredCheckpoint:
     arrays: dict[str, np.ndarray] | None
 
 
-def read_checkpoint(folder: Path) -> StoredCheckpoint:
-    """The checkpoint of a run directory; FileError if there is none, or one that is damaged, changed or unknown."""
+def checkpoint_of(folder: Path) -> Path:
+    """The checkpoint of a run directory; FileError if there is none."""
     path = folder / NAME
     if not path.is_file():
         raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
+    return path
+
+
+def read_checkpoint(folder: Path) -> StoredCheckpoint:
+    """What the checkpoint of a run directory holds; FileError if there is none, or one damaged, changed or unknown."""
+    path = checkpoint_of(folder)
     with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a checkpoint") as file:
         arrays: dict[str, np.ndarray] = {}
         file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)

@@ -18,7 +18,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.contact_state import ContactState, count, separate
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.files.checkpoint_file import read_checkpoint, write_checkpoint
+from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_file
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.lattice import Lattice
@@ -297,7 +297,7 @@ def run(
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
             solution = solve_job(job, monitors)
-            with undisturbed(), _rescued(directory.path, job, solution) as summary:
+            with undisturbed(), _rescued(directory.path, job, solution, "the result is lost") as summary:
                 summary |= write_run(directory.partial, directory.path, job, solution)
                 while not directory.publish():
                     summary |= write_run(directory.partial, directory.path, job, solution)
@@ -307,14 +307,15 @@ def run(
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         while not directory.publish():
             pass
-        return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
+        with in_use(directory.path):
+            return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
 
 
 @contextlib.contextmanager
-def _rescued(path: Path, job: Job, solution: Solution) -> Iterator[dict[str, Any]]:
+def _rescued(path: Path, job: Job, solution: Solution, otherwise: str) -> Iterator[dict[str, Any]]:
     """The summary of a run that is written within; if `path` cannot be written, the run goes to a temporary folder.
 
-    WriteError if not even that is possible.
+    WriteError if not even that is possible. otherwise : what then, for people.
     """
     summary: dict[str, Any] = {}
     try:
@@ -326,7 +327,7 @@ def _rescued(path: Path, job: Job, solution: Solution) -> Iterator[dict[str, Any
             summary |= write_run(folder, folder, job, solution)
         except (WriteError, OSError):
             shutil.rmtree(folder.parent, ignore_errors=True)
-            raise WriteError(f"{error}, nor can {folder.parent.parent}; the result is lost") from None
+            raise WriteError(f"{error}, nor can {folder.parent.parent}; {otherwise}") from None
         logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
 
 
@@ -344,15 +345,18 @@ def resume(
     """
     path = path.parent if path.name == "run.h5" else path
     path = path if path.name and not path.is_symlink() else path.resolve()
-    checkpoint, changes = read_checkpoint(path), dict(changes or {})
+    checkpoint_of(path)
+    changes = dict(changes or {})
     for key in changes:
         if key in RunSettings.keys() and key not in CHANGEABLE:
             raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
-    stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
-    if "duration" in changes and stored.duration is not None:
-        _refuse_past(path, stored.duration, checkpoint.arrays or {})
-    job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
-    return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
+    with in_use(path):
+        checkpoint = read_checkpoint(path)
+        stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+        if "duration" in changes and stored.duration is not None:
+            _refuse_past(path, stored.duration, checkpoint.arrays or {})
+        job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
+        return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
 
 
 def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) -> None:
@@ -368,7 +372,7 @@ def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) 
 def _solve_with_checkpoints(
     path: Path, job: Job, stored: RunSettings, arrays: Mapping[str, np.ndarray] | None, monitors: Sequence[Any]
 ) -> tuple[Solution, dict[str, Any]]:
-    """Solve in a run directory that is there already, and complete it.
+    """Solve in a run directory that is there already and in our use, and complete it.
 
     stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
     """
@@ -381,10 +385,10 @@ def _solve_with_checkpoints(
             logging.getLogger(__name__).warning("bearings: %s; the run goes on", error)
 
     assert stored.checkpoint_every is not None
-    with in_use(path):
-        solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
-        with undisturbed(), completed(path, _drawn()) as folder:
-            summary = write_run(folder, path, job, solution)
+    solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
+    otherwise = f"`bearings run --resume {path}` goes on from the last checkpoint"
+    with undisturbed(), _rescued(path, job, solution, otherwise) as summary, completed(path, _drawn()) as folder:
+        summary |= write_run(folder, path, job, solution)
     return solution, summary
 
 

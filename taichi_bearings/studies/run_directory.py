@@ -247,10 +247,13 @@ def _locked(lock: Path, what: str) -> Iterator[bool]:
             try:
                 yield held
             finally:
-                if _is_at(file, lock):  # a directory that was exchanged has taken its lock with it
+                if _is_at(file, lock) and sys.platform != "win32":  # an exchanged directory takes its lock with it
                     with contextlib.suppress(OSError):
                         lock.unlink()
-            return
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":  # where an open file cannot be removed
+                lock.unlink()
+        return
 
 
 @contextlib.contextmanager

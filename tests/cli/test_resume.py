@@ -185,6 +185,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files, env=elsewhere)
     assert done.returncode == 2
     assert "the run goes on" in done.stderr
+    assert f"`bearings run --resume {tmp_path / 'run'}` goes on from the last checkpoint" in done.stderr
     assert "Traceback" not in done.stderr
     assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["checkpoint.h5", "scene.toml"]
     assert len(list(tmp_path.iterdir())) == 1
