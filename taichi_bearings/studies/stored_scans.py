@@ -5,6 +5,7 @@ from pathlib import Path
 
 import h5py
 
+from taichi_bearings.checksums import UNREADABLE
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import SCHEMA, StoredScan, read_scan
 from taichi_bearings.studies.scan_parts import journal_bytes, read_journals
@@ -21,7 +22,7 @@ def is_scan(path: Path) -> bool:
     try:
         with h5py.File(path, "r") as file:
             return bool(file.attrs.get("schema") == SCHEMA)
-    except OSError:
+    except UNREADABLE:
         return False
 
 
