@@ -87,7 +87,7 @@ def test_a_batch_queue_that_ends_a_run_early_is_an_interrupt(tmp_path):
     run = start(*LONG, "--out", tmp_path / "a", until=tmp_path / ".a.partial-*")
     run.send_signal(signal.SIGTERM)
     run.communicate()
-    assert run.returncode == 130
+    assert run.returncode in (130, -signal.SIGINT)  # CPython's way out of some imports, for a shell 130 too
     assert hidden(tmp_path) == []
 
 
