@@ -1,0 +1,67 @@
+"""What a device shares with the CPU: the answer; and how often it is asked. With --arch, these run on that device."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taichi_bearings import runtime
+from taichi_bearings.fields import Fields, fields, make_layout
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.cundall_strack import CundallStrack
+from taichi_bearings.solvers.gradient_descent import GradientDescent
+from tests.benchmarks.device_table import course
+from tests.scenes import make_scene
+
+ROOT = Path(__file__).parents[2]
+COURSES = [
+    (method, law, shape)
+    for method in ("gradient-descent", "plain descent", "cundall-strack")
+    for law in ("coulomb", "viscous")
+    for shape in ((12, 10), (6, 5, 7))
+]
+
+
+@pytest.fixture(scope="module")
+def on_the_cpu():
+    """The courses on the CPU in double precision, by a process of their own."""
+    code = f"import json; from tests.benchmarks.device_table import courses; print(json.dumps(courses({COURSES!r})))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return dict(zip(COURSES, json.loads(done.stdout), strict=True))
+
+
+@pytest.mark.parametrize("case", COURSES, ids=lambda case: "-".join(map(str, case)))
+def test_two_hundred_iterations_end_where_those_of_the_cpu_do(case, on_the_cpu, precision):
+    found, expected = np.array(course(*case)), np.array(on_the_cpu[case])
+    chatters = case[:2] == ("plain descent", "coulomb")  # across the kinks of |slip|: rounding decides to which side
+    single = 1e-2 if chatters else 1e-4
+    assert found == pytest.approx(expected, rel=1e-11 if precision == "f64" else single)
+
+
+@pytest.mark.parametrize(
+    ("method", "kernel", "launches", "reads"),
+    [
+        (GradientDescent(), "pair_on_gpu", 6, ["spin"]),  # sweeps come in pairs
+        (CundallStrack(), "step_on_gpu", 12, ["gear_0", "force", "elongation"]),
+    ],
+)
+def test_a_gpu_is_launched_once_a_step_and_read_only_at_checks(method, kernel, launches, reads, monkeypatch):
+    if not runtime.current().is_gpu:
+        pytest.skip("this is about GPUs; pytest --arch vulkan")
+    scene = make_scene((4, 5, 6))
+    spin = initial_spin(scene, "random")
+    memory = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin))
+    method.begin(scene, spin, memory)
+    launched, read = [], []
+    kernels = method.steps if isinstance(method, CundallStrack) else method.sweeps[False]
+    launch, read_field = getattr(kernels, kernel), fields.Fields.read
+    monkeypatch.setattr(kernels, kernel, lambda *arguments: (launched.append(1), launch(*arguments)))
+    monkeypatch.setattr(fields.Fields, "read", lambda self, field: (read.append(field), read_field(self, field))[1])
+    method.advance(12)
+    assert (len(launched), read) == (launches, [])
+    method.progress()
+    assert (len(launched), read) == (launches, reads)
