@@ -2,7 +2,7 @@
 
 A physical law is a function of one site; :func:`each_site` walks it over a block. On a CPU the results go to local
 vectors, which are written as a whole: a loop that writes to memory cannot be told from one that changes its own input,
-or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0003).
+or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0002).
 """
 
 import taichi as ti
