@@ -12,13 +12,12 @@ FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fi
 
 CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
 LEAST_SHARE = 2_000  # site values a worker must have, or meeting the others would cost more than it saves
-ALIGNMENT = CPU_BLOCK * 8  # bytes, what SIMD writes of a block of sites expect
 MOST_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
 
 
-def make_layout(replicas: int, shape: tuple[int, ...]) -> Layout:
+def make_layout(replicas: int, shape: tuple[int, ...], block: int = CPU_BLOCK) -> Layout:
     """The flat layout for the running device: blocks for SIMD on a CPU, one site a thread on a GPU."""
-    return Layout(replicas, shape, block=1 if runtime.current().is_gpu else CPU_BLOCK)
+    return Layout(replicas, shape, block=1 if runtime.current().is_gpu else block)
 
 
 def first_slots(spec: FieldSpec) -> dict[str, int]:
@@ -54,8 +53,9 @@ class Fields:
     def _allocate(self) -> tuple[Any, np.ndarray | None]:
         count = self.rows * self.layout.length
         if not runtime.current().is_gpu:
-            memory = np.zeros(count + ALIGNMENT // self.dtype.itemsize, self.dtype)
-            start = -memory.ctypes.data % ALIGNMENT // self.dtype.itemsize
+            block = self.layout.block  # SIMD writes expect whole blocks at multiples of their size
+            memory = np.zeros(count + block, self.dtype)
+            start = -(memory.ctypes.data // self.dtype.itemsize) % block
             flat = memory[start : start + count]
             return flat, flat.reshape(self.rows, -1)
         import taichi as ti

@@ -6,7 +6,7 @@ import taichi as ti
 
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, coulomb_force, viscous_force
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, fill, in_range, new_rows, places
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
@@ -14,15 +14,15 @@ FORCE_LAWS = {"coulomb": coulomb_force, "viscous": viscous_force}
 
 
 @lru_cache
-def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str, averaging: bool) -> "DescentSweeps":
+def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str) -> "DescentSweeps":
     """One for each configuration, so that the next scene finds its kernels compiled."""
-    return DescentSweeps(spec, stencil, law, averaging)
+    return DescentSweeps(spec, stencil, law)
 
 
 @ti.data_oriented
 class DescentSweeps:
-    """Sweeps over the fields `point`, `point_next`, `coefficient`, `inverse_weight` and, with momentum,
-    `spin`.
+    """Sweeps over the fields `point`, `point_next`, `coefficient`, `inverse_weight`, with momentum
+    `spin`, and for averages `spin_sum` and `force_sum`.
 
     The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
 
@@ -30,37 +30,33 @@ class DescentSweeps:
         point    = spin_new + beta (spin_new - spin)
 
     inverse_weight is 1 / (sum of the coefficients of the sphere's contacts), for each component; 0 for driven spheres,
-    which therefore stay. With `averaging`, the points and the contact forces at the points are summed up in `spin_sum`
-    and `force_sum`. Without momentum `spin` is not used: `point` is the spin.
+    which therefore stay. On request the points and the contact forces at the points are summed up in `spin_sum` and
+    `force_sum`. Without momentum `spin` is not used: `point` is the spin.
     """
 
-    def __init__(self, spec: FieldSpec, stencil: Stencil, law: str, averaging: bool):
+    def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
         self.slot = slot = first_slots(spec)
         self.stencil, self.block, self.force_law = stencil, stencil.block, FORCE_LAWS[law]
-        self.momentum, self.averaging = "spin" in slot, averaging
+        self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
         self.components = tuple(range(stencil.components))
-
-        def of_kept(name: str) -> tuple[tuple[int, ...], ...]:
-            return tuple(tuple(slot[name] + c for c in kept) for kept in stencil.kept)
 
         def of_sites(name: str) -> tuple[int, ...]:
             return tuple(slot[name] + c for c in self.components)
 
-        # sweeps of even parity read `point` and write `point_next`, the others go back
-        self.kept = of_kept("point"), of_kept("point_next")
-        self.point, self.target = (
-            (of_sites("point"), of_sites("point_next")),
-            (of_sites("point_next"), of_sites("point")),
-        )
+        # sweeps of even parity go from `point` to `point_next`, which begins `apart` rows further, the others back
+        self.point, self.apart = of_sites("point"), slot["point_next"] - slot["point"]
+        self.kept = tuple(tuple(slot["point"] + c for c in kept) for kept in stencil.kept)
         self.weight, self.spin = of_sites("inverse_weight"), of_sites("spin") if self.momentum else ()
-        if averaging:
+        if self.averages:
             self.spin_sum = of_sites("spin_sum")
             first = [slot["force_sum"] + stencil.force_slot[axis] for axis in range(stencil.dimension)]
             self.force_sum = tuple(
                 tuple(range(first[axis], first[axis] + count)) for axis, count in enumerate(stencil.kept_count)
             )
 
-    def run(self, fields: Fields, team: Team, pairs: int, age: int, numbers: tuple[float, ...]) -> None:
+    def run(
+        self, fields: Fields, team: Team, pairs: int, age: int, averaging: bool, numbers: tuple[float, ...]
+    ) -> None:
         """Make `pairs` pairs of sweeps in one launch, or on a GPU in one each.
 
         age : sweeps since the last restart. numbers : step, sharpness, and the lower and upper ends of the box.
@@ -69,42 +65,51 @@ class DescentSweeps:
         stride_y = layout.strides[1] if len(layout.strides) == 3 else 1
         sizes = (layout.length, layout.margin, layout.blocks, layout.strides[0], stride_y)
         if team.size:
-            team.launch(self.pairs_by_team, pairs, fields.values, fields.blocks, age, *sizes, *numbers)
+            team.launch(self.pairs_by_team, pairs, fields.values, fields.blocks, age, averaging, *sizes, *numbers)
         else:
             for pair in range(pairs):
-                self.pair_on_gpu(fields.values, age + 2 * pair, *sizes, *numbers)
+                self.pair_on_gpu(fields.values, age + 2 * pair, averaging, *sizes, *numbers)
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel that `run` will launch, on no sites at all."""
         nothing = (0.0,) * 8
         if team.size:
-            self.run(fields, team, 0, 0, nothing)
+            self.run(fields, team, 0, 0, False, nothing)
         else:
-            self.pair_on_gpu(fields.values, 0, *(0,) * 5, *nothing)
+            self.pair_on_gpu(fields.values, 0, False, *(0,) * 5, *nothing)
 
     @ti.func
     def force(self, values: ti.template(), lower: ti.template(), upper: ti.template(), coefficient, m, sharpness):
         return self.force_law(difference(values, lower, upper, m), values[coefficient + m], sharpness)
 
     @ti.func
+    def pull(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """What the contacts of one axis pull on a sphere, for each component that they feel."""
+        here, up, down, own, lower = at
+        above = self.force(values, here, up, own, m, numbers[0])
+        below = self.force(values, down, here, lower, m, numbers[0])
+        return [above[t] - below[t] for t in ti.static(range(len(above)))]
+
+    @ti.func
+    def pull_along_the_height(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+        """The same for the height. at[-1] : force of the contact below, carried up the column."""
+        above = self.force(values, at[0], at[1], at[2], m, numbers[0])
+        pulled = [above[t] - at[3][t] for t in ti.static(range(len(above)))]
+        for t in ti.static(range(len(above))):
+            at[3][t] = above[t]
+        return pulled
+
+    @ti.func
     def moved(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The next point and, with momentum, the next spin of one sphere. at[-1] : force of the contact below it."""
-        here, up, down, own, lower = at[:5]
-        point, weight, spin = at[5:8]
-        height = ti.static(self.stencil.height)
-        beta, step, sharpness, low, high = numbers
-        pull = [0.0 for _ in self.components]
-        for axis in ti.static(self.stencil.sideways_axes):
-            above = self.force(values, here[axis], up[axis], own[axis], m, sharpness)
-            below = self.force(values, down[axis], here[axis], lower[axis], m, sharpness)
-            for t in ti.static(range(len(above))):
-                pull[self.stencil.kept[axis][t]] += above[t] - below[t]
-        above_height = self.force(values, here[height], up[height], own[height], m, sharpness)
-        for t in ti.static(range(len(above_height))):
-            pull[self.stencil.kept[height][t]] += above_height[t] - at[8][t]
-            at[8][t] = above_height[t]  # up the column, so that each is computed once
+        """The next point and, with momentum, the next spin of one sphere. at[-1] : the pulls along each axis."""
+        point, weight, spin = at[:3]
+        beta, step, low, high = numbers
+        pulled = [0.0 for _ in self.components]
+        for axis in ti.static(self.stencil.slipping_axes):
+            for t in ti.static(range(self.stencil.kept_count[axis])):
+                pulled[self.stencil.kept[axis][t]] += at[3][axis][t][m]
         new = [
-            clamp(values[point[c] + m] + step * values[weight[c] + m] * pull[c], low[c], high[c])
+            clamp(values[point[c] + m] + step * values[weight[c] + m] * pulled[c], low[c], high[c])
             for c in self.components
         ]
         ahead = [new[c] + beta * (new[c] - values[spin[c] + m]) for c in ti.static(range(len(spin)))]
@@ -127,7 +132,8 @@ class DescentSweeps:
         self,
         values: ti.template(),
         blocks: ti.template(),
-        parity: ti.template(),
+        parity,
+        averaging,
         row,
         first,
         strides: ti.template(),
@@ -136,24 +142,33 @@ class DescentSweeps:
         """Update the block of sites from `first` on. row: length of a row of numbers."""
         axes = ti.static(range(self.stencil.dimension))
         height = ti.static(self.stencil.height)
-        sharpness = numbers[2]
-        here = [places(self.kept[parity][axis], row, first) for axis in axes]
-        up = [places(self.kept[parity][axis], row, first + strides[axis]) for axis in axes]
-        down = [places(self.kept[parity][axis], row, first - strides[axis]) for axis in axes]
+        beta, step, sharpness, low, high = numbers
+        source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row
+        here = [places(self.kept[axis], row, source) for axis in axes]
+        up = [places(self.kept[axis], row, source + strides[axis]) for axis in axes]
+        down = [places(self.kept[axis], row, source - strides[axis]) for axis in axes]
         own = [in_range((self.slot["coefficient"] + axis) * row + first) for axis in axes]
         lower = [in_range((self.slot["coefficient"] + axis) * row + first - strides[axis]) for axis in axes]
-        point, weight = places(self.point[parity], row, first), places(self.weight, row, first)
-        spin, to = places(self.spin, row, first), places(self.target[parity], row, first)
-        if ti.static(self.averaging):
-            spin_sum = places(self.spin_sum, row, first)
-            each_site(values, blocks, self.block, spin_sum, self.added_point, [spin_sum, point], numbers)
-            for axis in ti.static(self.stencil.slipping_axes):
-                total = places(self.force_sum[axis], row, first)
-                at = [total, here[axis], up[axis], [own[axis]]]
-                each_site(values, blocks, self.block, total, self.added_force, at, [sharpness])
-        carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
-        at = [here, up, down, own, lower, point, weight, spin, carried]
-        each_site(values, blocks, self.block, to + spin, self.moved, at, numbers)
+        point, weight = places(self.point, row, source), places(self.weight, row, first)
+        spin, to = places(self.spin, row, first), places(self.point, row, target)
+        if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
+            if averaging:
+                spin_sum = places(self.spin_sum, row, first)
+                each_site(values, blocks, self.block, spin_sum, self.added_point, [spin_sum, point], numbers)
+                for axis in ti.static(self.stencil.slipping_axes):
+                    total = places(self.force_sum[axis], row, first)
+                    at = [total, here[axis], up[axis], [own[axis]]]
+                    each_site(values, blocks, self.block, total, self.added_force, at, [sharpness])
+        pulls = [new_rows(self.stencil.kept_count[axis], self.block) for axis in axes]
+        for axis in ti.static(self.stencil.sideways_axes):
+            at = [here[axis], up[axis], down[axis], own[axis], lower[axis]]
+            fill(pulls[axis], values, self.block, self.pull, at, [sharpness])
+        if ti.static(self.stencil.height_kept > 0):
+            carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
+            at = [here[height], up[height], own[height], carried]
+            fill(pulls[height], values, self.block, self.pull_along_the_height, at, [sharpness])
+        at = [point, weight, spin, pulls]
+        each_site(values, blocks, self.block, to + spin, self.moved, at, [beta, step, low, high])
 
     @ti.kernel
     def pairs_by_team(
@@ -165,6 +180,7 @@ class DescentSweeps:
         values: VALUES,
         blocks: BLOCKS,
         age: int,
+        averaging: int,
         row: int,
         margin: int,
         count: int,
@@ -186,11 +202,11 @@ class DescentSweeps:
                 strides = [in_range(stride_x), in_range(stride_y), 1]
                 low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
                 for pair in range(begin, end):
-                    for parity in ti.static(range(2)):
+                    for parity in range(2):
                         numbers = [momentum(age + 2 * pair + parity), step, sharpness, low, high]
                         for b in range(first_block, last_block):
                             first = in_range(margin + b * self.block)
-                            self.update_block(values, blocks, parity, row, first, strides, numbers)
+                            self.update_block(values, blocks, parity, averaging, row, first, strides, numbers)
                         meet(arrived, (2 * (pair - begin) + parity + 1) * workers)
 
     @ti.kernel
@@ -198,6 +214,7 @@ class DescentSweeps:
         self,
         values: VALUES,
         age: int,
+        averaging: int,
         row: int,
         margin: int,
         count: int,
@@ -217,7 +234,7 @@ class DescentSweeps:
                 strides = [stride_x, stride_y, 1]
                 low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
                 numbers = [momentum(age + parity), step, sharpness, low, high]
-                self.update_block(values, values, parity, row, margin + b, strides, numbers)
+                self.update_block(values, values, parity, averaging, row, margin + b, strides, numbers)
 
 
 @ti.func

@@ -37,6 +37,36 @@ def difference(values: ti.template(), lower: ti.template(), upper: ti.template()
 
 
 @ti.func
+def new_rows(count: ti.template(), block: ti.template()):
+    """Room for `count` numbers of every site of a block."""
+    return [ti.Vector.zero(float, block) for _ in ti.static(range(count))]
+
+
+@ti.func
+def fill(
+    rows: ti.template(),
+    values: ti.template(),
+    block: ti.template(),
+    law: ti.template(),
+    at: ti.template(),
+    numbers: ti.template(),
+):
+    """Set rows[k][m] to the k-th number that ``law(values, at, numbers, m)`` says of the m-th site of a block.
+
+    law : a function of one site that returns a list of numbers. at, numbers : what it reads, and constants.
+    """
+    if ti.static(block == 1):
+        new = law(values, at, numbers, 0)
+        for k in ti.static(range(len(rows))):
+            rows[k][0] = new[k]
+    else:
+        for m in range(block):
+            new = law(values, at, numbers, m)
+            for k in ti.static(range(len(rows))):
+                rows[k][m] = new[k]
+
+
+@ti.func
 def each_site(
     values: ti.template(),
     blocks: ti.template(),
@@ -46,19 +76,11 @@ def each_site(
     at: ti.template(),
     numbers: ti.template(),
 ):
-    """Write what ``law(values, at, numbers, m)`` says of the m-th site of a block to the places `to`.
-
-    law : a function of one site that returns a list of numbers. at, numbers : what it reads, and constants.
-    """
-    if ti.static(block == 1):
-        new = law(values, at, numbers, 0)
-        for k in ti.static(range(len(to))):
-            values[to[k]] = new[k]
-    else:
-        rows = [ti.Vector.zero(float, block) for _ in ti.static(range(len(to)))]
-        for m in range(block):
-            new = law(values, at, numbers, m)
-            for k in ti.static(range(len(to))):
-                rows[k][m] = new[k]
-        for k in ti.static(range(len(to))):
+    """Write what a law says of the sites of a block, as in :func:`fill`, to the places `to`."""
+    rows = [ti.Vector.zero(float, block) for _ in ti.static(range(len(to)))]
+    fill(rows, values, block, law, at, numbers)
+    for k in ti.static(range(len(to))):
+        if ti.static(block == 1):
+            values[to[k]] = rows[k][0]
+        else:
             blocks[to[k] // block] = rows[k]

@@ -11,7 +11,7 @@ import numpy as np
 from taichi_bearings.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
 from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.errors import FileError
-from taichi_bearings.fields import Fields, make_layout
+from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
@@ -71,7 +71,7 @@ def solve(
     began = time.perf_counter()
     spec = method.plan(scene, spin)
     with _Interrupt() as interrupt:
-        fields = Fields(make_layout(scene.replicas, scene.lattice.shape), spec) if spec else None
+        fields = _fields(scene, method, spec) if spec else None
         with stage("compiling" if method.needs_taichi else "preparing"):
             method.begin(scene, spin, fields)
         compiled = time.perf_counter()
@@ -86,6 +86,11 @@ def solve(
             scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds, compiled - began,
             slip_threshold,
         )  # fmt: skip
+
+
+def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:
+    """The fields of a method, in blocks of the size that suits it."""
+    return Fields(make_layout(scene.replicas, scene.lattice.shape, getattr(method, "block", CPU_BLOCK)), spec)
 
 
 class _Course:

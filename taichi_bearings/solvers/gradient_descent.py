@@ -47,6 +47,7 @@ class GradientDescent:
     name = "gradient-descent"
     keeps_best = True
     needs_taichi = True
+    block = 32  # sites, on a CPU: its law reads so many rows that finding them costs as much as a few sites
 
     def __init__(self, options: GradientDescentOptions | None = None) -> None:
         self.momentum = (options or GradientDescentOptions()).momentum
@@ -78,12 +79,8 @@ class GradientDescent:
         self.box = box.ravel().tolist()
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         self.team = Team(team_size(layout, self.stencil.components))
-        self.sweeps = {
-            averaging: descent_sweeps(self.spec, self.stencil, scene.law, averaging)
-            for averaging in ((False, True) if self.averages else (False,))
-        }
-        for sweeps in self.sweeps.values():
-            sweeps.compile(fields, self.team)
+        self.sweeps = descent_sweeps(self.spec, self.stencil, scene.law)
+        self.sweeps.compile(fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
         self.least_width = 1e2 * float(np.finfo(precision).eps) * jump
@@ -113,7 +110,7 @@ class GradientDescent:
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
-        self.sweeps[averaging].run(self.fields, self.team, pairs, self.age, (step, sharpness, *self.box))
+        self.sweeps.run(self.fields, self.team, pairs, self.age, averaging, (step, sharpness, *self.box))
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs

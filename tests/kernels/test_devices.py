@@ -57,7 +57,7 @@ def test_a_gpu_is_launched_once_a_step_and_read_only_at_checks(method, kernel, l
     memory = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin))
     method.begin(scene, spin, memory)
     launched, read = [], []
-    kernels = method.steps if isinstance(method, CundallStrack) else method.sweeps[False]
+    kernels = method.steps if isinstance(method, CundallStrack) else method.sweeps
     launch, read_field = getattr(kernels, kernel), fields.Fields.read
     monkeypatch.setattr(kernels, kernel, lambda *arguments: (launched.append(1), launch(*arguments)))
     monkeypatch.setattr(fields.Fields, "read", lambda self, field: (read.append(field), read_field(self, field))[1])
