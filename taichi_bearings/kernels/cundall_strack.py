@@ -56,16 +56,15 @@ class CundallStrackSteps:
         self.spin, self.predicted, self.force = of_kept("gear_0"), of_kept("predicted"), of_contacts("force")
         if self.coulomb:
             self.integral, self.elongation = of_kept("integral"), of_contacts("elongation")
-        self.gear = tuple(tuple(slot[f"gear_{n}"] + c for n in range(self.order)) for c in range(stencil.components))
-        self.ahead = tuple(
-            tuple(slot[name] + c for name in ("predicted", "integral") if name in slot)
-            for c in range(stencil.components)
-        )
-        self.impulse = tuple(slot["impulse"] + c for c in range(stencil.components)) if self.tally else ()
-        # for each component, the axes whose contacts it feels, and the rows of their forces
-        self.felt = tuple(tuple(a for a in axes if c in stencil.kept[a]) for c in range(stencil.components))
+        # rows of the first component; those of the others follow
+        self.gear = tuple(slot[f"gear_{n}"] for n in range(self.order))
+        self.ahead = tuple(slot[name] for name in ("predicted", "integral") if name in slot)
+        # the two axes whose contacts each component feels, and the rows of their forces
+        felt = [[a for a in axes if c in stencil.kept[a]] for c in range(stencil.components)]
+        self.felt = tuple(zip(*felt, strict=True))
         self.pulls = tuple(
-            tuple(self.force[axis][stencil.kept[axis].index(c)] for axis in felt) for c, felt in enumerate(self.felt)
+            tuple(self.force[axis][stencil.kept[axis].index(c)] for c, axis in enumerate(of_components))
+            for of_components in self.felt
         )
 
     def run(self, fields: Fields, team: Team, steps: int, numbers: tuple[float, ...]) -> None:
@@ -126,13 +125,9 @@ class CundallStrackSteps:
 
     @ti.func
     def added_impulse(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """What the contacts have pulled on a sphere, component by component, if it is driven."""
+        """What the contacts have pulled on one component of a sphere, if it is driven."""
         impulse, is_free, above, below = at
-        driven = 1.0 - values[is_free[0] + m]
-        return [
-            values[impulse[c] + m] + driven * self.pull(values, below[c], above[c], m)
-            for c in ti.static(range(len(impulse)))
-        ]
+        return [values[impulse[0] + m] + (1.0 - values[is_free[0] + m]) * self.pull(values, below, above, m)]
 
     @ti.func
     def pull(self, values: ti.template(), below: ti.template(), above: ti.template(), m):
@@ -201,25 +196,22 @@ class CundallStrackSteps:
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Spins of one block."""
-        components = ti.static(range(self.stencil.components))
+        """Spins of one block. A loop over the components at run time is compiled and read once."""
         is_free = places((self.slot["is_free"],), row, first)
-        above = [places(self.pulls[c], row, first) for c in components]
-        below = [
-            [
-                in_range(self.pulls[c][k] * row + first - strides[self.felt[c][k]])
-                for k in ti.static(range(len(self.felt[c])))
+        for c in range(self.stencil.components):
+            forces = [chosen(self.pulls[k], c) * row + first for k in ti.static(range(2))]
+            above = [in_range(force) for force in ti.static(forces)]
+            below = [
+                in_range(forces[k] - chosen([strides[axis] for axis in ti.static(self.felt[k])], c))
+                for k in ti.static(range(2))
             ]
-            for c in components
-        ]
-        for c in ti.static(range(self.stencil.components)):
-            gear = places(self.gear[c], row, first)
-            to = gear + places(self.ahead[c], row, first)
-            each_site(values, blocks, self.block, to, self.motion, [gear, is_free, above[c], below[c]], [response])
-        if ti.static(self.tally):
-            impulse = places(self.impulse, row, first)
-            at = [impulse, is_free, above, below]
-            each_site(values, blocks, self.block, impulse, self.added_impulse, at, [response])
+            gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
+            at = [gear, is_free, above, below]
+            each_site(values, blocks, self.block, gear + ahead, self.motion, at, [response])
+            if ti.static(self.tally):
+                impulse = places((self.slot["impulse"],), row, first + c * row)
+                at = [impulse, is_free, above, below]
+                each_site(values, blocks, self.block, impulse, self.added_impulse, at, [response])
 
     @ti.kernel
     def steps_by_team(
@@ -283,3 +275,12 @@ class CundallStrackSteps:
         for b in range(count):
             strides = [stride_x, stride_y, 1]
             self.sphere_pass(values, values, row, margin + b, strides, response)
+
+
+@ti.func
+def chosen(options: ti.template(), number):
+    """options[number], for a number that is known at run time."""
+    result = options[0]
+    for other in ti.static(range(1, len(options))):
+        result = ti.select(number == other, options[other], result)
+    return result
