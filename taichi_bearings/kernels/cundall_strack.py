@@ -206,12 +206,12 @@ class CundallStrackSteps:
                 for k in ti.static(range(2))
             ]
             gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
-            at = [gear, is_free, above, below]
-            each_site(values, blocks, self.block, gear + ahead, self.motion, at, [response])
+            moved = [gear, is_free, above, below]
+            each_site(values, blocks, self.block, gear + ahead, self.motion, moved, [response])
             if ti.static(self.tally):
                 impulse = places((self.slot["impulse"],), row, first + c * row)
-                at = [impulse, is_free, above, below]
-                each_site(values, blocks, self.block, impulse, self.added_impulse, at, [response])
+                pulled = [impulse, is_free, above, below]
+                each_site(values, blocks, self.block, impulse, self.added_impulse, pulled, [response])
 
     @ti.kernel
     def steps_by_team(

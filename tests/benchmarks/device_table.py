@@ -11,10 +11,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack
+from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
 from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
 from tests.scenes import make_scene
 
@@ -22,18 +24,21 @@ METHODS = {
     "gradient-descent": GradientDescent,
     "plain descent": lambda: GradientDescent(GradientDescentOptions(momentum=False)),
     "cundall-strack": CundallStrack,
+    "with energy": lambda: CundallStrack(CundallStrackOptions(keep_energy=True)),
 }
 ITERATIONS = 200
 
 
 def course(method: str, law: str, shape: tuple[int, ...]) -> list[float]:
-    """Powers of a scene of two samples after 200 iterations, on the device that runs."""
+    """Powers of two samples after 200 iterations, on the device that runs; work and dissipation too, if kept."""
     scene = make_scene(shape, law, seeds=(1, 2))
     spin, solver = initial_spin(scene, "random"), METHODS[method]()
     fields = Fields(make_layout(scene.replicas, shape), solver.plan(scene, spin))
     solver.begin(scene, spin, fields)
     solver.advance(ITERATIONS)
-    return solver.progress().power.tolist()
+    progress = solver.progress()
+    books = [] if progress.energy is None else [progress.energy.injected, progress.energy.dissipated]
+    return np.concatenate([progress.power, *books]).tolist()
 
 
 def courses(cases) -> list[list[float]]:

@@ -19,7 +19,7 @@ from tests.scenes import make_scene
 ROOT = Path(__file__).parents[2]
 COURSES = [
     (method, law, shape)
-    for method in ("gradient-descent", "plain descent", "cundall-strack")
+    for method in ("gradient-descent", "plain descent", "cundall-strack", "with energy")
     for law in ("coulomb", "viscous")
     for shape in ((12, 10), (6, 5, 7))
 ]
