@@ -24,7 +24,10 @@ def command(as_json: bool) -> None:
         "version": __version__,
         **versions(),
         "devices": ["cpu", *gpus],
-        "device_names": {arch: [device.name for device in found] for arch, found in gpus.items()},
+        "device_names": {
+            arch: [f"{device.name}{' (software)' if device.is_software else ''}" for device in found]
+            for arch, found in gpus.items()
+        },
         "default_arch": "cpu",
         "default_precision": "f64",
         "threads": runtime.available_threads(),

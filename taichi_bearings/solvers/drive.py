@@ -109,7 +109,7 @@ class _Course:
         self.checkpoints, self.interrupt = checkpoints, interrupt
         self.best, self.recorder, self.pace = _Best(scene, method.keeps_best), Recorder(scene, recording), _Pace()
         self.target = 0  # iteration of the next look at the progress
-        self.began = self.written_at = time.perf_counter()
+        self.began = self.called = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
         if resume is not None and is_dynamics(method):
             try:
@@ -129,6 +129,10 @@ class _Course:
         """Seconds of wall time, those before a checkpoint included."""
         return time.perf_counter() - self.began
 
+    @property
+    def _seconds_of_this_call(self) -> float:
+        return time.perf_counter() - self.called
+
     def follow(self, monitors: Sequence[Monitor]) -> tuple[Status, Progress, float]:
         """How it ended, the last state, and the seconds it took."""
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
@@ -147,7 +151,7 @@ class _Course:
             for monitor in monitors:
                 monitor(Report(progress, best.power, gap, elapsed, stop))
             stalled = progress.exhausted or best.has_stalled(iteration, float(gap.max()))
-            status = stop.judge(scene, progress, best.power, best.bound, elapsed, stalled)
+            status = stop.judge(scene, progress, best.power, best.bound, self._seconds_of_this_call, stalled)
             if status is None and self.interrupt.heard:
                 status = Status.INTERRUPTED
             if status is not None:
@@ -168,7 +172,7 @@ class _Course:
         self.target = min(self.method.next_check(iteration), self.stop.iterations)
 
     def _is_ended(self) -> bool:
-        return self.interrupt.heard or self.elapsed >= self.stop.seconds
+        return self.interrupt.heard or self._seconds_of_this_call >= self.stop.seconds
 
     def _write_if_due(self, looked: bool = False) -> None:
         if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:

@@ -17,7 +17,7 @@ class StopRule:
 
     tolerance : (power - lower bound) / power at which every replica counts as done, in (0, 1).
     iterations : limit on iterations of the method.
-    seconds : limit on wall time, compilation apart; infinity for none.
+    seconds : limit on wall time, compilation apart, anew for each call that goes on; infinity for none.
     duration : simulated time after which a dynamics ends, whatever it has reached; infinity to go on until it is done.
     settle : once certified, go on as long as the method can still tell more slipping from slipless contacts.
     """
@@ -54,7 +54,8 @@ class StopRule:
         ended = progress.iteration >= self.iterations or elapsed >= self.seconds
         in_time = progress.time is not None and self.duration < float("inf")
         finished = progress.time is not None and progress.time >= self.duration * (1 - 1e-9)
-        if certified and (ended or finished or not (in_time or (self.settle and progress.unsettled))):
+        goes_on = not finished if in_time else self.settle and progress.unsettled and not ended
+        if certified and not goes_on:
             return Status.CERTIFIED
         if finished:
             return Status.FINISHED

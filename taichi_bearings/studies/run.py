@@ -211,10 +211,11 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds)
 
 
-def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
+def summarise(solution: Solution, tolerance: float, duration: float | None = None) -> dict[str, Any]:
     """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas.
 
-    A replica whose own gap is within `tolerance` is certified, however the run as a whole ended. Numbers that are not
+    A replica whose own gap is within `tolerance` is certified, however the run as a whole ended, unless a limit came
+    before the simulated time `duration` that was asked for. Numbers that are not
     finite become None, so that the summary is valid JSON.
     """
     from taichi_bearings import __version__
@@ -226,6 +227,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
         return listed if scene.replicas > 1 else listed[0]
 
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
+    cut_short = duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     separation = separate(scene, solution.slip, solution.state)
     close = solution.gap <= tolerance  # far from a minimum slips that are far apart say nothing
     summary = {
@@ -233,7 +235,10 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
         "lower_bound": per_seed(solution.lower_bound),
         "gap": per_seed(solution.gap),
         "status": per_seed(
-            [Status.CERTIFIED.value if gap <= tolerance else solution.status.value for gap in solution.gap]
+            [
+                Status.CERTIFIED.value if gap <= tolerance and not cut_short else solution.status.value
+                for gap in solution.gap
+            ]
         ),
         "method": solution.method,
         "law": scene.law,
@@ -264,6 +269,7 @@ def summarise(solution: Solution, tolerance: float) -> dict[str, Any]:
     summary["minimum_is_unique"] = per_seed(solution.minimum_is_unique)
     if "time" in solution.history:
         summary["time"] = float(solution.history["time"][-1])
+        summary |= {"duration": duration} if duration is not None else {}
     if "energy_residual" in solution.history:
         summary["energy_residual"] = per_seed(solution.history["energy_residual"][-1])
     return summary
@@ -442,7 +448,7 @@ def write_state(
     solution : that of the job, or one of its seeds. stored : settings that solve it again. path : its name for people.
     """
     running = runtime.current() if job.method.needs_taichi else runtime.HOST
-    summary = summarise(solution, job.settings.tolerance) | {
+    summary = summarise(solution, job.settings.tolerance, job.settings.duration) | {
         "arch": running.arch,
         "precision": running.precision,
         "threads": running.threads,

@@ -125,7 +125,7 @@ def one_replica(solution: Solution, number: int) -> Solution:
 
 
 def _record(sample: Sample, solution: Solution, wanted: Wanted) -> dict[str, Any]:
-    summary = summarise(solution, sample.settings.tolerance)
+    summary = summarise(solution, sample.settings.tolerance, sample.settings.duration)
     scalars = summary | {"slip_threshold": solution.slip_threshold}
     if wanted.structure:
         from taichi_bearings.analysis.structure import structures_of

@@ -10,6 +10,7 @@ from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackO
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording, parse_times
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.studies.run import summarise
 from tests.scenes import make_scene
 
 UNRECORDED = ("seconds",)  # columns that differ from run to run
@@ -63,6 +64,24 @@ def test_a_duration_goes_on_after_the_gap_has_closed():
     assert solution.history["time"][-1] == pytest.approx(beyond, rel=1e-3)
     with pytest.raises(InputError, match="duration is -1"):
         StopRule(duration=-1.0)
+
+
+def test_a_limit_before_the_duration_is_told_whatever_the_gap():
+    scene = make_scene((3, 4))
+    steps = run(scene, stop=StopRule(1e-3)).iterations
+    solution = run(scene, stop=StopRule(1e-3, iterations=2 * steps, duration=1e9))
+    assert (solution.gap <= 1e-3).all()
+    assert solution.status is Status.STEP_LIMIT
+    assert summarise(solution, 1e-3, 1e9)["status"] == "step-limit"
+
+
+def test_a_time_limit_counts_anew_for_a_run_that_goes_on():
+    scene, written = make_scene((4, 5)), []
+    stop = StopRule(1e-3, iterations=2**62, seconds=0.2, duration=1e9)
+    first = run(scene, stop=stop, checkpoints=Checkpoints(1e9, written.append))
+    second = run(scene, stop=stop, checkpoints=Checkpoints(1e9, written.append, written[-1]))
+    assert first.status is second.status is Status.TIME_LIMIT
+    assert second.iterations > 1.2 * first.iterations
 
 
 @pytest.mark.usefixtures("needs_f64")

@@ -68,7 +68,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
     assert " ".join(stored.table).startswith(names)
     for row, sample in enumerate(plan.samples):
         solution = solve_job(prepare(replace(sample.settings, threads=1)))
-        summary = summarise(solution, sample.settings.tolerance)
+        summary = summarise(solution, sample.settings.tolerance, sample.settings.duration)
         for name, values in stored.table.items():
             if name in summary and name not in CLOCKS:
                 found = summary[name]
