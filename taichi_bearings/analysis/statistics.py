@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CONFIDENCE = 0.95
@@ -107,6 +106,8 @@ def _student(above: np.ndarray, below: np.ndarray, confidence: float) -> tuple[f
     that the mean below is 0. Where all numbers below are 1 it is Student's interval of a mean.
     """
     number, means = len(above), np.array([above.mean(), below.mean()])
+    from scipy.special import stdtrit  # a tenth of a second that runs do not need
+
     spread = stdtrit(number - 1, 0.5 + 0.5 * confidence) ** 2 * np.cov(above, below) / number
     (constant, linear), (_, square) = np.outer(means, means) - spread
     root = linear**2 - square * constant
