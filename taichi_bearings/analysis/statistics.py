@@ -135,19 +135,6 @@ def _bootstrap(
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
-def disorder_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(rows,) numbers, equal for samples of the same disorder: of one seed, or with coefficients from one file.
-
-    Those depend on each other, whatever else tells them apart. Every row is alone if the table has no seeds.
-    """
-    keys = [key for key in ("seed", "coefficients") if key in columns]
-    number = np.arange(len(next(iter(columns.values()))))
-    if "seed" in keys:
-        for place, rows in enumerate(groups(columns, keys).values()):
-            number[rows] = place
-    return number
-
-
 def independent(values: np.ndarray, disorder: np.ndarray) -> np.ndarray:
     """One number for each disorder: the mean of its samples. values, disorder : (samples,)."""
     _, which, number = np.unique(disorder, return_inverse=True, return_counts=True)

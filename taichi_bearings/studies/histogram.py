@@ -21,7 +21,8 @@ from taichi_bearings.files.whole_file import write_csv, write_hdf5
 from taichi_bearings.stages import each, stage
 from taichi_bearings.studies.run import settings_of
 from taichi_bearings.studies.run_directory import default_run_path
-from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.studies.settings import RunSettings, parse_toml
+from taichi_bearings.studies.systems import disorder_of, numbered
 
 UNITS = {"none": "energy/time", "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
@@ -56,11 +57,10 @@ class Source:
         return np.array(listed, dtype=object if any(isinstance(item, str) for item in listed) else None)
 
     def disorder(self) -> list[Any]:
-        """(S,) names, equal for samples of the same disorder: of one seed, or with the same coefficients from files."""
+        """(S,) names, equal for samples of one disorder in one system."""
         if isinstance(self.stored, StoredScan):
-            seeds = self.stored.table.get("seed", np.arange(len(self.reasons)))
-            files = self.stored.table.get("coefficients", seeds)
-            return list(zip(seeds[self.samples].tolist(), files[self.samples].tolist(), strict=True))
+            table = {name: values[self.samples] for name, values in self.stored.table.items()}
+            return disorder_of(table, _settings_of_scan(self.stored))
         return _disorders_of_run(self.stored)
 
     def mean_power(self) -> np.ndarray:
@@ -125,14 +125,20 @@ def _scalar_of_run(run: StoredRun, name: str) -> Any:
     raise InputError(f"{run.path} has no {name!r}; it has {', '.join(known)}")
 
 
+def _settings_of_scan(scan: StoredScan) -> RunSettings:
+    """What a scan says of all samples alike."""
+    document = parse_toml(str(scan.attributes["scan"]))
+    return RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
+
+
 def _disorders_of_run(run: StoredRun) -> list[Any]:
-    """What tells the disorder of each replica from others: its seed, or its coefficients where they were given."""
-    replicas = range(len(run.spin))
-    if not run.attributes.get("coefficients"):
-        first = settings_of(run).seed
-        return [(first + replica, first + replica) for replica in replicas]
-    own = (b"".join(values[replica].tobytes() for values in run.coefficient) for replica in replicas)
-    return [hashlib.sha256(content).digest() for content in own]
+    """Names of the disorder of each replica: by its seed, or by its coefficients where they were given."""
+    settings, replicas = settings_of(run), len(run.spin)
+    table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.attributes.get("method", ""))}
+    if run.attributes.get("coefficients"):
+        contents = [b"".join(values[replica].tobytes() for values in run.coefficient) for replica in range(replicas)]
+        table["seed"] = np.array([hashlib.sha256(content).hexdigest() for content in contents], dtype=object)
+    return disorder_of(table, settings)
 
 
 def pooled(
@@ -159,8 +165,7 @@ def pooled(
         [source.counts(bins_per_decade, unit, anchor) for source, unit in zip(sources, units, strict=True)]
     )
     threshold = np.concatenate([source.column("slip_threshold").astype(float) for source in sources])
-    names = [name for source in sources for name in source.disorder()]
-    disorder = np.array([{name: number for number, name in enumerate(dict.fromkeys(names))}[name] for name in names])
+    disorder = numbered(name for source in sources for name in source.disorder())
     reasons = np.concatenate([source.reasons for source in sources])
     place = np.cumsum(reasons == "") - 1  # of those with a result among themselves
 

@@ -5,14 +5,14 @@ They serve `--dry-run`, and to make units of work that are worth sending to a wo
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache
 
 from taichi_bearings.scene.disorder import Distribution
-from taichi_bearings.solvers import METHODS
 from taichi_bearings.studies.run import automatic_method, build_scene
 from taichi_bearings.studies.scan_plan import Sample, ScanPlan, groups_of
 from taichi_bearings.studies.settings import RunSettings
+from taichi_bearings.studies.systems import knows
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
@@ -34,22 +34,11 @@ def _method_of(settings: RunSettings) -> str:
     return automatic_method(scene, settings) if settings.method == "auto" else settings.method
 
 
-DYNAMICS = ("cundall-strack", "rigid-limit")
-
-
 def ignored_keys(plan: ScanPlan) -> dict[str, list[str]]:
-    """Scanned keys that none of the methods of a scan knows, with these: samples that differ in nothing else are one.
-
-    A setting of some methods names them before the colon of its help.
-    """
+    """Scanned keys that none of the methods of a scan knows, with these: such samples are the same."""
     methods = sorted({method_of(group[0].settings) for group in groups_of(plan.samples)})
-    found = {}
-    for item in fields(RunSettings):
-        whose = item.metadata["help"].partition(":")[0].split(" ")[0]
-        known = DYNAMICS if whose == "dynamics" else (whose,)
-        if item.name in plan.scanned and whose in ("dynamics", *METHODS) and not set(known) & set(methods):
-            found[item.name] = methods
-    return found
+    unknown = (key for key in RunSettings.keys() if not any(knows(method, key) for method in methods))
+    return {key: methods for key in unknown if key in plan.scanned}
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:

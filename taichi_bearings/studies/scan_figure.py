@@ -13,7 +13,6 @@ from taichi_bearings.analysis.statistics import (
     LEAST,
     QUANTILES,
     describe,
-    disorder_of,
     groups,
     independent,
     ratio_interval,
@@ -25,6 +24,7 @@ from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import save
 from taichi_bearings.studies.scan_table import OF_A_SPANNING_NETWORK
 from taichi_bearings.studies.stored_scans import CENSUS_COLUMNS, open_scan
+from taichi_bearings.studies.systems import disorder_of, mixture, numbered
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
@@ -80,8 +80,8 @@ class Request:
 class Point:
     """Samples of equal parameters.
 
-    part : values of the parting columns. number : disorders, each of which counts once. plot : x, y and the ends of the
-    bar as they are drawn; not-a-number where no sample is left. census : of the samples that the scan asks for here.
+    part : values of the parting columns. number : disorders of each system, each counted once. plot : x, y and the ends
+    of the bar as drawn; not-a-number where no sample is left. census : of the samples that the scan asks for here.
     """
 
     part: tuple[Any, ...]
@@ -163,7 +163,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
     terms = [_numbers(columns, name) for name in request.y.split("/")]
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
-    reasons, disorder = _reasons(columns, request), disorder_of(columns)
+    reasons, disorder = _reasons(columns, request), numbered(disorder_of(columns))
     if (reasons != "").all():
         raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
     known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
@@ -186,14 +186,21 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
 
 
 def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
-    """How many of how many samples are in the figure; then the same of each curve that lacks some."""
+    """How many of how many samples are in the figure; the same of each curve that lacks some; which systems mix."""
     reasons = _reasons(columns, request)
     lines = [str(Census.of(reasons.tolist()))]
     for part, rows in groups(columns, request.parts).items() if request.parts else ():
         if (census := Census.of(reasons[rows].tolist())).left_out:
             words = ", ".join(f"{key} {value}" for key, value in zip(request.parts, part, strict=True))
             lines.append(f"  {words}: {census}")
-    return lines
+    return [*lines, *filter(None, [_mixture(columns, request)])]
+
+
+def _mixture(columns: Mapping[str, np.ndarray], request: Request) -> str:
+    """Which different systems stand in one point, as a sentence; empty if none do."""
+    used = _reasons(columns, request) == ""
+    points = groups(columns, [*request.parts, request.x]).values()
+    return mixture(columns, [rows[used[rows]] for rows in points], "a point")
 
 
 def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
@@ -285,6 +292,7 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     number = sum(point.number for point in points)
     alike = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
+    left_out += f"\n{mixed}" if (mixed := _mixture(columns, request)) else ""
     bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
     numbers = all(isinstance(point.x, (int, float)) for point in points)
     return Look(

@@ -10,8 +10,10 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.studies.histogram import histogram, pooled, read_source
 from taichi_bearings.studies.scan import scan
-from taichi_bearings.studies.scan_figure import Request, plot_scan
+from taichi_bearings.studies.scan_figure import Request, columns_of, look_of, plot_scan, points_of
+from taichi_bearings.studies.settings import RunSettings
 from taichi_bearings.studies.stored_scans import open_scan
+from taichi_bearings.studies.systems import disorder_of, knows
 from tests.studies.scan_faults import Here
 
 LAWS = "shape = [4, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 6 }\n"
@@ -144,6 +146,45 @@ def test_one_seed_at_two_values_of_an_irrelevant_parameter_is_one_sample(plan_of
     assert found[1][1] == pytest.approx(3 * found[0][1])
     both = pooled([read_source(tmp_path / "once"), read_source(tmp_path / "thrice")])[None]
     assert (both.samples, both.density_error.tolist()) == (32, pytest.approx(found[0][0][7:]))
+
+
+SHAPES = "[scan]\nshape = [[3, 6], [6, 6], [3, 2, 6]]\nseed = { start = 0, stop = 3 }\n"
+
+
+def test_one_seed_in_different_systems_is_as_many_samples_and_the_figure_says_so(plan_of, tmp_path):
+    folder = tmp_path / "scan"
+    scan(plan_of(SHAPES), folder, engine=Here())
+    power = open_scan(folder).table["power"]
+    lines, (row,) = told(folder, "power", "L")
+    mixed = "a point mixes shape 3x2x6, 3x6 and 6x6: --by shape keeps them apart"
+    assert lines == ["all 9 samples", mixed]
+    assert (row["number"], row["used"]) == ("9", "9")
+    assert float(row["mean"]) == pytest.approx(power.mean())
+    assert float(row["standard_error"]) == pytest.approx(power.std(ddof=1) / 3)
+    _, (ratio,) = told(folder, "power/slipping", "L")
+    assert ratio["number"] == "9"
+    stored, request = open_scan(folder), Request("power", "L")
+    columns = columns_of(stored, request)
+    assert mixed in look_of(stored, columns, points_of(columns, request), request).title
+    assert pooled([read_source(folder)])[None].density_error.any()
+    lines, rows = told(folder, "power", "L", by=("shape",))
+    assert (lines, [row["number"] for row in rows]) == (["all 9 samples"], ["3", "3", "3"])
+
+
+def test_settings_of_a_dynamics_are_systems_to_it_alone(plan_of, tmp_path):
+    plan = plan_of(
+        "shape = [4, 4]\nmethod = 'planar-cut'\n[scan]\nspin_bottom = [0.0, 0.1]\nstiffness = [1e4, 1e5]\n"
+        "seed = { start = 0, stop = 3 }\n"
+    )
+    scan(plan, tmp_path / "scan", engine=Here())
+    lines, (row,) = told(tmp_path / "scan", "power", "L")
+    assert row["number"] == "6"
+    assert lines[1] == "a point mixes spin_bottom 0.0 and 0.1: --by spin_bottom keeps them apart"
+    assert [knows(method, "stiffness") for method in ("planar-cut", "cundall-strack")] == [False, True]
+    table = {"seed": np.array([0, 0]), "stiffness": np.array([1e4, 1e5]), "method": np.array(["cundall-strack"] * 2)}
+    assert len(set(disorder_of(table))) == 2
+    distributions = [RunSettings(distribution=f"constant:{value}") for value in (1, 2)]
+    assert len({disorder_of({"seed": np.array([0])}, settings)[0] for settings in distributions}) == 2
 
 
 def test_a_failed_sample_is_counted_where_it_belongs(plan_of, tmp_path):
