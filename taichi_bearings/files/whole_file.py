@@ -90,6 +90,8 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
             if file.attrs.get("schema") != schema:
                 raise FileError(f"{path} is not {kind}: it was not written by taichi_bearings as such")
             found = file.attrs.get("schema_version")
+            if found is None:
+                raise FileError(f"{path} is damaged or was changed: it has lost its layout version")
             if found != version:
                 raise FileError(f"{path} has layout version {found}; this program reads version {version}")
             check(path, file)

@@ -12,10 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
-
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.run_file import SCHEMA as RUN_SCHEMA
+from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.files.scan_file import write_scan, write_scan_csv
 from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
@@ -123,15 +121,15 @@ def _is_kept(sample: Sample, record: Record | None, folder: Path, wanted: Wanted
 
 
 def _is_whole(state: Path) -> bool:
-    """True if the full state of a sample can be read; one that is damaged is named."""
+    """True if the full state of a sample can be read and its checksums match; one that is damaged is named."""
     if not state.is_file():
         return False
     try:
-        with h5py.File(state, "r") as file:
-            return file.attrs.get("schema") == RUN_SCHEMA
-    except OSError:
-        logging.getLogger(__name__).warning("bearings: %s is damaged; its sample counts as missing", state)
+        read_run_file(state)
+    except FileError as error:
+        _say(f"a kept state counts as missing: {error}")
         return False
+    return True
 
 
 def _with_wishes_of(folder: Path, plan: ScanPlan, *wishes: Any) -> tuple[ScanPlan, Wanted]:

@@ -72,6 +72,13 @@ def test_any_change_is_refused_in_one_sentence(path):
             assert "damaged" in str(refused.value), name
 
 
+def test_a_file_that_lost_its_version_is_called_damaged(path):
+    with h5py.File(path, "r+") as file:
+        del file.attrs["schema_version"]
+    with pytest.raises(FileError, match="is damaged or was changed: it has lost its layout version"):
+        read_run_file(path)
+
+
 def test_all_who_read_runs_refuse_what_was_changed(path, tmp_path):
     change(path, "contact/x/power")
     scene = prepare(RunSettings(shape=(3, 4, 5))).scene

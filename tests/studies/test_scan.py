@@ -123,10 +123,20 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
             assert stored.table[name][row] == numbers[name], name
     assert scan(plan, tmp_path / "scan", structure=True, keep_states=True)["solved_now"] == 0
     damaged = tmp_path / "scan" / "states" / f"{plan.samples[1].key}.h5"
-    damaged.write_bytes(damaged.read_bytes()[:5000])
-    assert scan(plan, tmp_path / "scan", structure=True, keep_states=True)["solved_now"] == 1
-    assert f"{damaged} is damaged" in caplog.text
-    read_run_file(damaged)
+    whole = damaged.read_bytes()
+    with h5py.File(damaged, "r") as file:
+        offset = file["contact/x/power"].id.get_offset()
+    for content in (
+        whole[:5000],
+        whole[:5000] + 8 * b"?" + whole[5008:],
+        whole[:offset] + 8 * b"?" + whole[offset + 8 :],
+    ):
+        caplog.clear()
+        damaged.write_bytes(content)
+        assert scan(plan, tmp_path / "scan")["solved_now"] == 1
+        assert f"a kept state counts as missing: {damaged} " in caplog.text
+        read_run_file(damaged)
+    assert scan(plan, tmp_path / "scan")["solved_now"] == 0
 
 
 def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
