@@ -1,7 +1,8 @@
 """The journal of a scan: one line a finished sample, appended and synchronised, so that no kill loses any of them.
 
 A line is JSON, ``{"crc32": "01234567", "sample": {...}}``, with the checksum of what follows ``"sample": ``. A last
-line that a kill or a full disk has torn is dropped; a line that has changed since is named and its sample is missing.
+line that a kill or a full disk has torn is dropped; a line that has changed since is named, its sample is missing, and
+it goes when the journal is next opened for appending.
 """
 
 import json
@@ -14,6 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.files.whole_file import replace_file
 
 NAME = "samples.jsonl"
 HEAD = '{"crc32": "%08x", "sample": '
@@ -25,12 +27,14 @@ def _line(sample: Mapping[str, Any]) -> bytes:
     return (HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
+def _is_whole(line: bytes) -> bool:
+    text = line[HEAD_LENGTH:-2]
+    return line == (HEAD % zlib.crc32(text)).encode() + text + b"}\n"
+
+
 def _sample(line: bytes) -> dict[str, Any] | None:
     """What a line holds, None if it is not whole."""
-    text = line[HEAD_LENGTH:-2]
-    if line != (HEAD % zlib.crc32(text)).encode() + text + b"}\n":
-        return None
-    return json.loads(text)
+    return json.loads(line[HEAD_LENGTH:-2]) if _is_whole(line) else None
 
 
 def read_journal(path: Path) -> dict[str, dict[str, Any]]:
@@ -57,16 +61,20 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = path.open("ab+", buffering=0)
-            self._length = self._drop_torn_line()
+            self._length = self._drop_damaged_lines()
+            self._file = path.open("ab", buffering=0)
         except OSError as error:
             raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
 
-    def _drop_torn_line(self) -> int:
-        self._file.seek(0)
-        length = self._file.read().rfind(b"\n") + 1
-        self._file.truncate(length)
-        return length
+    def _drop_damaged_lines(self) -> int:
+        """Leave nothing but whole lines in the file, in one move; their bytes. A torn end goes on a full disk too."""
+        content = self.path.read_bytes() if self.path.exists() else b""
+        whole = b"".join(line for line in content.splitlines(keepends=True) if _is_whole(line))
+        if not content.startswith(whole):
+            replace_file(self.path, whole)
+        elif whole != content:
+            os.truncate(self.path, len(whole))
+        return len(whole)
 
     def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
         """Write samples down for good. On a full disk FileError, and the journal is as it was."""

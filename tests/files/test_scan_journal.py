@@ -55,6 +55,16 @@ def test_a_changed_line_is_named_and_its_sample_missing(path, caplog):
         assert str(path) in caplog.text
 
 
+def test_a_changed_line_goes_once_the_journal_goes_on(path, caplog):
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([lines[0], lines[1].replace(b"0.333", b"0.334"), *lines[2:]]))
+    with Journal(path) as journal:
+        journal.append(SAMPLES[1:2])
+    assert path.read_bytes() == b"".join([lines[0], *lines[2:], lines[1]])
+    assert len(read_journal(path)) == 5
+    assert not caplog.records
+
+
 def test_of_two_lines_with_one_key_the_later_counts(path):
     later = SAMPLES[2] | {"scalars": {"power": 7.0}}
     with Journal(path) as journal:

@@ -294,6 +294,9 @@ def test_a_damaged_journal_line_costs_that_sample_alone(plan_of, tmp_path, caplo
     (tmp_path / "scan" / "scan.h5").write_bytes(b"damaged")
     assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 2
     assert "line 5" in caplog.text
+    caplog.clear()
+    assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 0
+    assert not caplog.records
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
 
 
