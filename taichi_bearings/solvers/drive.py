@@ -81,11 +81,11 @@ def solve(
         best, recorder = course.best, course.recorder
         final = replace(best.progress, iteration=progress.iteration)
         proof = best.proof
-    with stage("proving contact states"):
-        return _collect(
-            scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds, compiled - began,
-            slip_threshold,
-        )  # fmt: skip
+        with stage("proving contact states"):  # to its end: a first Ctrl-C costs nothing that was reached
+            return _collect(
+                scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds,
+                compiled - began, slip_threshold,
+            )  # fmt: skip
 
 
 def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:

@@ -1,11 +1,14 @@
 """What a dynamics writes down: times as asked for, energy books that close and mean what they say, resuming."""
 
+import signal
+
 import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, stability_bound
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording, parse_times
@@ -73,6 +76,17 @@ def test_a_limit_before_the_duration_is_told_whatever_the_gap():
     assert (solution.gap <= 1e-3).all()
     assert solution.status is Status.STEP_LIMIT
     assert summarise(solution, 1e-3, 1e9)["status"] == "step-limit"
+
+
+def test_an_interrupt_during_the_proof_loses_nothing(monkeypatch):
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return judged(*arguments)
+
+    judged = drive._judged
+    monkeypatch.setattr(drive, "_judged", interrupted)
+    solution = run(make_scene((3, 4)), stop=StopRule(1e-3))
+    assert solution.status is Status.CERTIFIED
 
 
 def test_a_time_limit_counts_anew_for_a_run_that_goes_on():
