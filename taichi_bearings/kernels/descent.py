@@ -39,6 +39,7 @@ class DescentSweeps:
         self.stencil, self.block, self.force_law = stencil, stencil.block, FORCE_LAWS[law]
         self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
         self.components = tuple(range(stencil.components))
+        self.at_once = stencil.components == 1  # what one component reads fits the processor's registers, more does not
 
         def of_sites(name: str) -> tuple[int, ...]:
             return tuple(slot[name] + c for c in self.components)
@@ -100,14 +101,27 @@ class DescentSweeps:
         return pulled
 
     @ti.func
+    def add(self, total: ti.template(), axis: ti.template(), part: ti.template()):
+        """Add what contacts of one axis pull to the components that feel them."""
+        for t in ti.static(range(self.stencil.kept_count[axis])):
+            total[self.stencil.kept[axis][t]] += part[t]
+
+    @ti.func
     def moved(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The next point and, with momentum, the next spin of one sphere. at[-1] : the pulls along each axis."""
+        """The next point and, with momentum, the next spin of one sphere.
+
+        at[-1] : for each axis its pulls on the spheres of the block, or the places that they follow from.
+        """
         point, weight, spin = at[:3]
-        beta, step, low, high = numbers
+        beta, step, sharpness, low, high = numbers
         pulled = [0.0 for _ in self.components]
         for axis in ti.static(self.stencil.slipping_axes):
-            for t in ti.static(range(self.stencil.kept_count[axis])):
-                pulled[self.stencil.kept[axis][t]] += at[3][axis][t][m]
+            if ti.static(not self.at_once):
+                self.add(pulled, axis, [row[m] for row in ti.static(at[3][axis])])
+            elif ti.static(axis == self.stencil.height):
+                self.add(pulled, axis, self.pull_along_the_height(values, at[3][axis], [sharpness], m))
+            else:
+                self.add(pulled, axis, self.pull(values, at[3][axis], [sharpness], m))
         new = [
             clamp(values[point[c] + m] + step * values[weight[c] + m] * pulled[c], low[c], high[c])
             for c in self.components
@@ -142,7 +156,7 @@ class DescentSweeps:
         """Update the block of sites from `first` on. row: length of a row of numbers."""
         axes = ti.static(range(self.stencil.dimension))
         height = ti.static(self.stencil.height)
-        beta, step, sharpness, low, high = numbers
+        sharpness = numbers[2]
         source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row
         here = [places(self.kept[axis], row, source) for axis in axes]
         up = [places(self.kept[axis], row, source + strides[axis]) for axis in axes]
@@ -159,16 +173,24 @@ class DescentSweeps:
                     total = places(self.force_sum[axis], row, first)
                     at = [total, here[axis], up[axis], [own[axis]]]
                     each_site(values, blocks, self.block, total, self.added_force, at, [sharpness])
-        pulls = [new_rows(self.stencil.kept_count[axis], self.block) for axis in axes]
-        for axis in ti.static(self.stencil.sideways_axes):
-            at = [here[axis], up[axis], down[axis], own[axis], lower[axis]]
-            fill(pulls[axis], values, self.block, self.pull, at, [sharpness])
-        if ti.static(self.stencil.height_kept > 0):
-            carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
-            at = [here[height], up[height], own[height], carried]
-            fill(pulls[height], values, self.block, self.pull_along_the_height, at, [sharpness])
-        at = [point, weight, spin, pulls]
-        each_site(values, blocks, self.block, to + spin, self.moved, at, [beta, step, low, high])
+        carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
+        contacts = [
+            [here[axis], up[axis], own[axis], carried]
+            if ti.static(axis == height)
+            else [here[axis], up[axis], down[axis], own[axis], lower[axis]]
+            for axis in axes
+        ]
+        if ti.static(self.at_once):
+            at = [point, weight, spin, contacts]
+            each_site(values, blocks, self.block, to + spin, self.moved, at, numbers)
+        else:
+            pulls = [new_rows(self.stencil.kept_count[axis], self.block) for axis in axes]
+            for axis in ti.static(self.stencil.sideways_axes):
+                fill(pulls[axis], values, self.block, self.pull, contacts[axis], [sharpness])
+            if ti.static(self.stencil.height_kept > 0):
+                fill(pulls[height], values, self.block, self.pull_along_the_height, contacts[height], [sharpness])
+            at = [point, weight, spin, pulls]
+            each_site(values, blocks, self.block, to + spin, self.moved, at, numbers)
 
     @ti.kernel
     def pairs_by_team(
