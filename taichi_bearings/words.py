@@ -1,6 +1,9 @@
 """Numbers in sentences for people."""
 
+import math
+
 MOST_DIGITS = 12
+SMALL = -4  # decimal exponent below which numbers are written with one
 
 
 def share(value: float, digits: int = 1) -> str:
@@ -22,3 +25,21 @@ def counted(number: int, what: str) -> str:
     ('1 iteration', '1,200 samples')
     """
     return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def with_error(value: float, error: float) -> str:
+    """A value and its error to the same place: that of the first digit of the error, of the second if the first is 1.
+
+    Without an error (not-a-number or 0) the value alone.
+
+    >>> with_error(135.278, 41.2), with_error(0.51972, 0.0121), with_error(2.0, 0.577), with_error(1.0, math.nan)
+    ('140 +- 40', '0.520 +- 0.012', '2.0 +- 0.6', '1')
+    """
+    if not (math.isfinite(value) and math.isfinite(error) and error > 0):
+        return f"{value:.6g}"
+    size = math.floor(math.log10(max(abs(value), error)))
+    if size < SMALL:
+        return f"({with_error(value / 10.0**size, error / 10.0**size)})e{size}"
+    place = math.floor(math.log10(error))
+    place -= error < 2 * 10.0**place
+    return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, error))

@@ -1,8 +1,10 @@
 """Numbers in sentences: nothing short of all is called all."""
 
+import math
+
 import pytest
 
-from taichi_bearings.words import counted, share
+from taichi_bearings.words import counted, share, with_error
 
 
 @pytest.mark.parametrize(
@@ -21,3 +23,16 @@ def test_one_has_no_plural():
     assert [counted(number, "iteration") for number in (0, 1, 2, 1200)] == [
         "0 iterations", "1 iteration", "2 iterations", "1,200 iterations",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "words"),
+    [
+        (135.278, 41.2, "140 +- 40"), (135.278, 14.2, "135 +- 14"), (0.51972, 0.0121, "0.520 +- 0.012"),
+        (2.0, 0.577, "2.0 +- 0.6"), (5.0, 0.96, "5.0 +- 1.0"), (-12345.6, 250.0, "-12300 +- 200"),
+        (1.0, math.nan, "1"), (1.0, 0.0, "1"), (0.0, 0.03, "0.00 +- 0.03"), (3.21e-9, 2.2e-10, "(3.2 +- 0.2)e-9"),
+        (math.nan, 1.0, "nan"),
+    ],
+)  # fmt: skip
+def test_a_value_ends_where_its_error_does(value, error, words):
+    assert with_error(value, error) == words

@@ -12,6 +12,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.analysis.network import planes_crossed
+from taichi_bearings.analysis.statistics import LEAST
 from taichi_bearings.analysis.structure import Structure, structures_of
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
 from taichi_bearings.files.scan_journal import Journal, read_journal
@@ -29,7 +30,7 @@ from taichi_bearings.studies.relaxation import uninterrupted
 from taichi_bearings.studies.run import build_scene
 from taichi_bearings.studies.scan_estimate import seconds_of
 from taichi_bearings.studies.settings import RunSettings
-from taichi_bearings.words import counted
+from taichi_bearings.words import counted, with_error
 
 SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025, 32: 0.025}
 """Side of the cube -> samples of it, as a share of those that a claim may take."""
@@ -214,10 +215,9 @@ def by_threshold(views: Sequence[Sequence[View]]) -> dict[str, np.ndarray]:
 
 
 def mean(values: Sequence[float] | np.ndarray) -> str:
-    """Mean and standard error, for people."""
+    """Mean and standard error, for people; without the latter if the samples are too few for one."""
     found = np.asarray(values, dtype=float)
-    error = found.std(ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.nan
-    return f"{found.mean():.6g} +- {error:.1g}" if np.isfinite(error) else f"{found.mean():.6g}"
+    return with_error(found.mean(), found.std(ddof=1) / np.sqrt(len(found)) if len(found) >= LEAST else np.nan)
 
 
 def _by_side(samples: Sequence[Sample], name: str) -> str:

@@ -83,7 +83,8 @@ def test_thresholds_matter_where_they_change_what_is_seen():
 
 
 def test_means_come_with_their_standard_errors():
-    assert network.mean([1.0, 2.0, 3.0]) == "2 +- 0.6"
+    assert network.mean([1.0, 2.0, 3.0]) == "2.0 +- 0.6"
+    assert [network.mean(values) for values in ([1.0, 1.0], [100.0, 170.0], [1.0] * 3)] == ["1", "135", "1"]
     assert network.mean([4.0]) == "4"
     columns = network.columns_of([GOOD, replace(GOOD, power_over_cut=0.95), CUT])["power_over_cut"]
     assert columns.side.tolist() == [3, 24]
