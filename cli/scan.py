@@ -180,6 +180,11 @@ def describe(report: dict[str, Any]) -> str:
         lines.append(f"{report['missing']:,} samples are missing")
     if report["lacking"]:
         lines.append(f"{report['lacking']:,} samples lack the analysis or the full state that was asked for")
+    if report["unanalysed"] and not report["lacking"]:
+        lines.append(
+            f"{counted(report['unanalysed'], 'sample')} without the numbers of --analyse that the others have; "
+            f"bearings scan {report['scan']} --analyse adds them"
+        )
     if report["failed"] or report["missing"] or report["lacking"]:
         lines.append(f"bearings scan {report['scan']} does what is missing or has failed")
     if report["removed"]:

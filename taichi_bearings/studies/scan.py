@@ -31,7 +31,15 @@ from taichi_bearings.studies.scan_estimate import (
     total_seconds,
     units_of,
 )
-from taichi_bearings.studies.scan_parts import Part, incomplete_parts, is_failed, journal_bytes, part_of, read_journals
+from taichi_bearings.studies.scan_parts import (
+    Part,
+    incomplete_parts,
+    is_analysed,
+    is_failed,
+    journal_bytes,
+    part_of,
+    read_journals,
+)
 from taichi_bearings.studies.scan_plan import Sample, ScanPlan, Wishes, groups_of, stored_wishes
 from taichi_bearings.studies.scan_sample import STATES, Wanted, failure, solve_samples, state_path
 from taichi_bearings.studies.scan_table import attributes_of, columns_of, histograms_of
@@ -115,7 +123,7 @@ def _samples_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
 def _is_kept(sample: Sample, record: Record | None, folder: Path, wanted: Wanted) -> bool:
     if record is None or is_failed(record):
         return False
-    if wanted.structure and "power_minimum_cut" not in record["scalars"]:
+    if wanted.structure and not is_analysed(record):
         return False
     return wanted.states is None or _is_whole(state_path(folder / STATES, sample.key))
 
@@ -366,6 +374,8 @@ class _Course:
         statuses = [self.records[s.key]["scalars"]["status"] for s in self.plan.samples if s.key in self.records]
         failed = [s for s in self.plan.samples if s.key in self.records and is_failed(self.records[s.key])]
         lacking = sum(map(self._has_result, self.open))
+        solved = [s.key for s in self.plan.samples if self._has_result(s.key)]
+        analysed = sum(is_analysed(self.records[key]) for key in solved)
         return {
             "samples": len(self.plan.samples),
             "done": len(statuses) - len(failed),
@@ -374,6 +384,7 @@ class _Course:
             "failed": len(failed),
             "missing": len(self.plan.samples) - len(statuses),
             "lacking": lacking,
+            "unanalysed": len(solved) - analysed if analysed else 0,
             "failures": [
                 {"sample": sample.label, "error": self.records[sample.key]["scalars"]["error"]} for sample in failed
             ],

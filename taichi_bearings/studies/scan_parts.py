@@ -105,6 +105,11 @@ def is_failed(record: Mapping[str, Any]) -> bool:
     return record["scalars"]["status"] == FAILED
 
 
+def is_analysed(record: Mapping[str, Any]) -> bool:
+    """True for a sample with the numbers of `bearings analyse`."""
+    return "power_minimum_cut" in record["scalars"]
+
+
 def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Of the numbers of parts into which the journals of a folder divide the scan: `part`, i/n, and `missing`, how many
     of its samples have no result."""

@@ -198,3 +198,16 @@ def test_progress_is_quiet_in_a_pipe_and_a_line_now_and_then_in_a_log(scan_file,
     assert 2 <= len(lines) <= 40
     assert all(" of 500 samples" in line and "left" in line for line in lines)
     assert any("/s " in line for line in lines)
+
+
+def test_samples_without_the_analysis_of_the_others_are_told(tmp_path):
+    from taichi_bearings_cli.scan import describe
+
+    scene = tmp_path / "scan.toml"
+    scene.write_text("shape = [3, 4]\nanalyse = true\n[scan]\nseed = [0, 1]\n")
+    scan(read_plan(scene), tmp_path / "scan", engine=Here(Wanted(structure=True)))
+    report = scan(read_plan(scene, ["scan.seed=[0, 1, 2]"]), tmp_path / "scan", structure=False, engine=Here())
+    words = "1 sample without the numbers of --analyse that the others have; bearings scan"
+    assert f"{words} {tmp_path / 'scan'} --analyse adds them" in describe(report)
+    report = scan(read_plan(scene, ["scan.seed=[0, 1, 2]"]), tmp_path / "other", structure=False, engine=Here())
+    assert "--analyse" not in describe(report)

@@ -153,7 +153,8 @@ def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
     assert not np.isnan(read_scan(folder).table["power_minimum_cut"]).any()
     assert {file.stem for file in (folder / "states").iterdir()} == {sample.key for sample in four.samples}
     five = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 5 }\n")
-    assert scan(five, folder, structure=False, keep_states=False)["lacking"] == 0
+    report = scan(five, folder, structure=False, keep_states=False)
+    assert (report["lacking"], report["unanalysed"]) == (0, 1)
     assert np.isnan(read_scan(folder).table["power_minimum_cut"]).sum() == 1
     assert read_plan(folder / "scan.toml").wishes == Wishes(False, False, 50)
 
