@@ -49,7 +49,11 @@ def test_help_names_the_arrays_of_a_coefficients_file():
 @pytest.mark.parametrize(("system", "call"), [("", ".venv/bin/bearings"), ("Windows_NT", r".venv\Scripts\bearings")])
 def test_make_run_ends_by_saying_how_to_call_the_program(system, call):
     planned = subprocess.run(
-        ["make", "-n", "run", f"OS={system}"], cwd=ROOT, capture_output=True, text=True, check=True
+        ["make", "--no-print-directory", "-n", "run", f"OS={system}"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     last = planned.strip().splitlines()[-1]
     assert last.startswith("echo")
