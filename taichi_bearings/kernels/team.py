@@ -22,8 +22,8 @@ from taichi_bearings.errors import DeviceError
 COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
 MISSED = 0.2  # of a processor; a team that got less than its size by so much shares the cores with other programs
-TRIAL, PIECE = 0.03, 0.3  # seconds that a launch should take, while a team is being tried and after it has done well
-SHORT = 0.02  # seconds; launches too short to judge by
+TRIAL, PIECE = 0.01, 0.3  # seconds that a launch should take: the first of a team, and the longest after it did well
+SHORT = 0.004  # seconds; launches too short to judge by
 FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds that a smaller team goes on
 PATIENCE = 2**30  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
 
@@ -33,7 +33,7 @@ class Team:
 
     def __init__(self, size: int) -> None:
         self.size, self.arrived = size, np.zeros(1, np.int32)
-        self.workers, self.is_tried, self.rest_until, self.rest = size, size == 1, 0.0, FIRST_REST
+        self.workers, self.piece, self.rest_until, self.rest = size, TRIAL if size > 1 else PIECE, 0.0, FIRST_REST
         self.seconds = math.inf  # that a step took lately
 
     def launch(self, kernel: Any, count: int, *arguments: Any) -> None:
@@ -42,9 +42,8 @@ class Team:
         begin = 0
         while begin < count or count == 0:
             if self.workers < self.size and time.monotonic() >= self.rest_until:
-                self.workers, self.is_tried = self.size, False
-            pace = (PIECE if self.is_tried else TRIAL) / self.seconds
-            end = min(count, begin + max(1, int(pace))) if count else 0
+                self.workers, self.piece = self.size, TRIAL
+            end = min(count, begin + max(1, int(self.piece / self.seconds))) if count else 0
             self.arrived[0] = 0
             wall, processor = time.perf_counter(), time.process_time()
             kernel(self.arrived, self.workers, begin, end, *arguments)
@@ -59,11 +58,10 @@ class Team:
 
     def _judge(self, processors: float) -> None:
         """Make do with as many workers as the whole team got processors, if it did not get all."""
-        self.is_tried = True
         if processors >= self.size - MISSED:
-            self.rest = FIRST_REST
+            self.piece, self.rest = min(2 * self.piece, PIECE), FIRST_REST
             return
-        self.workers = max(1, int(processors))
+        self.workers, self.piece = max(1, int(processors)), PIECE
         self.rest_until, self.rest = time.monotonic() + self.rest, min(2 * self.rest, LONGEST_REST)
 
 
