@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import logging
 import os
 import signal
 import sys
@@ -72,6 +73,7 @@ def _interrupt(*_: object) -> None:
 def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
     signal.signal(signal.SIGTERM, _interrupt)  # as Ctrl-C, so that nothing half-made is left behind
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result
             stream.reconfigure(errors="backslashreplace")
