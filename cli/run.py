@@ -133,9 +133,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
         if tied := summary.get("tied_contacts"):
             lines.append(f"  cuts tie exactly: {tied:,} contacts slip at some minima and not at others")
     if "duration" in summary and summary["time"] < summary["duration"] * (1 - 1e-9):
-        lines.append(
-            f"  simulated {summary['time']:.6g} of {summary['duration']:.6g}; --resume goes on from a checkpoint"
-        )
+        lines.append(f"  simulated {summary['time']:.6g} of {summary['duration']:.6g}")
     lines += [f"  {line}" for line in _step_error(summary)]
     if "power_normalised" in summary and len(seeds) == 1:
         lines.append(f"  P / (F_n R omega_T) = {summary['power_normalised']:.12g}")

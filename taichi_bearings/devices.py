@@ -1,7 +1,6 @@
 """Which GPUs there are, asked of their drivers: Taichi tells neither their names nor if they have double precision."""
 
 import ctypes
-import ctypes.util
 import platform
 import sys
 from dataclasses import dataclass

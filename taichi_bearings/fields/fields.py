@@ -37,8 +37,8 @@ class Fields:
     """
 
     def __init__(self, layout: Layout, spec: FieldSpec) -> None:
-        self.layout, self.spec, self.slot = layout, spec, first_slots(spec)
-        self.rows = sum(components for _, components in spec)
+        self.layout, self.slot, self.components = layout, first_slots(spec), dict(spec)
+        self.rows = sum(self.components.values())
         self.dtype = np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
         if self.rows * layout.length > MOST_NUMBERS:
             most = MOST_NUMBERS // self.rows
@@ -66,38 +66,31 @@ class Fields:
 
     def load(self, name: str, values: np.ndarray) -> None:
         """Set a field from (C, R, *N); margins stay."""
-        flat = values.reshape(len(values), -1)
         if self._host is not None:
-            self._host[self._rows(name), self.layout.inside] = flat
+            self.view(name)[...] = values
             return
         from taichi_bearings.fields.transfer import copy_in
 
-        copy_in(self.values, np.ascontiguousarray(flat, self.dtype), *self._place(name))
+        copy_in(self.values, np.ascontiguousarray(values.reshape(len(values), -1), self.dtype), *self._place(name))
 
     def read(self, name: str) -> np.ndarray:
         """A field as (C, R, *N), float64."""
         if self._host is not None:
-            flat = self._host[self._rows(name), self.layout.inside].astype(np.float64)
-        else:
-            from taichi_bearings.fields.transfer import copy_out
+            return self.view(name).astype(np.float64)
+        from taichi_bearings.fields.transfer import copy_out
 
-            found = np.zeros((dict(self.spec)[name], self.layout.sites), self.dtype)
-            copy_out(self.values, found, *self._place(name))
-            flat = found.astype(np.float64)
-        return flat.reshape(-1, self.layout.replicas, *self.layout.shape)
+        found = np.zeros((self.components[name], self.layout.sites), self.dtype)
+        copy_out(self.values, found, *self._place(name))
+        return found.astype(np.float64).reshape(-1, self.layout.replicas, *self.layout.shape)
 
     def clear(self, name: str) -> None:
-        components = dict(self.spec)[name]
-        self.load(name, np.zeros((components, self.layout.replicas, *self.layout.shape)))
+        self.load(name, np.zeros((self.components[name], self.layout.replicas, *self.layout.shape)))
 
     def view(self, name: str) -> np.ndarray:
         """A field in the memory of a CPU as (C, R, *N), not copied."""
         assert self._host is not None
-        inside = self._host[self._rows(name), self.layout.inside]
-        return inside.reshape(len(inside), self.layout.replicas, *self.layout.shape)
-
-    def _rows(self, name: str) -> slice:
-        return slice(self.slot[name], self.slot[name] + dict(self.spec)[name])
+        rows = slice(self.slot[name], self.slot[name] + self.components[name])
+        return self._host[rows, self.layout.inside].reshape(-1, self.layout.replicas, *self.layout.shape)
 
     def _place(self, name: str) -> tuple[int, int]:
         """Where a field begins in `values`, and how far apart its rows are."""

@@ -182,7 +182,7 @@ def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None
         values = np.atleast_1d(attributes.get(name, np.nan))
         return values.astype(float) if values.dtype.kind in "iuf" else np.full(values.shape, np.nan)
 
-    power, bound = numbers("potential" if "potential" in attributes else "power"), numbers("lower_bound")
+    power, bound = numbers("power"), numbers("lower_bound")
     driven = (numbers("spin_top") != numbers("spin_bottom")).all()
     if (numbers("gap") < -ROUNDING).any() or (driven and (bound > power * (1 + ROUNDING)).any()):
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")

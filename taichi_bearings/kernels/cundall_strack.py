@@ -42,20 +42,12 @@ class CundallStrackSteps:
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str, corrector: tuple[float, ...]):
         slot, axes = first_slots(spec), range(stencil.dimension)
         self.stencil, self.block, self.coulomb = stencil, stencil.block, law == "coulomb"
-        self.corrector, self.order, self.tally = corrector, len(corrector), "work" in slot
-        self.slot = slot
-
-        def of_kept(name: str) -> tuple[tuple[int, ...], ...]:
-            """For each axis, the rows of the spin components that make its contacts slip."""
-            return tuple(tuple(slot[name] + c for c in stencil.kept[axis]) for axis in axes)
-
-        def of_contacts(name: str) -> tuple[tuple[int, ...], ...]:
-            first = [slot[name] + stencil.force_slot[axis] for axis in axes]
-            return tuple(tuple(range(first[axis], first[axis] + stencil.kept_count[axis])) for axis in axes)
-
-        self.spin, self.predicted, self.force = of_kept("gear_0"), of_kept("predicted"), of_contacts("force")
+        self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
+        self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
+        self.force = stencil.force_rows(slot["force"])
         if self.coulomb:
-            self.integral, self.elongation = of_kept("integral"), of_contacts("elongation")
+            self.integral = stencil.spin_rows(slot["integral"])
+            self.elongation = stencil.force_rows(slot["elongation"])
         # rows of the first component; those of the others follow
         self.gear = tuple(slot[f"gear_{n}"] for n in range(self.order))
         self.ahead = tuple(slot[name] for name in ("predicted", "integral") if name in slot)
@@ -69,14 +61,12 @@ class CundallStrackSteps:
 
     def run(self, fields: Fields, team: Team, steps: int, numbers: tuple[float, ...]) -> None:
         """Make `steps` time steps in one launch, or on a GPU in one each. numbers: from `reach` to `response`."""
-        layout = fields.layout
-        stride_y = layout.strides[1] if len(layout.strides) == 3 else 1
-        sizes = (layout.length, layout.margin, layout.blocks, layout.strides[0], stride_y)
+        numbers = (*fields.layout.measures, *numbers)
         if team.size:
-            team.launch(self.steps_by_team, steps, fields.values, fields.blocks, *sizes, *numbers)
+            team.launch(self.steps_by_team, steps, fields.values, fields.blocks, *numbers)
         else:
             for _ in range(steps):
-                self.step_on_gpu(fields.values, *sizes, *numbers)
+                self.step_on_gpu(fields.values, *numbers)
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel that `run` will launch, on no sites at all."""
@@ -183,11 +173,9 @@ class CundallStrackSteps:
             spin, force = places(self.predicted[axis], row, first), places(self.force[axis], row, first)
             spin_above = places(self.predicted[axis], row, above[axis])
             if ti.static(self.coulomb):
-                integral, elongation = (
-                    places(self.integral[axis], row, first),
-                    places(self.elongation[axis], row, first),
-                )
+                integral = places(self.integral[axis], row, first)
                 integral_above = places(self.integral[axis], row, above[axis])
+                elongation = places(self.elongation[axis], row, first)
                 at = [integral, integral_above, spin, spin_above, elongation, coefficient]
                 each_site(values, blocks, self.block, elongation + force, self.spring, at, numbers)
             else:

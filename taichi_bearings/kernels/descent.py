@@ -21,8 +21,8 @@ def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str) -> "DescentSweep
 
 @ti.data_oriented
 class DescentSweeps:
-    """Sweeps over the fields `point`, `point_next`, `coefficient`, `inverse_weight`, with momentum
-    `spin`, and for averages `spin_sum` and `force_sum`.
+    """Sweeps over the fields `point`, `point_next`, `coefficient`, `inverse_weight`, with momentum `spin`, and for
+    averages `spin_sum` and `force_sum`.
 
     The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
 
@@ -46,14 +46,11 @@ class DescentSweeps:
 
         # sweeps of even parity go from `point` to `point_next`, which begins `apart` rows further, the others back
         self.point, self.apart = of_sites("point"), slot["point_next"] - slot["point"]
-        self.kept = tuple(tuple(slot["point"] + c for c in kept) for kept in stencil.kept)
+        self.kept = stencil.spin_rows(slot["point"])
         self.weight, self.spin = of_sites("inverse_weight"), of_sites("spin") if self.momentum else ()
         if self.averages:
             self.spin_sum = of_sites("spin_sum")
-            first = [slot["force_sum"] + stencil.force_slot[axis] for axis in range(stencil.dimension)]
-            self.force_sum = tuple(
-                tuple(range(first[axis], first[axis] + count)) for axis, count in enumerate(stencil.kept_count)
-            )
+            self.force_sum = stencil.force_rows(slot["force_sum"])
 
     def run(
         self, fields: Fields, team: Team, pairs: int, age: int, averaging: bool, numbers: tuple[float, ...]
@@ -62,14 +59,12 @@ class DescentSweeps:
 
         age : sweeps since the last restart. numbers : step, sharpness, and the lower and upper ends of the box.
         """
-        layout = fields.layout
-        stride_y = layout.strides[1] if len(layout.strides) == 3 else 1
-        sizes = (layout.length, layout.margin, layout.blocks, layout.strides[0], stride_y)
+        numbers = (averaging, *fields.layout.measures, *numbers)
         if team.size:
-            team.launch(self.pairs_by_team, pairs, fields.values, fields.blocks, age, averaging, *sizes, *numbers)
+            team.launch(self.pairs_by_team, pairs, fields.values, fields.blocks, age, *numbers)
         else:
             for pair in range(pairs):
-                self.pair_on_gpu(fields.values, age + 2 * pair, averaging, *sizes, *numbers)
+                self.pair_on_gpu(fields.values, age + 2 * pair, *numbers)
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel that `run` will launch, on no sites at all."""

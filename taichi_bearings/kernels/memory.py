@@ -77,7 +77,7 @@ def each_site(
     numbers: ti.template(),
 ):
     """Write what a law says of the sites of a block, as in :func:`fill`, to the places `to`."""
-    rows = [ti.Vector.zero(float, block) for _ in ti.static(range(len(to)))]
+    rows = new_rows(ti.static(len(to)), block)
     fill(rows, values, block, law, at, numbers)
     for k in ti.static(range(len(to))):
         if ti.static(block == 1):

@@ -29,28 +29,17 @@ class ContactStep:
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         self.slot, self.stencil, self.block = first_slots(spec), stencil, stencil.block
-        self.potential = tuple(tuple(self.slot["potential"] + c for c in kept) for kept in stencil.kept)
+        self.potential = stencil.spin_rows(self.slot["potential"])
+        self.trial, self.push = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["push"])
         self.pull = tuple(self.slot["pull"] + c for c in range(stencil.components))
-        self.trial, self.push = (
-            tuple(
-                tuple(range(self.slot[name] + first, self.slot[name] + first + count))
-                for first, count in zip(stencil.force_slot, stencil.kept_count, strict=True)
-            )
-            for name in ("trial", "push")
-        )
 
     def run(self, fields: Fields, weights: tuple[float, float], relaxation: float) -> None:
         """Make one step. weights : of the springs sideways and along the height."""
-        self._launch(fields, fields.layout.blocks, *weights, relaxation)
+        self.step(fields.values, fields.blocks, *fields.layout.measures, *weights, relaxation)
 
     def compile(self, fields: Fields) -> None:
         """Compile the kernel, on no sites at all."""
-        self._launch(fields, 0, 0.0, 0.0, 0.0)
-
-    def _launch(self, fields: Fields, blocks: int, *numbers: float) -> None:
-        layout = fields.layout
-        stride_x, stride_y = (*layout.strides, 1)[:2]
-        self.step(fields.values, fields.blocks, layout.length, layout.margin, blocks, stride_x, stride_y, *numbers)
+        self.step(fields.values, fields.blocks, *(0,) * 5, *(0.0,) * 3)
 
     @ti.func
     def limited(self, force: ti.template(), friction):

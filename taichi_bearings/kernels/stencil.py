@@ -62,6 +62,17 @@ class Stencil:
         """Where the force of each axis begins among the force components."""
         return tuple(sum(len(slots) for slots in self.kept[:axis]) for axis in range(self.dimension))
 
+    def spin_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
+        """For each axis, the rows of the components that make its contacts slip, of spins that begin at row `first`."""
+        return tuple(tuple(first + slot for slot in slots) for slots in self.kept)
+
+    def force_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
+        """For each axis, the rows of the forces of its contacts, of those of all that begin at row `first`."""
+        return tuple(
+            tuple(range(first + slot, first + slot + count))
+            for slot, count in zip(self.force_slot, self.kept_count, strict=True)
+        )
+
     def forces_by_axis(self, stored: np.ndarray, layout: Layout) -> tuple[np.ndarray, ...]:
         """Force components at the lower spheres (V, R, *N) -> one array (T, R, *contacts) an axis."""
         return tuple(

@@ -45,6 +45,12 @@ class Layout:
         return (blocks + (5 - blocks) % 32) * self.block
 
     @property
+    def measures(self) -> tuple[int, int, int, int, int]:
+        """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D the height)."""
+        stride_x, stride_y = (*self.strides, 1)[:2]
+        return self.length, self.margin, self.blocks, stride_x, stride_y
+
+    @property
     def inside(self) -> slice:
         """The sites without their margins."""
         return slice(self.margin, self.margin + self.sites)

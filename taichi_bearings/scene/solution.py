@@ -128,6 +128,7 @@ class Solution:
     findings : what else the method has found, by name, (R,) each.
     history : columns of equal length; power and lower_bound are (checks, R).
     snapshots : spins of a dynamics at the times asked for.
+    interrupted : Ctrl-C or SIGTERM was heard, even if too late to change the answer.
     """
 
     scene: Scene
@@ -153,6 +154,7 @@ class Solution:
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     snapshots: Snapshots | None = None
+    interrupted: bool = False
 
     def __post_init__(self) -> None:
         for power, bound, gap in zip(self.power, self.lower_bound, self.gap, strict=True):

@@ -65,7 +65,7 @@ def solve(
 
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
     recording, checkpoints : for a dynamics.
-    Ctrl-C ends the run with status INTERRUPTED and everything reached so far.
+    Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already.
     """
     stop, recording = stop or StopRule(), recording or Recording()
     began = time.perf_counter()
@@ -82,10 +82,18 @@ def solve(
         final = replace(best.progress, iteration=progress.iteration)
         proof = best.proof
         with stage("proving contact states"):  # to its end: a first Ctrl-C costs nothing that was reached
-            return _collect(
+            solution = _collect(
                 scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds,
                 compiled - began, slip_threshold,
             )  # fmt: skip
+    return replace(solution, interrupted=interrupt.heard)
+
+
+def uninterrupted(solution: Solution) -> Solution:
+    """The same solution; KeyboardInterrupt if Ctrl-C was heard meanwhile, even if too late to change it."""
+    if solution.interrupted:
+        raise KeyboardInterrupt
+    return solution
 
 
 def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:

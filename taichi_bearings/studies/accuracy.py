@@ -20,11 +20,11 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.certificate import relative_gap
 from taichi_bearings.errors import InputError
-from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.scene import LAWS
 from taichi_bearings.solvers import METHODS, method_class
-from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 from taichi_bearings.stages import each, stage
 from taichi_bearings.studies.conic import conic_programme
@@ -195,10 +195,9 @@ def run_method(scene: Scene, name: str, settings: RunSettings) -> Entry:
     if method.needs_taichi:
         runtime.start(settings.arch, settings.precision, settings.threads)
     spin = initial_spin(scene, settings.initial)
-    first = solve(scene, method, spin, StopRule(TIGHTEST, iterations=1))
-    solution = solve(scene, method_class(name)(), spin, StopRule(TIGHTEST, UNLIMITED, settings.time_limit or np.inf))
-    if Status.INTERRUPTED in (first.status, solution.status):
-        raise KeyboardInterrupt
+    first = uninterrupted(solve(scene, method, spin, StopRule(TIGHTEST, iterations=1)))
+    rule = StopRule(TIGHTEST, UNLIMITED, settings.time_limit or np.inf)
+    solution = uninterrupted(solve(scene, method_class(name)(), spin, rule))
     finite = np.isfinite(solution.history["power"][:, 0])
     history = {name: column[finite] for name, column in solution.history.items()}
     setup, power, checks = solution.seconds_compile, history["power"][:, 0], int(finite.sum())

@@ -25,9 +25,9 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.minimum_cut import MinimumCut, flow_cut, next_cut
 from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.plots.style import save
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_power_unit, cut_weights, initial_spin
-from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.gradient_descent import GradientDescent
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.linear_solver import LinearSolver
@@ -118,10 +118,7 @@ def draw_scene(
 
 
 def _solved(scene: Scene, method: Method, rule: StopRule | None = None, start: str = "linear") -> Solution:
-    solution = solve(scene, method, initial_spin(scene, start), rule or StopRule(1e-12))
-    if solution.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    return solution
+    return uninterrupted(solve(scene, method, initial_spin(scene, start), rule or StopRule(1e-12)))
 
 
 def contacts_between(above: np.ndarray) -> tuple[np.ndarray, ...]:

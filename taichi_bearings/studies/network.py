@@ -21,12 +21,11 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.sizes import Column, draw_sizes
 from taichi_bearings.plots.style import save
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.studies.claims import FEWEST, HALF, Claim, Effort, Share
-from taichi_bearings.studies.relaxation import uninterrupted
 from taichi_bearings.studies.run import build_scene
 from taichi_bearings.studies.scan_estimate import seconds_of
 from taichi_bearings.studies.settings import RunSettings

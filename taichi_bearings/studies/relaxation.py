@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
-from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recording
@@ -100,13 +100,6 @@ def minima_of(scene: Scene) -> Minima:
     cut = cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     return Minima(solution.power, solution.lower_bound, unit * cut.weight, unit * cut.lower_bound, solution.spin)
-
-
-def uninterrupted(solution: Solution) -> Solution:
-    """The same solution; KeyboardInterrupt if Ctrl-C ended it early."""
-    if solution.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    return solution
 
 
 def without_idle_spin(staggered: np.ndarray) -> np.ndarray:

@@ -215,8 +215,8 @@ def summarise(solution: Solution, tolerance: float, duration: float | None = Non
     """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas.
 
     A replica whose own gap is within `tolerance` is certified, however the run as a whole ended, unless a limit came
-    before the simulated time `duration` that was asked for. Numbers that are not
-    finite become None, so that the summary is valid JSON.
+    before the simulated time `duration` that was asked for. Numbers that are not finite become None, so that the
+    summary is valid JSON.
     """
     from taichi_bearings import __version__
 
@@ -422,22 +422,21 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
         write_table(folder / "power_histogram.csv", {None: histogram})
         if stored.figures == "all":
             with stage("drawing"):
-                _draw(folder, histogram)
+                _draw(folder, solution, histogram)
     except WriteError as error:  # a full disk: what was solved is written, and figures can be drawn again
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
     return summary
 
 
-def _draw(folder: Path, histogram: Any) -> None:
+def _draw(folder: Path, solution: Solution, histogram: Any) -> None:
     """The figures that every run gets."""
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
 
     save(draw_histogram(histogram), folder / "power_histogram.png")
-    run = read_run_file(folder / "run.h5")
-    if run.history["power"].shape[-1] > 2:  # a start and an answer are no course
-        save(draw_history(run), folder / "history.png")
+    if len(solution.history["power"]) > 2:  # a start and an answer are no course
+        save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
 
 
 def write_state(

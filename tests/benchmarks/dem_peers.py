@@ -154,7 +154,7 @@ def measure_here(shape, threads, steps, large_bytes, start):
         "threads": threads,
         "components": len(method.spin_axes),
         "rates": {name: float(np.median(values)) for name, values in rates.items()},
-        "bytes_per_contact": bytes_per_step(fields.spec, layout) / scene.lattice.contacts,
+        "bytes_per_contact": bytes_per_step(method.spec, layout) / scene.lattice.contacts,
         "working_set": working_set,
         "bandwidth": {name: float(np.median(values)) for name, values in bandwidth.items()},
         "absent": {peer.name: peer.how_to_install for peer in peers if not peer.is_installed},
