@@ -43,7 +43,7 @@ def command(
     from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.studies.analyse import analyse
+    from taichi_bearings.runs.analyse import analyse
 
     with Display(STARTED) as display:
         report = analyse(Path(run), Path(out) if out else None, force, replica, threshold, figures)

@@ -26,11 +26,11 @@ def throughput(shape: str, threads: str | None, as_json: bool) -> None:
     """
     from taichi_bearings_cli.progress import Display
 
+    from taichi_bearings.benchmarks.throughput import measure
     from taichi_bearings.errors import InputError
+    from taichi_bearings.runs.settings import RunSettings
     from taichi_bearings.runtime import available_threads
     from taichi_bearings.stages import each
-    from taichi_bearings.studies.settings import RunSettings
-    from taichi_bearings.studies.throughput import measure
 
     sides = RunSettings(shape=shape).shape  # type: ignore[arg-type]
     if len(sides) != 3:
@@ -98,10 +98,10 @@ def accuracy(
     """
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.studies.accuracy import choose_methods, choose_scenes, measure_all
-    from taichi_bearings.studies.accuracy_report import ReportFiles, summarise, table
-    from taichi_bearings.studies.peers import find_peers
-    from taichi_bearings.studies.run_directory import default_run_path
+    from taichi_bearings.benchmarks.accuracy import choose_methods, choose_scenes, measure_all
+    from taichi_bearings.benchmarks.accuracy_report import ReportFiles, summarise, table
+    from taichi_bearings.benchmarks.peers import find_peers
+    from taichi_bearings.runs.run_directory import default_run_path
 
     scenes = choose_scenes(shape, law, seed=seed, threads=threads, time_limit=time_limit)
     chosen = choose_methods(methods)

@@ -46,7 +46,7 @@ def command(
     """
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.studies.histogram import histogram
+    from taichi_bearings.scans.histogram import histogram
 
     paths = [Path(run) for run in runs]
     with Display():

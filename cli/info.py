@@ -16,8 +16,8 @@ def command(as_json: bool) -> None:
       bearings info --json
     """
     from taichi_bearings import __version__, runtime
+    from taichi_bearings.runs.run import versions
     from taichi_bearings.runtime import GPUS
-    from taichi_bearings.studies.run import versions
 
     gpus = {arch: found for arch in GPUS if (found := runtime.usable(arch, "f32"))}
     report = {

@@ -1,4 +1,4 @@
-"""Options shared by commands; those of a run come from the one table in studies/settings.py."""
+"""Options shared by commands; those of a run come from the one table in runs/settings.py."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from taichi_bearings.studies.settings import Kind, RunSettings
+from taichi_bearings.runs.settings import Kind, RunSettings
 
 
 def run_options(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -76,7 +76,7 @@ def command(
     from taichi_bearings.plots.power import draw_power
     from taichi_bearings.plots.spins import draw_spins
     from taichi_bearings.plots.style import save
-    from taichi_bearings.studies.snapshot import draw_snapshot
+    from taichi_bearings.runs.snapshot import draw_snapshot
 
     if kind == "scan":
         _plot_scan(Path(run), Path(out) if out else None, force, **of_scan)
@@ -94,7 +94,7 @@ def command(
     if path.exists() and not (force or out is None):
         raise FileError(f"{path} already exists; choose another --out or add --force")
     if kind in STRUCTURE:
-        from taichi_bearings.studies.analyse import draw
+        from taichi_bearings.runs.analyse import draw
 
         figure = draw(kind, stored, replica)
     elif kind == "spins":
@@ -113,7 +113,7 @@ def _plot_scan(
     scan: Path, out: Path | None, force: bool, y: str | None, x: str | None, collapse: str | None, **rest: Any
 ) -> None:
     from taichi_bearings.errors import InputError
-    from taichi_bearings.studies.scan_figure import Request, plot_scan
+    from taichi_bearings.scans.figure import Request, plot_scan
 
     if y is None or x is None:
         raise InputError("`bearings plot scan` needs --y and --x, the names of columns")

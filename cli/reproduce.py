@@ -58,9 +58,9 @@ def command(
     from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.studies.claims import Effort
-    from taichi_bearings.studies.reproduce import reproduce
-    from taichi_bearings.studies.run_directory import default_run_path
+    from taichi_bearings.paper.claims import Effort
+    from taichi_bearings.paper.reproduce import reproduce
+    from taichi_bearings.runs.run_directory import default_run_path
 
     folder = Path(out) if out else default_run_path("reproduce")
     with Display(STARTED) as display:

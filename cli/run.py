@@ -51,8 +51,8 @@ def command(
     from taichi_bearings_cli.progress import Display
 
     from taichi_bearings.errors import InputError
-    from taichi_bearings.studies import run as study
-    from taichi_bearings.studies.settings import RunSettings, read_toml
+    from taichi_bearings.runs import run as study
+    from taichi_bearings.runs.settings import RunSettings, read_toml
 
     given = {key: value for key, value in options.items() if value is not None}
     if resume:
@@ -78,7 +78,7 @@ def _verdict(summary: dict[str, Any], asked: bool) -> dict[str, Any] | None:
     """What `bearings verify` says of the run, if it was asked for."""
     if not asked:
         return None
-    from taichi_bearings.studies.verify import verify
+    from taichi_bearings.runs.verify import verify
 
     return verify(Path(summary["run"]))
 

@@ -105,10 +105,10 @@ def command(
     """
     from taichi_bearings_cli.progress import ScanDisplay
 
-    from taichi_bearings.studies import scan as study
-    from taichi_bearings.studies.run_directory import default_run_path
-    from taichi_bearings.studies.scan_parts import Part
-    from taichi_bearings.studies.scan_plan import read_plan
+    from taichi_bearings.runs.run_directory import default_run_path
+    from taichi_bearings.scans import scan as study
+    from taichi_bearings.scans.parts import Part
+    from taichi_bearings.scans.plan import read_plan
 
     path, folder = Path(scan), Path(out) if out else None
     if path.is_dir():  # the folder of a scan: go on there
@@ -146,7 +146,7 @@ def _client(
     """The client of the Dask cluster that was asked for, or None."""
     if scheduler is None and cluster is None:
         return nullcontext()
-    from taichi_bearings.studies.scan_cluster import connected
+    from taichi_bearings.scans.cluster import connected
 
     return connected(scheduler, cluster, workers, options)
 

@@ -31,7 +31,7 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
     from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.studies.verify import verify
+    from taichi_bearings.runs.verify import verify
 
     with Display(STARTED) as display:
         report = verify(Path(run))

@@ -1,7 +1,7 @@
 """Checksums of what an HDF5 file holds, in the file itself: a number that has changed since is not read as a result.
 
 The attribute `sha256` of the root is JSON text, name -> SHA-256 in hexadecimal digits: ``contact/x/slip`` for a data
-set (:func:`digest_of_array`), ``path@attribute`` for an attribute of a group, ``@attribute`` for one of the root
+set (:func:`digest_of_array`), ``path@attribute`` for an attribute of a group, ``attribute`` for one of the root
 (:func:`digest_of_attribute`). A group that was added later, `/analysis`, has such an attribute of its own.
 Files from before have none and are read unchecked. Who changes a file on purpose removes the attribute, or writes it
 anew with :func:`seal`; what others add is not looked at.

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.files.scan_file import FAILED, bin_of, column, dense_histograms, write_scan
+from taichi_bearings.proof.contact_state import ContactState
 
 SLIPLESS_SHARE, UNDECIDED_SHARE = 0.4, 0.05
 

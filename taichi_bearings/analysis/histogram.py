@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
-from taichi_bearings.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState
 
 ENERGY_PER_TIME = "energy/time"
 

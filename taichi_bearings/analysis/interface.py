@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.minimum_cut import minimum_cut
+from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_power_unit, cut_weights
 
@@ -25,7 +25,7 @@ class Interface:
     contacts : True for those that slip, one array a lattice axis, of the shape of its contacts.
     power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less; proven.
     next_power : of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is known
-        only if grids are apart (see :func:`taichi_bearings.minimum_cut.next_cut`).
+        only if grids are apart (see :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
     """
 
     above: np.ndarray

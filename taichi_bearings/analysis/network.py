@@ -12,9 +12,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.minimum_cut import number_bodies
+from taichi_bearings.numerics.minimum_cut import number_bodies
+from taichi_bearings.proof.contact_state import ContactState
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from taichi_bearings.analysis.torque_flow import (
     self_stress,
     torque_flow,
 )
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice.grid import staggered_forces
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 
 

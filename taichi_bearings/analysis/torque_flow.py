@@ -23,9 +23,9 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import tangential, torques
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.scene import vector_length
 
 Arrays = tuple[np.ndarray, ...]

@@ -7,9 +7,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.plots.style import GREY, new_figure
+from taichi_bearings.proof.contact_state import ContactState
 
 
 def draw_power(run: StoredRun, replica: int = 0) -> Figure:

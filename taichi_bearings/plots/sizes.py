@@ -35,7 +35,7 @@ class Column:
 def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping[str, np.ndarray]]) -> Figure:
     """Power over that of the minimum cut, network, domains and paths against the side; what thresholds make of them.
 
-    columns : numbers of the samples by name (studies.network.Sample). by_threshold : side -> numbers (samples,
+    columns : numbers of the samples by name (paper.network.Sample). by_threshold : side -> numbers (samples,
     thresholds + 1) by name (analysis.thresholds.View), the last ones by certified contact states.
     """
     figure = new_figure(10.5, 6.2)

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.plots.lattice import (
     COLOURS,
@@ -20,6 +19,7 @@ from taichi_bearings.plots.lattice import (
     speed_of,
 )
 from taichi_bearings.plots.style import new_figure
+from taichi_bearings.proof.contact_state import ContactState
 
 
 def draw_spins(run: StoredRun, replica: int = 0) -> Figure:

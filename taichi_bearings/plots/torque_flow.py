@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.torque_flow import ForceDistribution, FrictionLoad, PlaneFlow
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+from taichi_bearings.proof.contact_state import ContactState
 
 COLOURS = (
     (ContactState.SLIPLESS, BLUE, "slipless"),

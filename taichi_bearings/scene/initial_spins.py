@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.minimum_cut import MinimumCut, jump_weights, minimum_cut
+from taichi_bearings.numerics.minimum_cut import MinimumCut, jump_weights, minimum_cut
 from taichi_bearings.scene.scene import Scene
 
 STARTS = ("random", "zero", "linear", "minimum-cut")

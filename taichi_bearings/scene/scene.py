@@ -5,10 +5,19 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.double_double import Pair, add, divide, exactly, multiply, square_root, two_product, two_sum
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, tangential
+from taichi_bearings.numerics.double_double import (
+    Pair,
+    add,
+    divide,
+    exactly,
+    multiply,
+    square_root,
+    two_product,
+    two_sum,
+)
 
 LAWS = ("coulomb", "viscous")
 AXIS_NAMES = ("x", "y", "z")

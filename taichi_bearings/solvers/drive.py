@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
-from taichi_bearings.contact_state import ContactState, classify
 from taichi_bearings.errors import FileError
 from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
 from taichi_bearings.lattice.grid import laboratory_forces
+from taichi_bearings.proof.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
+from taichi_bearings.proof.contact_state import ContactState, classify
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics

@@ -15,21 +15,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.blas import one_thread
-from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
-from taichi_bearings.cholesky import dissect
+from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
+from taichi_bearings.conic.friction_stage import Friction, FrictionStage, Groups, StageEnd
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.cholesky import dissect
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.solvers.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
 from taichi_bearings.solvers.cundall_strack import (
     BELIEVED,
     CundallStrackOptions,
 )
 from taichi_bearings.solvers.dynamics import RestWatch, Saturation, default_inertia, moving_spin_axes
-from taichi_bearings.solvers.friction_stage import Friction, FrictionStage, Groups, StageEnd
-from taichi_bearings.solvers.newton_matrix import NewtonMatrix
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
 SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change

@@ -4,7 +4,7 @@ The least power is the minimum of sum_e mu_e b_e over spins and bounds b_e >= |s
 the driven planes over balanced contact forces with |f_e| <= mu_e F_n (PHYSICS 4). Both are followed along the central
 path (central_path.py). Bounds above the slips and zero forces are strictly inside, so that from the first step on there
 are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian over the free
-spins, which is factorised once a step (taichi_bearings.cholesky).
+spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
 
 Near the end the contact states are settled: exactly, with a proof, where resolution.py can; else by the ratio of slip
 and friction margin, which the central path drives apart.
@@ -15,19 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.blas import one_thread
-from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
-from taichi_bearings.cholesky import NotPositiveDefinite, dissect
-from taichi_bearings.contact_state import ContactState, all_slipless
-from taichi_bearings.double_double import Pair, multiply, two_sum
+from taichi_bearings.conic.central_path import Iterate, balance, newton_step
+from taichi_bearings.conic.cone import length
+from taichi_bearings.conic.contact_system import free_shape, lattice_system
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.resolution import Resolved, resolve
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
+from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
+from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.central_path import Iterate, balance, newton_step
-from taichi_bearings.solvers.cone import length
-from taichi_bearings.solvers.contact_system import free_shape, lattice_system
-from taichi_bearings.solvers.newton_matrix import NewtonMatrix
-from taichi_bearings.solvers.resolution import Resolved, resolve
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends

@@ -13,12 +13,12 @@ balance to the rounding of the forces, however large the contrast.
 
 import numpy as np
 
-from taichi_bearings.blas import one_thread
-from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import contact_differences
-from taichi_bearings.nested_dissection import GridFactor
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.nested_dissection import GridFactor
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 
 BUNDLE = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64

@@ -24,15 +24,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.splitting import contact_step
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.numerics.poisson import PlanePoisson
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
-from taichi_bearings.solvers.poisson import PlanePoisson
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others

@@ -10,11 +10,11 @@ slips at all minima if it is in all of these cuts, and at some if it is in some.
 
 import numpy as np
 
-from taichi_bearings.certificate import largest_unbalanced_torque, work_and_bound
-from taichi_bearings.contact_state import ContactState, all_slipless
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
+from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
 
 

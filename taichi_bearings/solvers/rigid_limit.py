@@ -17,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.blas import one_thread
-from taichi_bearings.certificate import largest_unbalanced_torque, lower_bound, relative_gap
+from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import absolute, default_inertia, kinetic_energy, moving_spin_axes, replica_sum
-from taichi_bearings.solvers.proximal import ProximalSteps, Step
 
 FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
 LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times

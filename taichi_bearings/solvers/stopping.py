@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.certificate import relative_gap
 from taichi_bearings.errors import InputError
+from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene, Status
 
 UNLIMITED = 2**62  # iterations

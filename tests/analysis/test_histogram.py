@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.histogram import SampleCounts, count_powers, pool, power_histogram, rebinned, together
-from taichi_bearings.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState
 
 
 def contacts(seed, replicas=6, number=500, spread=4.0):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.interface import compare, find_interface
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.network import network_of, planes_crossed
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.interior_point import InteriorPoint

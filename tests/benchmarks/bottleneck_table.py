@@ -12,7 +12,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.analysis.bottlenecks import find_bottlenecks
 from taichi_bearings.analysis.network import SliplessNetwork, network_of, planes_crossed
-from taichi_bearings.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.interior_point import InteriorPoint

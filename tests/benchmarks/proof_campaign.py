@@ -40,11 +40,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from flint import arb
 
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import InputError
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
-from taichi_bearings.studies.run import prepare, solve_job, summarise
-from taichi_bearings.studies.settings import RunSettings
 from tests.truth import extended_precision as truths
 
 KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous")

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from taichi_bearings.files.run_file import read_run_file
-from taichi_bearings.studies.settings import RunSettings, parse_toml
+from taichi_bearings.runs.settings import RunSettings, parse_toml
 from tests.cli.test_cli import bearings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, mounts and names of POSIX")

@@ -7,8 +7,8 @@ import time
 import pytest
 from taichi_bearings_cli.progress import Display, describe_scan
 
+from taichi_bearings.scans.scan import ScanProgress
 from taichi_bearings.stages import alike, each, stage
-from taichi_bearings.studies.scan import ScanProgress
 from tests.cli.test_cli import bearings
 
 if sys.platform == "win32":

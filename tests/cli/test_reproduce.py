@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.reproduce import command
 
-from taichi_bearings.studies import reproduce
-from taichi_bearings.studies.claims import Claim
+from taichi_bearings.paper import reproduce
+from taichi_bearings.paper.claims import Claim
 from tests.cli.test_cli import bearings
 
 
@@ -100,7 +100,7 @@ def test_bad_input_is_exit_code_2(words, expected, tmp_path):
 
 
 class Figures:
-    """Stands in for the studies: notes what is computed, writes the files, is interrupted where that is asked for."""
+    """Stands in for the figures: notes what is computed, writes the files, is interrupted where that is asked for."""
 
     def __init__(self, monkeypatch):
         self.computed, self.interrupted_at = [], None

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from taichi_bearings.files.scan_journal import read_journal
-from taichi_bearings.studies.scan import scan
-from taichi_bearings.studies.scan_plan import read_plan
-from taichi_bearings.studies.scan_sample import Wanted
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.sample import Wanted
+from taichi_bearings.scans.scan import scan
 from tests.cli.test_cli import bearings
-from tests.studies.scan_faults import Here
-from tests.studies.test_scan import assert_same_but_for_the_clock
+from tests.scans.scan_faults import Here
+from tests.scans.test_scan import assert_same_but_for_the_clock
 
 COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
 SLOW = 'shape = [12, 12]\nlaw = "viscous"\n[scan]\nseed = { start = 0, stop = 500 }\n'  # a second of work in many units

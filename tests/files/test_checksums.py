@@ -10,13 +10,13 @@ import pytest
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
+from taichi_bearings.runs.analyse import analyse
+from taichi_bearings.runs.run import prepare, run, solve_job
+from taichi_bearings.runs.settings import RunSettings, read_toml
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scans.histogram import read_source
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.studies.analyse import analyse
-from taichi_bearings.studies.histogram import read_source
-from taichi_bearings.studies.run import prepare, run, solve_job
-from taichi_bearings.studies.settings import RunSettings, read_toml
-from taichi_bearings.studies.verify import verify
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from taichi_bearings.files.run_file import read_run_file, write_run_file
+from taichi_bearings.runs.run import summarise
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.linear_solver import LinearSolver
-from taichi_bearings.studies.run import summarise
 from tests.scenes import make_scene
 
 

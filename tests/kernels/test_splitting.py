@@ -7,9 +7,9 @@ from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, torques
+from taichi_bearings.numerics.poisson import PlanePoisson
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.operator_splitting import OperatorSplitting
-from taichi_bearings.solvers.poisson import PlanePoisson
 from tests.scenes import make_scene
 
 

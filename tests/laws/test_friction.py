@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
 from taichi_bearings.lattice.grid import laboratory_forces, lower, staggered_forces, upper
+from taichi_bearings.proof.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import method_class
 from taichi_bearings.solvers.drive import solve

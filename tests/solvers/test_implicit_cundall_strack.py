@@ -5,13 +5,13 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import minimize
 
+from taichi_bearings.conic.friction_stage import Friction
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin, random_spin
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, stability_bound
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.friction_stage import Friction
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
 from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule

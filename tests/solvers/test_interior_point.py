@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.certificate import lower_bound, relative_gap
-from taichi_bearings.contact_state import ContactState, separate
 from taichi_bearings.errors import InputError
+from taichi_bearings.proof.certificate import lower_bound, relative_gap
+from taichi_bearings.proof.contact_state import ContactState, separate
+from taichi_bearings.runs.run import prepare, solve_job
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.gradient_descent import GradientDescent
 from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.studies.run import prepare, solve_job
-from taichi_bearings.studies.settings import RunSettings
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")

@@ -7,9 +7,9 @@ other's finest answer, which the order of its own errors extrapolates.
 import numpy as np
 import pytest
 
+from taichi_bearings.conic.contact_system import free_shape
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.contact_system import free_shape
 from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
 from tests.scenes import make_scene

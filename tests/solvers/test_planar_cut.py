@@ -5,14 +5,14 @@ import pytest
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, hstack, identity, vstack
 
-from taichi_bearings.contact_state import ContactState
 from taichi_bearings.errors import InputError
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run import summarise
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.studies.run import summarise
 from tests.kernels.twins import is_driven, neighbours
 from tests.scenes import make_scene, minima, name_of, scene_of
 

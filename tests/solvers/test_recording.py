@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.runs.run import summarise
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
@@ -13,7 +14,6 @@ from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackO
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording, parse_times
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.studies.run import summarise
 from tests.scenes import make_scene
 
 UNRECORDED = ("seconds",)  # columns that differ from run to run

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import method_class
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.studies.run import prepare, solve_job, summarise
-from taichi_bearings.studies.settings import RunSettings
 from tests.truth import oracle_or_skip
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_bearings.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import method_class
 from taichi_bearings.solvers.drive import solve

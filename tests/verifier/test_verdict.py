@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.studies.run import run
-from taichi_bearings.studies.settings import RunSettings
-from taichi_bearings.studies.verify import verify
+from taichi_bearings.runs.run import run
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.verify import verify
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 KEPT = {

@@ -1,0 +1,97 @@
+"""Tie together the spins that slipless contacts join, and carry on with what is left.
+
+A slipless contact makes the spin components across it equal. Near the minimum that leaves about one unknown in six at
+32^3, and a contact system in which no stiffness is huge: there the last digits can be had.
+"""
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
+from taichi_bearings.numerics.cholesky import Part
+
+
+class Contradiction(Exception):
+    """The contacts to be tied join bottom and top, which turn differently."""
+
+
+class Contraction:
+    """The contacts that are left, over one unknown for each set of tied spins.
+
+    whole : the system before. system : contacts that are not tied, over the new unknowns; kept : per group, their
+    positions in the old system.
+    parts : elimination tree over the new unknowns.
+    """
+
+    def __init__(self, whole: ContactSystem, parts: list[Part], tied: list[np.ndarray]) -> None:
+        """whole : contacts before; parts : elimination tree over their unknowns; tied : (n,) mask a group.
+
+        Raises Contradiction if the tied contacts cannot all rest.
+        """
+        self.whole = whole
+        self._label(whole, tied)
+        self.kept = [np.flatnonzero(~mask) for mask in tied]
+        groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]
+        self.system = ContactSystem(self.unknowns, tuple(groups))
+        self.parts = self._contracted_parts(parts)
+
+    def _label(self, whole: ContactSystem, tied: list[np.ndarray]) -> None:
+        """Number of the set that each spin belongs to, or its imposed value if the set is tied to a driven plane."""
+        first, second, imposed, value = [], [], [], []
+        for group, mask in zip(whole.groups, tied, strict=True):
+            below, above, offset = group.below[:, mask].ravel(), group.above[:, mask].ravel(), group.offset[:, mask]
+            both = (below >= 0) & (above >= 0)
+            first.append(below[both])
+            second.append(above[both])
+            # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
+            for end, other, sign in ((below, above, 1.0), (above, below, -1.0)):
+                only = (end >= 0) & (other < 0)
+                imposed.append(end[only])
+                value.append(sign * offset.ravel()[only])
+        a, b = np.concatenate(first), np.concatenate(second)
+        graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(whole.unknowns,) * 2)
+        count, label = connected_components(graph, directed=False)
+        imposed_value = np.full(count, np.nan)
+        held, held_at = label[np.concatenate(imposed)], np.concatenate(value)
+        imposed_value[held] = held_at
+        if (imposed_value[held] != held_at).any():
+            raise Contradiction
+        is_free = np.isnan(imposed_value)
+        number = np.where(is_free, np.cumsum(is_free) - 1, -1)
+        self.unknowns = int(is_free.sum())
+        self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
+
+    def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
+        """The contacts `keep` with the ends renamed; components with both ends in one set never slip."""
+        below, above, offset = group.below[:, keep], group.above[:, keep], group.offset[:, keep].copy()
+        ends = []
+        for end, sign in ((below, -1.0), (above, 1.0)):
+            offset += sign * np.append(self.imposed, 0.0)[end]  # end is -1 where a spin was imposed before
+            ends.append(np.append(self.number, -1)[end])
+        same = ends[0] == ends[1]
+        below, above = (np.where(same, -1, end) for end in ends)
+        return ContactGroup(group.axis, group.acting[keep], below, above, offset, self.unknowns)
+
+    def _contracted_parts(self, parts: list[Part]) -> list[Part]:
+        """A set goes to the part nearest the root that holds one of its spins; being connected, it has just one."""
+        home = np.full(self.unknowns, -1)
+        for place, part in enumerate(parts):  # children come first, so the last one to write is nearest the root
+            numbers = self.number[part.unknowns]
+            home[numbers[numbers >= 0]] = place
+        members = np.argsort(home, kind="stable")
+        bounds = np.searchsorted(home[members], np.arange(len(parts) + 1))
+        return [
+            Part(members[begin:end], part.children)
+            for part, begin, end in zip(parts, bounds[:-1], bounds[1:], strict=True)
+        ]
+
+    def contracted(self, spins: np.ndarray) -> np.ndarray:
+        """Mean of the tied spins, (unknowns,)."""
+        free = self.number >= 0
+        total = np.bincount(self.number[free], weights=spins[free], minlength=self.unknowns)
+        return total / np.bincount(self.number[free], minlength=self.unknowns)
+
+    def expanded(self, spins: np.ndarray) -> np.ndarray:
+        """Spins of the whole system: equal within each set."""
+        return np.append(spins, 0.0)[self.number] + self.imposed  # number is -1 where a spin is imposed

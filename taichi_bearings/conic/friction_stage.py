@@ -1,0 +1,235 @@
+"""One implicit stage of a dynamics with friction: the spins at its end, and the contact forces that they cause there.
+
+With the trial force F* = start + resistance * R D Omega of every contact, limited to |F| <= limit, the spins obey
+
+    inertia (Omega - base) + R D^T F(Omega) = 0,
+
+the minimum of the strictly convex, once differentiable function inertia |Omega - base|^2 / 2 + sum_e huber(F*_e) /
+resistance_e. Newton's method finds it: a contact that sticks resists with its resistance, one that slips only across
+its force, resistance * limit / |F*|. A line search on the slope makes every step go down. Contacts change between the
+two branches finitely often, and then convergence is quadratic.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.scene.scene import vector_length
+
+Groups = list[np.ndarray]
+MOST_ITERATIONS = 60  # of Newton's method
+SETTLED, BALANCED = 1e-10, 1e-15  # torque left, relative to friction and inertia: Newton ends; linear corrections end
+CORRECTIONS = 3  # linear ones with the last factorisation, at most
+COUPLED = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
+RULED_BY_INERTIA = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
+SHARP = 1e-5  # residual to which they do, relative
+FLAT = 0.1  # share of its slope at which a line search ends
+LINE_SEARCH = 20  # trials, at most
+TINY = 1e-280  # far below any force, and no limit over it overflows
+EPSILON = np.finfo(np.float64).eps
+
+
+@dataclass(frozen=True)
+class StageEnd:
+    """spins : (unknowns,). force : (d, n) a group. slips : (n,) a group."""
+
+    spins: np.ndarray
+    force: Groups
+    slips: Groups
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Contacts of one sample in a stage, (n,) a group each.
+
+    limit : largest force; infinite for linear contacts. resistance : force * time / length.
+    inertia : moment of inertia / time of the stage. number : of the sample; with the inertia it tells the resistance.
+    """
+
+    limit: Groups
+    resistance: Groups
+    inertia: float
+    number: int
+
+    def limited(self, trial: Groups) -> Groups:
+        """Forces (d, n) a group that friction allows."""
+        return [
+            f * np.minimum(1.0, m / np.maximum(vector_length(f), TINY)) for f, m in zip(trial, self.limit, strict=True)
+        ]
+
+    def slips(self, trial: Groups) -> Groups:
+        return [vector_length(f) > m for f, m in zip(trial, self.limit, strict=True)]
+
+    def stiffness(self, trial: Groups) -> Groups:
+        """Derivative of the limited force by the slip, (d, d, n) a group."""
+        found = []
+        for f, m, c in zip(trial, self.limit, self.resistance, strict=True):
+            size = np.maximum(vector_length(f), TINY)
+            slips, along = size > m, f / size
+            across = np.where(slips, m / size, 1.0)
+            lost = np.where(slips, across, 0.0) * along[:, None] * along[None, :]
+            found.append(c * (across * np.eye(len(f))[:, :, None] - lost))
+        return found
+
+
+class FrictionStage:
+    """Solver for the stages of all samples of a scene, one at a time.
+
+    conserved : (modes, m) unknowns whose sum no contact changes; empty if there are none.
+    spin_scale, force_scale : what counts as large.
+    """
+
+    def __init__(
+        self,
+        system: ContactSystem,
+        matrix: NewtonMatrix,
+        radius: float,
+        conserved: np.ndarray,
+        spin_scale: float,
+        force_scale: float,
+    ) -> None:
+        self.system, self.matrix, self.radius, self.conserved = system, matrix, radius, conserved
+        self.spin_scale, self.force_scale = spin_scale, force_scale
+        self.factorisations = 0
+        self._held: tuple[float, int] | None = None  # inertia and number of what is factorised if nothing slips in it
+
+    def solve(self, friction: Friction, base: np.ndarray, start: Groups, guess: np.ndarray) -> StageEnd | None:
+        """Spins and forces at the end of the stage; None if Newton's method gets nowhere.
+
+        base, guess : (unknowns,). start : (d, n) a group, force.
+        """
+        inertia, resistance = friction.inertia, friction.resistance
+        spins = guess + self._conserving(np.zeros_like(guess), base - guess)
+        trial = self._trial(start, resistance, spins)
+        scale = inertia * self.spin_scale + self.radius * self.force_scale
+        stiffest = max(float(c.max(initial=0.0)) for c in resistance)
+        noise = 8 * EPSILON * stiffest * self.radius**2 * self.spin_scale  # of torques, from rounding the spins
+        stiffness: Groups = []
+        for _ in range(MOST_ITERATIONS):
+            force = friction.limited(trial)
+            torque = self._torque(force, inertia, spins - base)
+            if stiffness and np.abs(torque).max(initial=0.0) <= SETTLED * scale + noise:
+                return self._corrected(friction, base, spins, trial, force, stiffness, scale)
+            stiffness = friction.stiffness(trial)
+            if not self._prepare(friction, trial, stiffness):
+                return None
+            step = self._conserving(self._solved(-torque), base - spins)
+            change = [c * self.radius * g.change(step) for c, g in zip(resistance, self.system.groups, strict=True)]
+            length = self._step_length(friction, trial, change, spins - base, step, float(torque @ step))
+            spins = spins + length * step
+            trial = self._trial(start, resistance, spins)
+        return None
+
+    def _trial(self, start: Groups, resistance: Groups, spins: np.ndarray) -> Groups:
+        return [
+            f + c * self.radius * g.differences(spins)
+            for f, c, g in zip(start, resistance, self.system.groups, strict=True)
+        ]
+
+    def _torque(self, force: Groups, inertia: float, gained: np.ndarray) -> np.ndarray:
+        """What is to become zero, (unknowns,)."""
+        return inertia * gained + self.radius * self.system.torques(force)
+
+    def _prepare(self, friction: Friction, trial: Groups, stiffness: Groups) -> bool:
+        """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
+
+        Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
+        slips and nothing else changes.
+        """
+        linear = not any(slips.any() for slips in friction.slips(trial))
+        coupling = COUPLED * self.radius**2 * max(float(c.max(initial=0.0)) for c in friction.resistance)
+        self._iterates = not linear and coupling <= RULED_BY_INERTIA * friction.inertia
+        self._inertia, self._stiffness = friction.inertia, [self.radius**2 * k for k in stiffness]
+        if self._iterates:
+            return True
+        held = (friction.inertia, friction.number) if linear else None
+        if held is not None and held == self._held:
+            return True
+        self._held = None
+        try:
+            self.matrix.factorise(self._stiffness, friction.inertia)
+        except NotPositiveDefinite:
+            return False
+        self.factorisations += 1
+        self._held = held
+        return True
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        """Solution with what was prepared last; by conjugate gradients to SHARP, relative."""
+        if not self._iterates:
+            return self.matrix.solve(right)
+        solution, left, direction = np.zeros_like(right), right, right
+        size = first = float(right @ right)
+        while size > SHARP**2 * first:
+            image = self._resisted(direction)
+            length = size / float(direction @ image)
+            solution, left = solution + length * direction, left - length * image
+            size, before = float(left @ left), size
+            direction = left + size / before * direction
+        return solution
+
+    def _resisted(self, spins: np.ndarray) -> np.ndarray:
+        """Derivative of the torques times a change of the spins."""
+        forces = [
+            np.einsum("ijn,jn->in", k, g.change(spins))
+            for k, g in zip(self._stiffness, self.system.groups, strict=True)
+        ]
+        return self._inertia * spins + self.system.torques(forces)
+
+    def _step_length(
+        self, friction: Friction, trial: Groups, change: Groups, gained: np.ndarray, step: np.ndarray, first: float
+    ) -> float:
+        """Length in (0, 1] at which the function is nearly flat along the step, or 1 if it still falls there."""
+
+        def slope(length: float) -> float:
+            forces = friction.limited([f + length * df for f, df in zip(trial, change, strict=True)])
+            work = sum(float((f * df / c).sum()) for f, df, c in zip(forces, change, friction.resistance, strict=True))
+            return friction.inertia * float((gained + length * step) @ step) + work
+
+        low, high, at_low, at_high = 0.0, 1.0, first, slope(1.0)
+        if at_high <= FLAT * abs(first):
+            return 1.0
+        length = 1.0
+        for _ in range(LINE_SEARCH):  # regula falsi; the end that stays is halved (Illinois)
+            share = at_low / (at_low - at_high)
+            length = low + min(max(share, 0.05), 0.95) * (high - low)
+            now = slope(length)
+            if abs(now) <= FLAT * abs(first):
+                break
+            if now > 0:
+                high, at_high, at_low = length, now, at_low / 2
+            else:
+                low, at_low, at_high = length, now, at_high / 2
+        return length
+
+    def _corrected(
+        self,
+        friction: Friction,
+        base: np.ndarray,
+        spins: np.ndarray,
+        trial: Groups,
+        force: Groups,
+        stiffness: Groups,
+        scale: float,
+    ) -> StageEnd:
+        """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
+        for _ in range(CORRECTIONS):
+            torque = self._torque(force, friction.inertia, spins - base)
+            if np.abs(torque).max(initial=0.0) <= BALANCED * scale:
+                break
+            step = self._conserving(self._solved(-torque), base - spins)
+            force = [
+                f + self.radius * np.einsum("ijn,jn->in", k, g.change(step))
+                for f, k, g in zip(force, stiffness, self.system.groups, strict=True)
+            ]
+            spins = spins + step
+        return StageEnd(spins, force, friction.slips(trial))
+
+    def _conserving(self, step: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """The step with the mean change of every conserved mode set to the wanted one; changed in place."""
+        if self.conserved.size:
+            step[self.conserved] += (wanted - step)[self.conserved].mean(axis=1, keepdims=True)
+        return step

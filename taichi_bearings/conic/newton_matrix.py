@@ -1,0 +1,67 @@
+"""The matrix of a Newton step: a Laplacian over the spins with a d x d stiffness at every contact."""
+
+import numpy as np
+
+from taichi_bearings.conic.contact_system import ContactSystem, stacked
+from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, Part
+
+REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
+SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
+
+
+class NewtonMatrix:
+    """Factorised weighted Laplacian of a contact system; the pattern is analysed once."""
+
+    def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
+        """parts : elimination tree over the unknowns of `system`."""
+        self._system = system
+        self._empty = system.unknowns == 0  # everything is tied to the driven planes
+        if self._empty:
+            return
+        self._cholesky = Cholesky(parts, *system.couplings())
+        pattern = self._cholesky.pattern
+        self._map = system.laplacian_map(pattern.entry, len(pattern.row))
+        self._diagonal = np.flatnonzero(pattern.row == pattern.column)
+
+    def factorise(self, stiffness: list[np.ndarray], inertia: float = 0.0) -> None:
+        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group, and a spring at every spin.
+
+        Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by
+        as little as helps, and iterative refinement has to mend the rest.
+
+        Raises NotPositiveDefinite if nothing helps.
+        """
+        if self._empty:
+            return
+        values = self._map @ stacked(stiffness)
+        diagonal = values[self._diagonal] + inertia
+        for shift in SHIFTS:
+            values[self._diagonal] = diagonal * (1 + shift)
+            try:
+                return self._cholesky.factorise(values)
+            except NotPositiveDefinite:
+                if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
+                    raise
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution of the factorised system, (unknowns,)."""
+        return right if self._empty else self._cholesky.solve(right)
+
+    def balanced(
+        self, dual: list[np.ndarray], stiffness: list[np.ndarray], load: np.ndarray | float = 0.0
+    ) -> list[np.ndarray]:
+        """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
+
+        load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
+        """
+        self.factorise(stiffness)
+        for _ in range(REFINEMENTS):  # each from the forces of the last: what a stretch rounds falls with the stretch
+            dual = self._relaxed(dual, stiffness, self.solve(self._system.torques(dual) - load))
+        return dual
+
+    def _relaxed(self, dual: list[np.ndarray], stiffness: list[np.ndarray], spins: np.ndarray) -> list[np.ndarray]:
+        """The dual less the forces of springs stretched by a change of the spins."""
+        return [
+            y - np.einsum("ijn,jn->in", k, g.change(spins))
+            for y, k, g in zip(dual, stiffness, self._system.groups, strict=True)
+        ]

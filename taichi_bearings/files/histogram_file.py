@@ -1,0 +1,76 @@
+"""Distributions of the power per contact as CSV and HDF5."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
+from taichi_bearings.files.whole_file import write_csv, write_hdf5
+
+Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that parts them; {None: ...} if none does
+
+
+def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
+    """CSV with the columns power_low, power_high, count; contacts that are in no bin are counted in the header.
+
+    Where several samples are pooled standard_error, density and density_error follow, and with several histograms,
+    which stand below each other, the parameter that parts them.
+    """
+    notes = []
+    for value, found in histograms.items():
+        part = "" if by is None else f"{by} {value}: "
+        notes.append(f"{part}slipping {found.slipping}, slipless {found.slipless}, undecided {found.undecided}")
+        why = f" ({found.census.reasons})" if found.left_out else ""
+        samples = f"samples {found.samples} of {found.census.asked}{why}"
+        notes.append(f"{part}slip_threshold {found.slip_threshold!r}, {samples}")
+    units = next(iter(histograms.values())).units
+    if units != ENERGY_PER_TIME:
+        notes.append(f"power in units of {units}")
+    errors = any(found.samples > 1 for found in histograms.values())
+    names = ["power_low", "power_high", "count"]
+    names += ["standard_error", "density", "density_error"] if errors else []
+    rows = []
+    for value, found in histograms.items():
+        columns = [found.edges[:-1], found.edges[1:], found.count]
+        columns += [found.standard_error, found.density, found.density_error] if errors else []
+        rows += [[*row, *([] if by is None else [value])] for row in zip(*(c.tolist() for c in columns), strict=True)]
+    write_csv(path, names if by is None else [*names, by], rows, notes)
+
+
+def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> None:
+    """HDF5 with the data sets edges, count, standard_error, density and density_error; the rest as attributes.
+
+    With several histograms all but the edges have a leading axis, along which the data set `value` has the parameter.
+    """
+    parts = list(histograms.values())
+
+    def stacked(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return values[0] if by is None else np.array(values)
+
+    def fill(file: h5py.File) -> None:
+        for name, unit, text in (
+            ("count", "1", "slipping contacts in each bin"),
+            ("standard_error", "1", "of the count: over the samples, or Poisson with one sample"),
+            ("density", "1", "share of the slipping contacts per decade of power"),
+            ("density_error", "1", "standard error of the density"),
+        ):
+            stored = file.create_dataset(name, data=stacked(name))
+            stored.attrs["units"], stored.attrs["description"] = unit, text
+        edges = file.create_dataset("edges", data=parts[0].edges)
+        edges.attrs["units"], edges.attrs["description"] = parts[0].units, "edges of the power bins"
+        for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
+            file.attrs[name] = stacked(name)
+        file.attrs["asked"] = [part.census.asked for part in parts] if by else parts[0].census.asked
+        file.attrs["left_out"] = [part.census.reasons for part in parts] if by else parts[0].census.reasons
+        if by is not None:
+            texts = any(not isinstance(value, (int, float)) for value in histograms)
+            values = ["" if v is None else str(v) for v in histograms] if texts else list(histograms)
+            stored = file.create_dataset("value", data=values, dtype=h5py.string_dtype() if texts else None)
+            stored.attrs["units"], stored.attrs["description"] = "", f"{by}, the parameter of each histogram"
+            file.attrs["by"] = by
+
+    write_hdf5(path, fill)

@@ -1,0 +1,1 @@
+"""What knows no friction: factorisation, transforms, cuts, sums of two doubles."""

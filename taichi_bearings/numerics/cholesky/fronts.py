@@ -1,0 +1,102 @@
+"""Symbolic factorisation: which rows each part of the elimination tree touches, and where everything is stored.
+
+Multifrontal method (Duff & Reid 1983; Liu 1992). The front of a part has its own unknowns first and then its border:
+the later unknowns that its subtree is coupled to. Eliminating the own unknowns leaves an update of the border, which is
+added into the front of the parent. Fronts of one depth do not depend on each other.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.numerics.cholesky.dissection import Part
+
+
+@dataclass(frozen=True)
+class Front:
+    """One part of the tree. Numbers are places in the order of elimination.
+
+    first : its own unknowns are first ... first + own - 1. border : sorted later unknowns. place_in_parent : of each
+    border unknown, counted along the parent's own unknowns and border. depth : 0 at the root.
+    """
+
+    first: int
+    own: int
+    border: np.ndarray
+    children: tuple[int, ...]
+    place_in_parent: np.ndarray
+    depth: int
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Everything about a factorisation that does not depend on the numbers.
+
+    order : unknown at each place of the elimination order; place : its inverse.
+    fronts : in postorder.
+    row, column : places of the stored entries (row >= column), sorted by column, then row.
+    """
+
+    order: np.ndarray
+    place: np.ndarray
+    fronts: tuple[Front, ...]
+    row: np.ndarray
+    column: np.ndarray
+
+    @property
+    def size(self) -> int:
+        return len(self.order)
+
+    @cached_property
+    def factor_entries(self) -> int:
+        return sum(f.own * (f.own + len(f.border)) for f in self.fronts)
+
+    @property
+    def operations(self) -> float:
+        """Floating-point multiplications and additions of one factorisation."""
+        return sum(f.own**3 / 3 + f.own**2 * len(f.border) + f.own * len(f.border) ** 2 for f in self.fronts)
+
+    def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Where the entries that couple the unknowns `first` and `second` are stored."""
+        a, b = self.place[first], self.place[second]
+        wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
+        return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
+
+
+def analyse(parts: list[Part], first: np.ndarray, second: np.ndarray) -> Pattern:
+    """Symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second` pairwise."""
+    order = np.concatenate([part.unknowns for part in parts])
+    size = len(order)
+    place = np.empty(size, dtype=np.int64)
+    place[order] = np.arange(size)
+    a, b, diagonal = place[first], place[second], np.arange(size)
+    rows, columns = np.concatenate([a, b, diagonal]), np.concatenate([b, a, diagonal])
+    coupled = sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(size, size))
+    coupled.sort_indices()
+
+    starts = np.concatenate([[0], np.cumsum([len(part.unknowns) for part in parts])])
+    borders: list[np.ndarray] = []
+    for number, part in enumerate(parts):
+        end = starts[number + 1]
+        touched = coupled.indices[coupled.indptr[starts[number]] : coupled.indptr[end]]
+        gathered = [touched, *(borders[child] for child in part.children)]
+        later = np.unique(np.concatenate(gathered))
+        borders.append(later[later >= end].astype(np.int64))
+
+    parent = {child: number for number, part in enumerate(parts) for child in part.children}
+    depth = np.zeros(len(parts), dtype=int)
+    fronts = []
+    for number in reversed(range(len(parts))):
+        part, border = parts[number], borders[number]
+        places = np.zeros(0, dtype=np.int64)
+        if number in parent:
+            above = parent[number]
+            depth[number] = depth[above] + 1
+            begin, end = starts[above], starts[above + 1]
+            places = np.where(border < end, border - begin, end - begin + np.searchsorted(borders[above], border))
+        fronts.append(Front(int(starts[number]), len(part.unknowns), border, part.children, places, int(depth[number])))
+    column = np.repeat(np.arange(size), np.diff(coupled.indptr))
+    stored = coupled.indices >= column
+    return Pattern(order, place, tuple(reversed(fronts)), coupled.indices[stored].astype(np.int64), column[stored])

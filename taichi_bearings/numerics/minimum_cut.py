@@ -1,0 +1,274 @@
+"""The lightest set of contacts whose removal parts bottom and top of a lattice: the interface of two rigid domains.
+
+If every sphere turns either with the bottom or with the top, the contacts between the two sides slip with the imposed
+jump d without its component along the contact n, all others not at all. The power of such a state is the weight of a
+cut, and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
+contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar/ cuts exactly. Any
+other cubic lattice takes a largest flow, by OR-tools where it is installed, else by SciPy.
+
+Weights are rounded down to multiples of a unit, 2^-51 to 2^-52 of the lightest level cut, so a flow is a number of
+units below 2^53 and exact. A largest flow of rounded weights is a flow of the true ones, hence a proven lower bound,
+and the cut it leaves weighs at most one unit a contact more.
+
+What a largest flow leaves open shows how many lightest cuts there are: a cut is heavier than the lightest one by the
+capacity that is left from its lower to its upper side. So a sphere that the bottom reaches through contacts with more
+than some weight left is below every cut that is heavier by no more than this weight, and likewise from the top (Picard
+and Queyranne, Math. Program. Study 13, 1980).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
+
+from taichi_bearings.numerics.planar import minimum_cuts
+
+TIE = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
+BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
+
+
+@dataclass(frozen=True)
+class MinimumCut:
+    """Minimum cuts of R lattices N.
+
+    above : (R, *N), True on the top side; the contacts whose ends differ are the cut, the lowest one where some tie.
+    between : (R, *N), True for the spheres that are not proven to lie on the same side of all cuts as light as this
+        one: what lies between cuts that tie. Planar grids: exactly; else to 1e-12 of the weight and its rounding.
+    weight : (R,), of this cut. lower_bound : (R,), no cut is lighter; proven, and good to about 1e-15 a contact.
+    next_weight : (R,), of the lightest other cut that leaves either side in one piece, good to the same; NaN where it
+        takes more than this cut to know (see :func:`next_cut`).
+    """
+
+    above: np.ndarray
+    between: np.ndarray
+    weight: np.ndarray
+    lower_bound: np.ndarray
+    next_weight: np.ndarray
+
+    @property
+    def unique(self) -> np.ndarray:
+        """True where every other cut is proven to be heavier, if not planar by more than 1e-12, (R,)."""
+        return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
+
+
+def jump_weights(
+    coefficient: tuple[np.ndarray, ...], direction: np.ndarray, exponent: float = 1.0
+) -> tuple[np.ndarray, ...]:
+    """Share of each contact in the power of a cut: coefficient |d x n|^exponent, shaped as `coefficient`.
+
+    coefficient : one array (R, *contacts) an axis. direction : unit vector d (3,) of the jump; in 2D along z.
+    exponent : 1 for friction, 2 for viscous damping.
+    """
+    across = (np.linalg.norm(np.delete(direction, axis)) for axis in range(len(coefficient)))
+    return tuple(values * share**exponent for values, share in zip(coefficient, across, strict=True))
+
+
+def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
+    """A lightest cut between the bottom plane and the top plane of each lattice.
+
+    weight : one array (R, *contacts) an axis, none negative, height last; lattices are 2 or more wide and 3 or more
+        high. Contacts between two spheres of the bottom or of the top take no part.
+    """
+    *sideways, upward = weight
+    idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
+    if not (upward > 0).all() or (len(sideways) == 2 and idle is None):
+        return flow_cut(weight)
+    if len(sideways) == 1:
+        above, between, bound, following = _cut_planes(sideways[0][:, None], upward[:, None])
+        above, between = above[:, 0], between[:, 0]
+    else:
+        assert idle is not None
+        stacks = (np.moveaxis(values, 1 + idle, 1) for values in (sideways[1 - idle], upward))
+        above, between, bound, following = _cut_planes(*stacks)
+        above, between = (np.moveaxis(spheres, 1, 1 + idle) for spheres in (above, between))
+    found = weight_of_cut(above, weight)
+    return MinimumCut(above, between, found, np.minimum(bound, found), following)
+
+
+def flow_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
+    """The same as :func:`minimum_cut` by a largest flow whatever the lattice, but for the next weight.
+
+    For planar grids slower, but it shares no code with the shortest paths.
+    """
+    cuts = [_cut_lattice(tuple(values[replica] for values in weight)) for replica in range(len(weight[-1]))]
+    above, between, bound = (np.stack(parts) for parts in zip(*cuts, strict=True))
+    found = weight_of_cut(above, weight)
+    return MinimumCut(above, between, found, np.minimum(bound, found), np.full(len(found), np.nan))
+
+
+def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
+    """Sides (R, *N) and weight (R,) of the lightest cut other than `cut`, of all that leave either side in one piece.
+
+    weight, cut : what :func:`minimum_cut` was given, and its answer. Such a cut cannot hold all contacts of another
+    one, so the lightest other one is the lightest of those that spare some contact of `cut`: a flow for each of them,
+    so for small lattices.
+    """
+    sides = np.empty_like(cut.above)
+    for replica in range(len(sides)):
+        sample = tuple(values[[replica]] for values in weight)
+        others = []
+        for axis, values in enumerate(sample):
+            for contact in np.argwhere(np.diff(cut.above[replica], axis=axis) & (values[0] > 0)):
+                spared = tuple(part[0].copy() for part in sample)
+                spared[axis][tuple(contact)] = np.inf
+                others.append(_cut_lattice(spared)[0])
+        sides[replica] = min(others, key=lambda above: float(weight_of_cut(above[None], sample)[0]))
+    return sides, weight_of_cut(sides, weight)
+
+
+def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Weight (R,) of the contacts between the sides (R, *N)."""
+    replicas = range(len(above))
+    parts = ([values[r][np.diff(above[r], axis=a)].sum() for r in replicas] for a, values in enumerate(weight))
+    return np.sum(list(parts), axis=0)
+
+
+def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Stacks of planar grids that nothing joins: sides and what lies between ties (R, planes, w, h), proven weight
+    and weight of the next cut (R,)."""
+    replicas, planes, columns, gaps = upward.shape
+    above, between = (np.zeros((replicas * planes, columns, gaps + 1), dtype=bool) for _ in range(2))
+    bound, further = np.empty((2, replicas * planes))
+    grids = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
+    for part, cuts in minimum_cuts(*grids):
+        above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
+        for grid in np.flatnonzero(~cuts.unique):
+            cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
+            between[part][grid] = _between((cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]))
+    stack = (replicas, planes, columns, gaps + 1)
+    bound, further = (values.reshape(replicas, planes) for values in (bound, further))
+    weight = bound.sum(axis=1)
+    return above.reshape(stack), between.reshape(stack), weight, weight + further.min(axis=1)
+
+
+def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Sides N, what lies between ties N, and proven weight of one lattice; weight : one array of contacts an axis."""
+    node, ends = _network(weight[-1].shape)
+    levels = weight[-1].reshape(-1, weight[-1].shape[-1])
+    lightest = levels.sum(axis=0).argmin()
+    at_most = levels[:, lightest].sum()
+    unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
+    capacity = np.floor(np.minimum(_edges(weight), 2 * at_most) / unit).astype(np.int64)
+    level_cut = int(np.floor(levels[:, lightest] / unit).sum())
+    flow = largest_flow(ends, capacity, level_cut)
+    left_over = np.stack([capacity - flow, capacity + flow])
+    above = ~_reached(ends, left_over, 0)
+    cut = above[ends[0]] != above[ends[1]]
+    units = int(capacity[cut].sum())
+    tie = int(TIE * units) + int(cut.sum())
+    from_bottom, from_top = _reached(ends, left_over, 0, tie), _reached(ends, left_over[::-1], node.max(), tie)
+    return above[node], ~(from_bottom | from_top)[node], units * unit
+
+
+def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Spheres N that neither the bottom nor the top reaches through other contacts than these; one mask an axis."""
+    node, ends = _network(apart[-1].shape)
+    left_over = np.tile(~_edges(apart), (2, 1))
+    return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
+
+
+def number_bodies(shape: tuple[int, ...]) -> np.ndarray:
+    """Node of each sphere, int32 of this shape, in the graph of a lattice whose driven planes are one node each: 0 the
+    bottom plane, then the free spheres in C order, the last one the top plane."""
+    *sides, height = shape
+    free = (*sides, height - 2)
+    node = np.zeros(shape, dtype=np.int32)
+    node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
+    node[..., -1] = np.prod(free) + 1
+    return node
+
+
+def _network(gaps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The graph of bodies of a lattice; gaps : shape of the contacts along the height.
+
+    returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
+    """
+    *sides, height = gaps
+    node = number_bodies((*sides, height + 1))
+    ends = []
+    for axis in range(len(gaps)):
+        joined = node if axis == len(sides) else node[..., 1:-1]
+        ends.append(np.stack([np.delete(joined, end, axis).ravel() for end in (-1, 0)]))
+    return node, np.concatenate(ends, axis=1)
+
+
+def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Values of the contacts that take part, axis by axis; values : one array of contacts an axis."""
+    *sideways, upward = values
+    return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])
+
+
+def _reached(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
+    """True for the nodes that `start` reaches along edges with more than `least` left over.
+
+    ends : (2, edges) nodes. left_over : (2, edges), capacity from the lower to the upper end and back.
+    """
+    nodes = int(ends.max()) + 1
+    row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
+    graph = csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(nodes, nodes))
+    reached = np.zeros(nodes, dtype=bool)
+    reached[breadth_first_order(graph, start, return_predecessors=False)] = True
+    return reached
+
+
+def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
+    """A largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper end.
+
+    ends : (2, edges) nodes, lower and upper, no pair twice; capacity : (edges,) int64 below 2^62. at_most : no flow is
+    larger; below 2^62. By OR-tools where it is installed, else by SciPy. The flow is not unique; the nodes that it
+    leaves within reach of the first node are (Ford and Fulkerson).
+    """
+    return flow_finder()(ends, capacity, at_most)
+
+
+def flow_finder() -> Callable[[np.ndarray, np.ndarray, int], np.ndarray]:
+    """The fastest installed way to find a largest flow."""
+    try:
+        import ortools.graph.python.max_flow  # noqa: F401
+    except ImportError:
+        return flow_by_scipy
+    return flow_by_ortools
+
+
+def flow_by_ortools(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
+    """See :func:`largest_flow`; push-relabel with 64 bits.
+
+    An extra source sends `at_most` into the first node, so that no sum of capacities can overflow.
+    """
+    from ortools.graph.python.max_flow import SimpleMaxFlow
+
+    last = int(ends.max())
+    network = SimpleMaxFlow()
+    lower, upper = ends.astype(np.int32)
+    edges = [network.add_arcs_with_capacity(*ways, capacity) for ways in ((lower, upper), (upper, lower))]
+    network.add_arc_with_capacity(last + 1, 0, at_most)
+    status = network.solve(last + 1, last)
+    if status != network.OPTIMAL:
+        raise RuntimeError(f"OR-tools ended with {status}")
+    there, back = (network.flows(arcs) for arcs in edges)
+    return there - back
+
+
+def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
+    """See :func:`largest_flow`; Dinic's method.
+
+    SciPy's flows have 32 bits, so the leading bits go first. What capacity is left then carries no more than the cut
+    found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System Sci.
+    31, 1985). Edges that no flow can fill are cut down to a little more than it.
+    """
+    nodes = int(ends.max()) + 1
+    row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
+    left_over = np.tile(capacity, 2)  # of both directions
+    while True:
+        shift = max(at_most.bit_length() - BITS, 0)
+        graph = (np.minimum(left_over, 2 * at_most + 1) >> shift).astype(np.int32)
+        result = maximum_flow(csr_array((graph, (row, column)), shape=(nodes, nodes)), 0, nodes - 1)
+        sent = np.asarray(result.flow[row, column]).ravel().astype(np.int64)
+        left_over -= sent << shift
+        if shift == 0:
+            return capacity - left_over[: len(capacity)]
+        below = _reached(ends, graph - sent, 0)
+        cut = int(left_over[below[row] & ~below[column]].sum())
+        at_most = min(at_most - (int(result.flow_value) << shift), cut)

@@ -1,0 +1,115 @@
+"""Minimum cuts of planar grids, exactly: a cut between bottom and top is a path from left to right of the dual graph.
+
+The faces of a grid, together with the outside on its left and the outside on its right, are the nodes of the dual
+graph; each contact is an edge between the two faces beside it. The contacts that a path from the left to the right
+outside crosses separate bottom from top, so the lightest cut is the shortest path (Hu, Integer Programming and Network
+Flows, 1969; Reif, SIAM J. Comput. 12, 1983). The distances from the left, cut off at the least weight, are the
+potential of a largest flow: across each contact they differ by no more than its weight.
+
+Weights are rounded down to multiples of a unit, 2^-50 to 2^-52 of the least weight, so that every distance that counts
+is an integer below 2^52. Flows then balance without any rounding and are admissible, however many decades the weights
+span, and the least weight is wrong by less than a unit a contact of the cut. So a path of n contacts is proven to be
+the only lightest one where the next is n units longer. Where it is not, the true weights decide (ties.py).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.numerics.planar.paths import ShortestPaths, grids, shortest_paths
+from taichi_bearings.numerics.planar.ties import equal_paths
+
+BUNDLE = 2_000_000  # faces that one graph holds: about 0.4 GB
+
+
+@dataclass(frozen=True)
+class MinimumCuts:
+    """Minimum cuts of B grids of w columns and h rows, and largest flows, which have the same weight.
+
+    above : (B, w, h), True on the top side of a cut that no other is lighter than; the contacts whose ends differ are
+        the cut.
+    sideways_flow, upward_flow : shaped as the weights, towards the higher index; balanced but in the end rows.
+    sideways_tied, upward_tied : True for the contacts of some but not of all minimum cuts. Exact where the weights are
+        positive; contacts without weight may count as tied though no cut needs them.
+    weight : (B,), of the flow: that of the cut, less than a unit a contact lower. next_weight : (B,), of the lightest
+        other cut that leaves either side in one piece, good to the same; equal to `weight` for ties, else larger.
+    """
+
+    above: np.ndarray
+    sideways_flow: np.ndarray
+    upward_flow: np.ndarray
+    sideways_tied: np.ndarray
+    upward_tied: np.ndarray
+    weight: np.ndarray
+    next_weight: np.ndarray
+
+    @property
+    def tied(self) -> np.ndarray:
+        """Number of contacts in some but not in all minimum cuts, (B,)."""
+        return np.asarray(sum(np.count_nonzero(tied, axis=(1, 2)) for tied in (self.sideways_tied, self.upward_tied)))
+
+    @property
+    def unique(self) -> np.ndarray:
+        """True where every other cut is heavier, (B,)."""
+        return self.tied == 0
+
+
+def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
+    """Cuts of least weight between the bottom row and the top row of each grid, bundle by bundle.
+
+    sideways : weights (B, w - 1, h) along the rows, none negative; those of the bottom and the top row take no part.
+    upward : weights (B, w, h - 1) along the columns, all positive; w >= 2, h >= 3.
+    yields : the grids of a bundle and their cuts.
+    """
+    batch, columns, rows = upward.shape
+    step = max(1, BUNDLE // ((columns - 1) * rows))
+    for start in range(0, batch, step):
+        part = slice(start, min(start + step, batch))
+        yield part, _cuts_of(sideways[part, :, 1:-1], upward[part])
+
+
+def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
+    """The cuts of one bundle; inner : sideways weights without those of the end rows, (B, w - 1, h - 2)."""
+    unit, path = _fine_paths(inner, upward)
+    batch, columns, gaps = upward.shape
+    sideways_flow, sideways_tied = (np.zeros((batch, columns - 1, gaps + 1), dtype) for dtype in (float, bool))
+    upward_tied, crossed = np.zeros(upward.shape, dtype=bool), path.upward
+    weight, next_weight = path.length * unit, np.maximum(path.next_length, path.length) * unit
+    unsure = np.flatnonzero(path.next_length < path.length + path.contacts)
+    if len(unsure):
+        crossed[unsure], sideways_tied[unsure, :, 1:-1], upward_tied[unsure] = equal_paths(
+            inner[unsure], upward[unsure], unit[unsure], path.pick(unsure)
+        )
+        tied = sideways_tied[unsure].any(axis=(1, 2)) | upward_tied[unsure].any(axis=(1, 2))
+        beyond = np.maximum(next_weight[unsure], np.nextafter(weight[unsure], np.inf))
+        next_weight[unsure] = np.where(tied, weight[unsure], beyond)
+    above = np.zeros((batch, columns, gaps + 1), dtype=bool)
+    np.logical_xor.accumulate(crossed, axis=2, out=above[..., 1:])  # each crossing of the path changes the side
+    potential = np.minimum(path.from_left, grids(path.length)) * grids(unit)
+    sideways_flow[..., 1:-1] = -np.diff(potential[:, 1:-1], axis=2)
+    return MinimumCuts(
+        above=above,
+        sideways_flow=sideways_flow,
+        upward_flow=np.diff(potential, axis=1),
+        sideways_tied=sideways_tied,
+        upward_tied=upward_tied,
+        weight=weight,
+        next_weight=next_weight,
+    )
+
+
+def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
+    """Units (B,), and shortest paths, of 2^50 to 2^52 of them, by weights rounded down to whole units."""
+    at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
+    while True:
+        unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
+        path = shortest_paths(np.floor(inner / grids(unit)), np.floor(upward / grids(unit)))
+        coarse = path.length < 2.0**50
+        if not coarse.any():
+            return unit, path
+        found = np.sum(inner, axis=(1, 2), where=path.inner) + np.sum(upward, axis=(1, 2), where=path.upward)
+        at_most = np.where(coarse, found, at_most)
+
+
+__all__ = ["MinimumCuts", "minimum_cuts"]

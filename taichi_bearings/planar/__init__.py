@@ -1,5 +1,0 @@
-"""Minimum cuts of planar grids (cuts.py), from shortest paths of the dual graph (paths.py), and ties (ties.py)."""
-
-from taichi_bearings.planar.cuts import MinimumCuts, minimum_cuts
-
-__all__ = ["MinimumCuts", "minimum_cuts"]

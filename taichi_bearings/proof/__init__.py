@@ -1,0 +1,1 @@
+"""What follows from any spins and forces: bounds on the least power, and which contacts slip."""

@@ -1,0 +1,82 @@
+"""Which contacts slip: judged by slip speed and by friction together."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from taichi_bearings.proof.certificate import saturation
+from taichi_bearings.scene.scene import Scene
+
+
+class ContactState(IntEnum):
+    """Values of ``/contact/<axis>/state``."""
+
+    SLIPLESS = 0
+    SLIPPING = 1
+    UNDECIDED = 2
+    DRIVEN = 3  # between two driven spheres
+
+
+def all_slipless(scene: Scene) -> tuple[np.ndarray, ...]:
+    """States of contacts that all rest, one array (R, *contacts) of uint8 an axis, for a method to fill in."""
+    states = []
+    for axis in range(scene.lattice.dimension):
+        state = np.full((scene.replicas, *scene.lattice.contact_shape(axis)), ContactState.SLIPLESS, dtype=np.uint8)
+        state[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
+        states.append(state)
+    return tuple(states)
+
+
+SATURATED = 1 - 1e-6  # share of the friction disc from which a Coulomb contact counts as saturated
+
+
+def classify(
+    scene: Scene, slip: tuple[np.ndarray, ...], force: tuple[np.ndarray, ...], threshold: float
+) -> tuple[np.ndarray, ...]:
+    """State of every contact, one array (R, *contacts) of uint8 an axis.
+
+    slip : speed, (R, *contacts) an axis; force : vectors (T, R, *contacts) an axis; threshold : length/time.
+
+    Coulomb: slipping if the slip exceeds `threshold` and the friction is saturated (|f| > 0.999999 mu F_n), slipless if
+    neither, undecided if the two disagree. Viscous contacts have no friction limit: the slip alone decides.
+    """
+    states = []
+    for axis, (speed, ratio) in enumerate(zip(slip, saturation(scene, force), strict=True)):
+        fast = speed > threshold
+        full = ratio > SATURATED if scene.law == "coulomb" else fast
+        state = np.where(fast & full, ContactState.SLIPPING, ContactState.SLIPLESS)
+        state = np.where(fast != full, ContactState.UNDECIDED, state)
+        states.append(np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, state).astype(np.uint8))
+    return tuple(states)
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far apart in slip the two populations of contacts are, one entry (R,) each.
+
+    largest_slipless, smallest_slipping : length/time; NaN where there are none.
+    decades : log10 of their ratio, a slipless slip counting as the rounding of the spins at least.
+    """
+
+    largest_slipless: np.ndarray
+    smallest_slipping: np.ndarray
+    decades: np.ndarray
+
+
+def separate(scene: Scene, slip: tuple[np.ndarray, ...], state: tuple[np.ndarray, ...]) -> Separation:
+    """Observed gap between the slips of slipless and of slipping contacts."""
+    flat_slip = np.concatenate([s.reshape(scene.replicas, -1) for s in slip], axis=1)
+    flat_state = np.concatenate([s.reshape(scene.replicas, -1) for s in state], axis=1)
+    still, moving = flat_state == ContactState.SLIPLESS, flat_state == ContactState.SLIPPING
+    largest = np.where(still.any(axis=1), np.where(still, flat_slip, 0.0).max(axis=1), np.nan)
+    smallest = np.where(moving.any(axis=1), np.where(moving, flat_slip, np.inf).min(axis=1), np.nan)
+    rounding = np.finfo(np.float64).eps * scene.lattice.radius * max(abs(scene.spin_top), abs(scene.spin_bottom))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        decades = np.log10(smallest / np.maximum(largest, rounding))
+    return Separation(largest, smallest, decades)
+
+
+def count(state: tuple[np.ndarray, ...], which: ContactState) -> np.ndarray:
+    """Number of contacts in a state, (R,)."""
+    return np.sum([(s == which).reshape(len(s), -1).sum(axis=1) for s in state], axis=0)

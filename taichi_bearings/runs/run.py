@@ -1,0 +1,486 @@
+"""One run from its settings: build the scene, solve it, write the run directory."""
+
+import contextlib
+import io
+import json
+import logging
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
+from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_file
+from taichi_bearings.files.whole_file import replace_file, write_text
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import MOST_SITES
+from taichi_bearings.proof.contact_state import ContactState, count, separate
+from taichi_bearings.runs.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
+from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.stages import stage
+
+
+def build_scene(settings: RunSettings) -> Scene:
+    """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
+    lattice = Lattice(settings.shape, settings.radius)
+    if lattice.sites * settings.replicas > MOST_SITES // 8:
+        most = MOST_SITES // 8 // lattice.sites
+        raise InputError(f"replicas is {settings.replicas}; with this shape at most {most} can be indexed")
+    seeds = tuple(range(settings.seed, settings.seed + settings.replicas))
+    if settings.coefficients is None:
+        distribution = Distribution.parse(settings.distribution)
+        drawn = [draw_coefficients(lattice, distribution, seed) for seed in seeds]
+        coefficient = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
+    else:
+        stored = read_coefficients(Path(settings.coefficients), lattice.dimension)
+        coefficient = tuple(_with_replicas(values, lattice.dimension, len(seeds)) for values in stored)
+    return scene_with(settings, coefficient, seeds)
+
+
+def scene_with(settings: RunSettings, coefficient: tuple[np.ndarray, ...], seeds: tuple[int, ...]) -> Scene:
+    """The scene of the settings with these coefficients, one array (R, *contacts) an axis, and seeds (R,)."""
+    return Scene(
+        lattice=Lattice(settings.shape, settings.radius),
+        law=settings.law,
+        coefficient=coefficient,
+        spin_top=settings.spin_top,
+        spin_bottom=settings.spin_bottom,
+        direction=(settings.direction[0], settings.direction[1], settings.direction[2]),
+        normal_force=settings.normal_force,
+        seeds=seeds,
+    )
+
+
+def settings_of(run: StoredRun) -> RunSettings:
+    """The settings of a stored run; FileError if they are missing."""
+    return RunSettings.from_mapping(parse_toml(str(run.attribute("scene"))), str(run.path))
+
+
+def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndarray:
+    """Coefficients with a replica axis, which a file of a single sample lacks."""
+    if values.ndim == dimension and replicas > 1:
+        raise InputError(f"replicas is {replicas}, but the coefficients file holds a single sample; it must be 1")
+    return values[None] if values.ndim == dimension else values
+
+
+MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
+ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+
+
+def automatic_method(scene: Scene, settings: RunSettings) -> str:
+    """Name of the fastest method that certifies this scene."""
+    if scene.law == "viscous":
+        return "linear-solver"
+    if len(scene.minimum_spin_axes) == 1:
+        return "planar-cut"
+    arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
+    if arch != "cpu":
+        return "gradient-descent"
+    if settings.tolerance < ROUGH and scene.lattice.sites <= MOST_FACTORISED:
+        return "interior-point"
+    return "operator-splitting"
+
+
+def build_method(settings: RunSettings, scene: Scene) -> Any:
+    """The method that the settings name; auto takes the fastest one that certifies (docs/methods.md)."""
+    from taichi_bearings.solvers import method_class
+
+    name = automatic_method(scene, settings) if settings.method == "auto" else settings.method
+    if name == "gradient-descent":
+        from taichi_bearings.solvers.gradient_descent import GradientDescentOptions
+
+        return method_class(name)(GradientDescentOptions(momentum=settings.momentum))
+    if name == "rigid-limit":
+        from taichi_bearings.solvers.rigid_limit import RigidLimitOptions
+
+        return method_class(name)(RigidLimitOptions(**_given(settings, RigidLimitOptions)))
+    if name != "cundall-strack":
+        return method_class(name)()
+    from taichi_bearings.solvers.cundall_strack import CundallStrackOptions
+
+    options = CundallStrackOptions(**_given(settings, CundallStrackOptions), keep_energy=settings.energy)
+    if settings.integrator == "implicit":
+        from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
+
+        return ImplicitCundallStrack(options)
+    return method_class(name)(options)
+
+
+def _given(settings: RunSettings, options: Any) -> dict[str, Any]:
+    """The settings that these options have too, but for those left to their default."""
+    shared = {item.name for item in fields(options)} & set(RunSettings.keys())
+    return {name: getattr(settings, name) for name in sorted(shared) if getattr(settings, name) is not None}
+
+
+@dataclass(frozen=True)
+class Job:
+    """A checked run that is ready to be solved."""
+
+    settings: RunSettings
+    scene: Scene
+    spin: np.ndarray
+    method: Any
+
+
+def prepare(settings: RunSettings) -> Job:
+    """Build everything the settings describe; every input error is raised here, before anything is computed."""
+    with stage("reading"):
+        scene = build_scene(settings)
+        method = build_method(settings, scene)
+        _refuse_time_without_dynamics(settings, method)
+        return Job(settings, scene, initial_spin(scene, settings.initial), method)
+
+
+def _refuse_time_without_dynamics(settings: RunSettings, method: Any) -> None:
+    from taichi_bearings.solvers.method import is_dynamics
+
+    for key in ("duration", "record", "snapshots", "checkpoint_every"):
+        if getattr(settings, key) is not None and not is_dynamics(method):
+            raise InputError(
+                f"{key} is {getattr(settings, key)}, but {method.name} is not a dynamics; "
+                "it needs --method cundall-strack or rigid-limit"
+            )
+
+
+MOST_ITERATIONS = 1_000_000  # unless the settings say otherwise
+
+
+def _iteration_limit(settings: RunSettings) -> int:
+    from taichi_bearings.solvers.stopping import UNLIMITED
+
+    if settings.iterations is not None:
+        return settings.iterations
+    return MOST_ITERATIONS if settings.duration is None else UNLIMITED
+
+
+def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
+    """Solve on the device that the settings name; starts Taichi if the method needs it.
+
+    checkpoints : a solvers.drive.Checkpoints, for a dynamics.
+    """
+    from taichi_bearings.solvers.drive import solve
+    from taichi_bearings.solvers.recording import Recording, parse_times
+    from taichi_bearings.solvers.stopping import StopRule
+
+    settings = job.settings
+    if job.method.needs_taichi:
+        with stage("starting Taichi"):
+            runtime.start(settings.arch, settings.precision, settings.threads)
+    stop = StopRule(
+        settings.tolerance,
+        _iteration_limit(settings),
+        settings.time_limit or float("inf"),
+        settings.settle,
+        settings.duration or float("inf"),
+    )
+    recording = Recording(
+        *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
+    )
+    solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
+    if settings.method == "auto" and solution.method == "interior-point" and solution.status is Status.STALLED:
+        from taichi_bearings.solvers.operator_splitting import OperatorSplitting
+
+        left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
+        other = solve(job.scene, OperatorSplitting(), solution.spin, left, monitors, settings.slip_threshold)
+        solution = _better(solution, other, settings.tolerance)
+    return solution
+
+
+def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
+    """Of two answers to one scene, judged by the best bounds of both, the second if it is clearly closer."""
+    from taichi_bearings.proof.certificate import relative_gap
+
+    bound = np.maximum(first.lower_bound, second.lower_bound)
+    gaps = [relative_gap(first.scene, answer.power, bound) for answer in (first, second)]
+    clearly = gaps[1].max() <= tolerance < gaps[0].max() or 2 * gaps[1].max() < gaps[0].max()
+    answer, gap = (second, gaps[1]) if clearly else (first, gaps[0])
+    status = Status.CERTIFIED if (gap <= tolerance).all() else second.status
+    seconds = first.seconds + second.seconds
+    return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds)
+
+
+def summarise(solution: Solution, tolerance: float, duration: float | None = None) -> dict[str, Any]:
+    """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas.
+
+    A replica whose own gap is within `tolerance` is certified, however the run as a whole ended, unless a limit came
+    before the simulated time `duration` that was asked for. Numbers that are not finite become None, so that the
+    summary is valid JSON.
+    """
+    from taichi_bearings import __version__
+
+    scene = solution.scene
+
+    def per_seed(values: Any) -> Any:
+        listed = [_plain(v) for v in values]
+        return listed if scene.replicas > 1 else listed[0]
+
+    unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
+    cut_short = duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+    separation = separate(scene, solution.slip, solution.state)
+    close = solution.gap <= tolerance  # far from a minimum slips that are far apart say nothing
+    summary = {
+        "power": per_seed(solution.power),
+        "lower_bound": per_seed(solution.lower_bound),
+        "gap": per_seed(solution.gap),
+        "status": per_seed(
+            [
+                Status.CERTIFIED.value if gap <= tolerance and not cut_short else solution.status.value
+                for gap in solution.gap
+            ]
+        ),
+        "method": solution.method,
+        "law": scene.law,
+        "shape": list(scene.lattice.shape),
+        "seed": per_seed(scene.seeds),
+        "iterations": solution.iterations,
+        "seconds": solution.seconds,
+        "seconds_compile": solution.seconds_compile,
+        "contacts": scene.lattice.contacts,
+        "slipping": per_seed(count(solution.state, ContactState.SLIPPING)),
+        "slipless": per_seed(count(solution.state, ContactState.SLIPLESS)),
+        "undecided": per_seed(count(solution.state, ContactState.UNDECIDED)),
+        "states_proven": per_seed(solution.resolved),
+        "largest_slipless_slip": per_seed(separation.largest_slipless),
+        "smallest_slipping_slip": per_seed(separation.smallest_slipping),
+        "separation_decades": per_seed(np.where(close, separation.decades, np.nan)),
+        "slip_threshold": solution.slip_threshold,
+        "largest_balance_residual": per_seed(solution.unbalanced_torque),
+        "spin_top": scene.spin_top,
+        "spin_bottom": scene.spin_bottom,
+        "normal_force": scene.normal_force,
+        "radius": scene.lattice.radius,
+        "version": __version__,
+    }
+    if scene.law == "coulomb" and unit > 0:
+        summary["power_normalised"] = per_seed(solution.power / unit)
+    summary |= {name: per_seed(values) for name, values in solution.findings.items()}
+    summary["minimum_is_unique"] = per_seed(solution.minimum_is_unique)
+    if "time" in solution.history:
+        summary["time"] = float(solution.history["time"][-1])
+        summary |= {"duration": duration} if duration is not None else {}
+    if "energy_residual" in solution.history:
+        summary["energy_residual"] = per_seed(solution.history["energy_residual"][-1])
+    return summary
+
+
+def _plain(value: Any) -> Any:
+    """A Python number or text; None for one that is not finite."""
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def versions() -> dict[str, str]:
+    """Versions of what shapes a result."""
+    import platform
+    from importlib.metadata import version
+
+    found = {name: version(name) for name in ("taichi", "numpy", "scipy", "h5py")}
+    return {"python": platform.python_version(), **found}
+
+
+def run(
+    settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()
+) -> tuple[Solution, dict[str, Any]]:
+    """Solve and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and its figures.
+
+    With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
+    returns : the solution and the summary, which has the directory as "run".
+    Raises InputError or FileError before anything is computed or overwritten.
+    """
+    job = prepare(settings)
+    with run_directory(out or default_run_path(), force) as directory:
+        if settings.checkpoint_every is None:
+            solution = solve_job(job, monitors)
+            with undisturbed(), _rescued(directory.path, job, solution, "the result is lost") as summary:
+                summary |= write_run(directory.partial, directory.path, job, solution)
+                while not directory.publish():
+                    summary |= write_run(directory.partial, directory.path, job, solution)
+            return solution, summary
+        stored = _self_contained(job, directory.partial)
+        write_text(directory.partial / "scene.toml", stored.to_toml())
+        write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
+        while not directory.publish():
+            pass
+        with in_use(directory.path):
+            return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
+
+
+@contextlib.contextmanager
+def _rescued(path: Path, job: Job, solution: Solution, otherwise: str) -> Iterator[dict[str, Any]]:
+    """The summary of a run that is written within; if `path` cannot be written, the run goes to a temporary folder.
+
+    WriteError if not even that is possible. otherwise : what then, for people.
+    """
+    summary: dict[str, Any] = {}
+    try:
+        yield summary
+    except WriteError as error:
+        folder = Path(tempfile.gettempdir()) / f"bearings-{secrets.token_hex(4)}" / path.name
+        try:
+            folder.mkdir(parents=True)
+            summary |= write_run(folder, folder, job, solution)
+        except (WriteError, OSError):
+            shutil.rmtree(folder.parent, ignore_errors=True)
+            raise WriteError(f"{error}, nor can {folder.parent.parent}; {otherwise}") from None
+        logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
+
+
+CHANGEABLE = (
+    "tolerance", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "threads",
+)  # fmt: skip
+
+
+def resume(
+    path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()
+) -> tuple[Solution, dict[str, Any]]:
+    """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
+
+    changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
+    """
+    path = path.parent if path.name == "run.h5" else path
+    path = path if path.name and not path.is_symlink() else path.resolve()
+    checkpoint_of(path)
+    changes = dict(changes or {})
+    for key in changes:
+        if key in RunSettings.keys() and key not in CHANGEABLE:
+            raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
+    with in_use(path):
+        checkpoint = read_checkpoint(path)
+        stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+        if "duration" in changes and stored.duration is not None:
+            _refuse_past(path, stored.duration, checkpoint.arrays or {})
+        job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
+        return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
+
+
+def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) -> None:
+    """InputError if a run of this duration would have ended before what its checkpoint has reached.
+
+    Steps of fixed length, which the checkpoint then names, end a run by less than one of them late.
+    """
+    reached = float(arrays.get("last_time", 0.0))
+    if reached - duration >= max(float(arrays.get("time_step", 0.0)), 1e-9 * reached, np.finfo(float).tiny):
+        raise InputError(f"duration is {duration:g}, but {path} has already reached {reached:g}; it must be longer")
+
+
+def _solve_with_checkpoints(
+    path: Path, job: Job, stored: RunSettings, arrays: Mapping[str, np.ndarray] | None, monitors: Sequence[Any]
+) -> tuple[Solution, dict[str, Any]]:
+    """Solve in a run directory that is there already and in our use, and complete it.
+
+    stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
+    """
+    from taichi_bearings.solvers.drive import Checkpoints
+
+    def write(state: Mapping[str, np.ndarray]) -> None:
+        try:
+            write_checkpoint(path, stored.to_toml(), versions(), state)
+        except FileError as error:  # a full disk may have room again before the end
+            logging.getLogger(__name__).warning("bearings: %s; the run goes on", error)
+
+    assert stored.checkpoint_every is not None
+    solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
+    otherwise = f"`bearings run --resume {path}` goes on from the last checkpoint"
+    with undisturbed(), _rescued(path, job, solution, otherwise) as summary, completed(path, _drawn()) as folder:
+        summary |= write_run(folder, path, job, solution)
+    return solution, summary
+
+
+def _drawn() -> list[str]:
+    """Files that `run`, `plot`, `analyse` and `histogram` leave beside a run.h5: a new answer outdates them."""
+    from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+
+    figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
+    return [*(f"{name}.png" for name in figures), "power_histogram.csv", "power_histogram.h5"]
+
+
+def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
+    """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
+    from taichi_bearings.analysis.histogram import power_histogram
+    from taichi_bearings.files.histogram_file import write_table
+
+    with stage("writing"):
+        stored = _self_contained(job, folder)
+        summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
+        write_text(folder / "scene.toml", stored.to_toml())
+        full = summary | {"settings": asdict(job.settings), "versions": versions()}
+        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    try:
+        histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
+        write_table(folder / "power_histogram.csv", {None: histogram})
+        if stored.figures == "all":
+            with stage("drawing"):
+                _draw(folder, solution, histogram)
+    except WriteError as error:  # a full disk: what was solved is written, and figures can be drawn again
+        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
+    return summary
+
+
+def _draw(folder: Path, solution: Solution, histogram: Any) -> None:
+    """The figures that every run gets."""
+    from taichi_bearings.plots.histogram import draw_histogram
+    from taichi_bearings.plots.history import draw_history
+    from taichi_bearings.plots.style import save
+
+    save(draw_histogram(histogram), folder / "power_histogram.png")
+    if len(solution.history["power"]) > 2:  # a start and an answer are no course
+        save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
+
+
+def write_state(
+    file: Path, job: Job, solution: Solution, stored: RunSettings, path: Path, command: str
+) -> dict[str, Any]:
+    """Write a solution in the layout of run.h5; returns the summary.
+
+    solution : that of the job, or one of its seeds. stored : settings that solve it again. path : its name for people.
+    """
+    running = runtime.current() if job.method.needs_taichi else runtime.HOST
+    summary = summarise(solution, job.settings.tolerance, job.settings.duration) | {
+        "arch": running.arch,
+        "precision": running.precision,
+        "threads": running.threads,
+        "coefficients": job.settings.coefficients,
+        "run": str(path),
+    }
+    write_run_file(file, solution, summary | {"command": command, "scene": stored.to_toml(), **versions()})
+    return summary
+
+
+def _self_contained(job: Job, folder: Path) -> RunSettings:
+    """Settings whose files lie in the run directory itself, so that it can be moved and run again.
+
+    With checkpoints that must be possible while there is no run.h5 yet.
+    """
+    settings = job.settings
+    if settings.coefficients is not None and settings.checkpoint_every is None:
+        settings = replace(settings, coefficients="run.h5")
+    elif settings.coefficients is not None:
+        one = job.scene.replicas == 1
+        arrays: dict[str, Any] = {
+            axis: c[0] if one else c for axis, c in zip("xyz", job.scene.coefficient, strict=False)
+        }
+        _write_arrays(folder / "coefficients.npz", arrays)
+        settings = replace(settings, coefficients="coefficients.npz")
+    if settings.initial not in STARTS:
+        spin = job.spin[0] if job.scene.replicas == 1 else job.spin
+        _write_arrays(folder / "initial_spin.npz", {"spin": spin})
+        settings = replace(settings, initial="initial_spin.npz")
+    return settings
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    whole = io.BytesIO()
+    np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
+    replace_file(path, whole.getbuffer())

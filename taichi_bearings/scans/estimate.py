@@ -1,0 +1,97 @@
+"""What a sample costs, roughly: measured times on one core of a common server, good to a factor of three.
+
+They serve `--dry-run`, and to make units of work that are worth sending to a worker. docs/scans.md has the table.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+from taichi_bearings.runs.run import automatic_method, build_scene
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
+from taichi_bearings.scans.systems import knows
+from taichi_bearings.scene.disorder import Distribution
+
+WORKER_START = 1.0  # seconds to start a worker, its imports included
+OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
+WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
+UNIT_SECONDS = 0.3  # estimated work that is sent to a worker at a time
+MOST_IN_A_UNIT = 256
+MOST_SITES_IN_A_UNIT = 200_000
+
+
+def method_of(settings: RunSettings) -> str:
+    """The method that the settings lead to. Raises InputError for a scene that cannot be."""
+    return _method_of(replace(settings, seed=0))
+
+
+@lru_cache(maxsize=4096)
+def _method_of(settings: RunSettings) -> str:
+    Distribution.parse(settings.distribution)
+    scene = build_scene(replace(settings, distribution="constant:1"))
+    return automatic_method(scene, settings) if settings.method == "auto" else settings.method
+
+
+def ignored_keys(plan: ScanPlan) -> dict[str, list[str]]:
+    """Scanned keys that none of the methods of a scan knows, with these: such samples are the same."""
+    methods = sorted({method_of(group[0].settings) for group in groups_of(plan.samples)})
+    unknown = (key for key in RunSettings.keys() if not any(knows(method, key) for method in methods))
+    return {key: methods for key in unknown if key in plan.scanned}
+
+
+def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:
+    """Time to solve one sample; None where it is not known, as for dynamics."""
+    sites = math.prod(settings.shape)
+    solve = _solve_seconds(method_of(settings), sites, len(settings.shape), settings.tolerance)
+    if solve is None:
+        return None
+    return OVERHEAD + min(solve, settings.time_limit or math.inf) + (0.06 + 6e-5 * sites if structure else 0.0)
+
+
+def _solve_seconds(method: str, sites: int, dimension: int, tolerance: float) -> float | None:
+    if method == "planar-cut":
+        return 1e-6 * sites if dimension == 2 else 2e-6 * sites**1.15
+    if method == "linear-solver":
+        return 0.003 + 4e-6 * sites
+    if method == "interior-point":
+        return 0.02 + 1e-5 * sites**1.4
+    if method == "operator-splitting":
+        iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(sites / 4096, 1) ** 0.25
+        return 0.02 + iterations * (2e-4 + 3.6e-8 * sites)
+    return None
+
+
+def bytes_of(settings: RunSettings) -> float:
+    """Memory of a worker that solves such samples."""
+    sites = math.prod(settings.shape)
+    factor = 480 * sites ** (4 / 3) if method_of(settings) == "interior-point" else 0.0
+    return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + factor
+
+
+def units_of(samples: Sequence[Sample], structure: bool = False) -> list[tuple[Sample, ...]]:
+    """The samples in units of work: as many of like settings as take a fraction of a second, those of one scene but
+    for the seed first, so that they can be solved together."""
+    units = []
+    for group in groups_of(samples):
+        settings = group[0].settings
+        seconds = seconds_of(settings, structure)
+        number = 1 if seconds is None else int(UNIT_SECONDS / seconds)
+        number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // math.prod(settings.shape)))
+        units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
+    return units
+
+
+def total_seconds(samples: Sequence[Sample], structure: bool = False) -> float | None:
+    """Work of one core for all samples; None if any of it is not known."""
+    parts = [(len(group), seconds_of(group[0].settings, structure)) for group in groups_of(samples)]
+    known = [number * seconds for number, seconds in parts if seconds is not None]
+    return math.fsum(known) if len(known) == len(parts) else None
+
+
+def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
+    """How many workers the work pays for, each of which takes a second to start."""
+    work = total_seconds(samples, structure)
+    least = 1 if work is None else max(1, math.floor(work / WORKER_START))
+    return max(1, min(most, len(samples), most if work is None else least))

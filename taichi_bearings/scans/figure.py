@@ -1,0 +1,321 @@
+"""Any number of a scan against any of its parameters, with error bars, as figure and table: `bearings plot scan`."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.analysis.census import Census
+from taichi_bearings.analysis.statistics import (
+    LEAST,
+    QUANTILES,
+    describe,
+    groups,
+    independent,
+    ratio_interval,
+)
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
+from taichi_bearings.files.whole_file import write_csv
+from taichi_bearings.plots.scan import Curve, Look, draw_scan
+from taichi_bearings.plots.style import save
+from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
+from taichi_bearings.scans.systems import disorder_of, mixture, numbered
+from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
+
+BARS = {  # name -> what the title says of points and bars
+    "standard-error": "means with standard errors",
+    "quartiles": "medians with quartiles",
+    "bootstrap": "means with 95 % intervals",
+}
+SIZE = "L"
+MOST_CURVES = 24
+Plotted = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a figure of a scan shows.
+
+    y : a column, or A/B for the mean of A over the mean of B. x : a column. by : columns whose values part the curves.
+    where : conditions KEY=VALUE on the samples. bars : a key of BARS; default standard-error, for A/B bootstrap.
+    collapse : exponents (a, b), to plot y L^-a against x L^b with a curve for each L. log : "", "x", "y" or "xy".
+
+    L, where the scan has no column of that name, is the height of the lattice: the last number of its shape.
+    """
+
+    y: str
+    x: str
+    by: tuple[str, ...] = ()
+    where: tuple[str, ...] = ()
+    bars: str | None = None
+    collapse: tuple[float, float] | None = None
+    log: str = ""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Columns that part the curves."""
+        own_size = self.collapse is not None and SIZE not in (*self.by, self.x)
+        return (*((SIZE,) if own_size else ()), *self.by)
+
+    @property
+    def is_ratio(self) -> bool:
+        return "/" in self.y
+
+    @property
+    def bars_shown(self) -> str:
+        return self.bars or ("bootstrap" if self.is_ratio else "standard-error")
+
+    @property
+    def stem(self) -> str:
+        """Name of the files."""
+        words = [self.y.replace("/", "_over_"), "against", self.x, *(f"by_{key}" for key in self.by)]
+        return "_".join([*words, *(["collapsed"] if self.collapse else [])])
+
+
+@dataclass(frozen=True)
+class Point:
+    """Samples of equal parameters.
+
+    part : values of the parting columns. number : disorders of each system, each counted once. plot : x, y and the ends
+    of the bar as drawn; not-a-number where no sample is left. census : of the samples that the scan asks for here.
+    """
+
+    part: tuple[Any, ...]
+    x: Any
+    number: int
+    statistics: Mapping[str, float]
+    plot: Plotted
+    census: Census
+
+
+def plot_scan(
+    path: Path,
+    request: Request,
+    out: Path | None = None,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[Path]:
+    """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
+
+    out : PNG, PDF or SVG; default: into the directory of the scan, where an earlier one is replaced.
+    tell : hears how many of how many samples are in the figure, and in each curve that lacks some.
+    Raises InputError or FileError before anything is written.
+    """
+    scan = open_scan(path)
+    figure = out or scan.path.parent / f"{request.stem}.png"
+    if figure.suffix not in (".png", ".pdf", ".svg"):
+        raise InputError(f"out is {str(figure)!r}; it must end in .png, .pdf or .svg")
+    table = figure.with_suffix(".csv")
+    standing = [file for file in (figure, table) if file.exists()] if out is not None else []
+    if standing and not force:
+        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    columns = columns_of(scan, request)
+    points = points_of(columns, request)
+    for line in accounts_of(columns, request):
+        tell(line)
+    save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request)), figure)
+    names, rows = rows_of(points, request)
+    write_csv(table, names, rows)
+    return [figure, table]
+
+
+def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
+    """The table of the samples that meet the conditions, with a result or not, and their sizes as L."""
+    table = dict(scan.table)
+    if SIZE not in table and "shape" in table:
+        heights = [int(text.split("x")[-1]) if text else math.nan for text in table["shape"].tolist()]
+        table[SIZE] = np.array(heights)
+    sizes = [SIZE] if request.collapse else []
+    for name in (*request.y.split("/"), request.x, *request.by, *sizes):
+        if name not in table:
+            raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}")
+    chosen = np.ones(scan.samples, dtype=bool)
+    for condition in request.where:
+        chosen &= _meets(table, condition)
+    return {name: values[chosen] for name, values in table.items()}
+
+
+def _meets(table: Mapping[str, np.ndarray], condition: str) -> np.ndarray:
+    """Samples that meet KEY=VALUE, a text or a number to the last bit."""
+    key, equals, value = condition.partition("=")
+    if not equals or key not in table:
+        raise InputError(f"where is {condition!r}; it must be KEY=VALUE with a KEY of {', '.join(table)}")
+    values = table[key]
+    if values.dtype == object or values.dtype == bool:
+        found = np.array([str(v).lower() == value.lower() for v in values.tolist()])
+    else:
+        try:
+            found = values == float(value)
+        except ValueError:
+            raise InputError(f"where is {condition!r}; {key} has numbers") from None
+    if not found.any():
+        known = [str(v) for (v,) in groups(table, [key])]
+        raise InputError(f"where is {condition!r}; {key} is one of {', '.join(known[:20])}{' ...' * (len(known) > 20)}")
+    return found
+
+
+def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point]:
+    """Statistics of y at each value of x and of the parting columns, in their order; some sample must have both."""
+    terms = [_numbers(columns, name) for name in request.y.split("/")]
+    if len(terms) > 2:
+        raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
+    reasons, disorder = _reasons(columns, request), numbered(disorder_of(columns))
+    if (reasons != "").all():
+        raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
+    known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
+    place = {value: float(n) for n, value in enumerate(known)}
+    points = []
+    for (*part, x), rows in groups(columns, [*request.parts, request.x]).items():
+        if x not in place:
+            continue
+        used = rows[reasons[rows] == ""]
+        own = [independent(values[used], disorder[used]) for values in terms]
+        statistics = _statistics(own)
+        plot = (float(x) if isinstance(x, (int, float)) else place[x], *_shown(statistics, len(own[0]), request))
+        if request.collapse:
+            if len(sizes := set(columns[SIZE][rows].tolist())) > 1:
+                raise InputError(f"a point has samples of several L ({sizes}); add --by L")
+            plot = _collapsed(plot, sizes.pop(), request.collapse)
+        points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
+    _check_log(points, request.log)
+    return points
+
+
+def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
+    """How many of how many samples are in the figure; the same of each curve that lacks some; which systems mix."""
+    reasons = _reasons(columns, request)
+    lines = [str(Census.of(reasons.tolist()))]
+    for part, rows in groups(columns, request.parts).items() if request.parts else ():
+        if (census := Census.of(reasons[rows].tolist())).left_out:
+            words = ", ".join(f"{key} {value}" for key, value in zip(request.parts, part, strict=True))
+            lines.append(f"  {words}: {census}")
+    return [*lines, *filter(None, [_mixture(columns, request)])]
+
+
+def _mixture(columns: Mapping[str, np.ndarray], request: Request) -> str:
+    """Which different systems stand in one point, as a sentence; empty if none do."""
+    used = _reasons(columns, request) == ""
+    points = groups(columns, [*request.parts, request.x]).values()
+    return mixture(columns, [rows[used[rows]] for rows in points], "a point")
+
+
+def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
+    """(rows,) why each sample is in no point; empty texts for those that are."""
+    reasons = np.full(len(columns["status"]), "", dtype=object)
+    spans = columns.get("spans")
+    for name in (request.x, *request.y.split("/")):
+        values = columns[name]
+        lacking = values == "" if values.dtype == object else ~np.isfinite(values.astype(float))
+        reasons[lacking] = f"without {name}"
+        if name in OF_A_SPANNING_NETWORK and spans is not None:
+            reasons[lacking & (spans == 0)] = "that do not span"
+    for status, reason in ((FAILED, "failed"), (MISSING, "not computed yet")):
+        reasons[columns["status"] == status] = reason
+    return reasons
+
+
+def _numbers(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    if columns[name].dtype == object:
+        raise InputError(f"y is {name!r}, which has texts; it must have numbers")
+    return columns[name].astype(float)
+
+
+def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
+    """Statistics of a number of the samples, or of the ratio of the means of two."""
+    if len(terms) == 2:
+        ratio = ratio_interval(terms[0], terms[1])
+        return {"ratio": ratio.value, "low": ratio.low, "high": ratio.high}
+    found = describe(terms[0])
+    quantiles = {f"quantile_{100 * q:g}": float(v) for q, v in zip(QUANTILES, found.quantiles, strict=True)}
+    rest = {"mean": found.mean, "standard_error": found.standard_error, "low": found.low, "high": found.high}
+    return rest | quantiles
+
+
+def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tuple[float, float, float]:
+    """The point and the ends of its bar, if it has enough samples for one."""
+    bars = request.bars_shown
+    if request.is_ratio:
+        if bars != "bootstrap":
+            raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
+        return statistics["ratio"], statistics["low"], statistics["high"]
+    if number < LEAST:
+        return statistics["quantile_50" if bars == "quartiles" else "mean"], math.nan, math.nan
+    if bars == "quartiles":
+        return statistics["quantile_50"], statistics["quantile_25"], statistics["quantile_75"]
+    mean, error = statistics["mean"], statistics["standard_error"]
+    if bars == "bootstrap":
+        return mean, statistics["low"], statistics["high"]
+    return mean, mean - error, mean + error
+
+
+def _collapsed(plot: Plotted, size: float, exponents: tuple[float, float]) -> Plotted:
+    shrink, stretch = float(size) ** -exponents[0], float(size) ** exponents[1]
+    x, y, low, high = plot
+    return x * stretch, y * shrink, low * shrink, high * shrink
+
+
+def _check_log(points: Sequence[Point], log: str) -> None:
+    for place, name in enumerate("xy"):
+        least = min(point.plot[place] for point in points if point.number)
+        if name in log and least <= 0:
+            raise InputError(
+                f"log is {log!r}, but the least {name} is {least:g}; a logarithmic axis needs numbers above 0"
+            )
+
+
+def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
+    """A curve for each value of the parting columns."""
+    parts = list(dict.fromkeys(point.part for point in points))
+    if len(parts) > MOST_CURVES:
+        raise InputError(f"{', '.join(request.parts)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
+    curves = []
+    for part in parts:
+        own = [point for point in points if point.part == part]
+        drawn = np.array([point.plot for point in own if point.number]).reshape(-1, 4)
+        label = ", ".join(map(str, part))
+        asked = sum(point.census.asked for point in own)
+        curves.append(Curve(label if len(drawn) else f"{label}: none of {asked:,} samples", *drawn.T))
+    return curves
+
+
+def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequence[Point], request: Request) -> Look:
+    """Labels, and a title that says what was averaged over."""
+    a, b = request.collapse or (0.0, 0.0)
+    used = {request.x, *request.parts, *(condition.partition("=")[0] for condition in request.where)}
+    used |= {"shape"} if SIZE in used else set()
+    over = [key for key in scan.scanned if key not in used and len(groups(columns, [key])) > 1]
+    census = Census.of(_reasons(columns, request).tolist())
+    number = sum(point.number for point in points)
+    alike = f", {number:,} independent" if number < census.used else ""
+    left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
+    left_out += f"\n{mixed}" if (mixed := _mixture(columns, request)) else ""
+    bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
+    numbers = all(isinstance(point.x, (int, float)) for point in points)
+    return Look(
+        x_label=_scaled(request.x, b),
+        y_label=_scaled(request.y, -a),
+        title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}",
+        legend=", ".join(request.parts),
+        log=request.log,
+        ticks=() if numbers else list(dict.fromkeys(point.x for point in sorted(points, key=lambda p: p.plot[0]))),
+    )
+
+
+def _scaled(name: str, exponent: float) -> str:
+    return name if exponent == 0 else f"{name} · $L^{{{exponent:g}}}$"
+
+
+def rows_of(points: Sequence[Point], request: Request) -> tuple[list[str], list[list[Any]]]:
+    """The points as a table: parameters, statistics, what is drawn, and how many of how many samples are in it."""
+    names = [*request.parts, request.x, "number", *points[0].statistics, "plot_x", "plot_y", "plot_low", "plot_high"]
+    names += CENSUS_COLUMNS
+    rows = [
+        [*point.part, point.x, point.number, *point.statistics.values(), *point.plot]
+        + [point.census.used, point.census.asked, point.census.reasons]
+        for point in points
+    ]
+    return names, [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]

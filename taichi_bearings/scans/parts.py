@@ -1,0 +1,121 @@
+"""Parts of a scan for job arrays: which samples each has, the journals that they leave in one folder, what is missing.
+
+Parts run at the same time on machines that share nothing but the folder, so none writes what another one does: each has
+a lock and a journal of its own, and the table is made of all journals afterwards.
+"""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.files.scan_file import FAILED
+from taichi_bearings.files.scan_journal import NAME, read_journal
+from taichi_bearings.scans.plan import ScanPlan, groups_of
+
+JOURNAL = re.compile(r"part-(\d+)-of-(\d+)\.jsonl")
+MOST = 100_000
+
+
+@dataclass(frozen=True, order=True)
+class Part:
+    """Part `number` of a scan in `of` parts, counted from 1."""
+
+    of: int
+    number: int
+
+    @staticmethod
+    def parse(text: str) -> "Part":
+        """From ``i/n``; InputError if that is no part."""
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]) <= MOST:
+            raise InputError(f"--part is {text!r}; it must be i/n with whole numbers 1 <= i <= n <= {MOST:,}")
+        return Part(int(found[2]), int(found[1]))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    @property
+    def name(self) -> str:
+        return f"part-{self.number}-of-{self.of}"
+
+    @property
+    def journal(self) -> str:
+        return f"{self.name}.jsonl"
+
+
+def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
+    """Which part in `of` parts each sample belongs to, by its key.
+
+    Samples that differ in the seed only are shared out evenly, seeds that follow each other together, since those can
+    be solved as one block. What is left over goes to the next parts in turn, large lattices first and otherwise in no
+    order, so that the parts have like amounts of work however the scan orders its keys.
+    """
+    groups = sorted(groups_of(plan.samples), key=lambda group: (-math.prod(group[0].settings.shape), group[0].key))
+    numbers: dict[str, int] = {}
+    for group in groups:
+        each, left = divmod(len(group), of)
+        sizes = [each + (turn < left) for turn in range(min(of, len(group)))]
+        first, start = len(numbers), 0
+        for turn, size in enumerate(sizes):
+            numbers.update((sample.key, (first + turn) % of + 1) for sample in group[start : start + size])
+            start += size
+    return numbers
+
+
+def part_of(plan: ScanPlan, part: Part) -> ScanPlan:
+    """The samples of one part, in the order of the plan."""
+    numbers = part_numbers(plan, part.of)
+    return replace(plan, samples=tuple(sample for sample in plan.samples if numbers[sample.key] == part.number))
+
+
+def parts_in(folder: Path) -> list[Part]:
+    """The parts that have a journal in a folder."""
+    names = [JOURNAL.fullmatch(file.name) for file in folder.iterdir()] if folder.is_dir() else []
+    return sorted(Part(int(found[2]), int(found[1])) for found in names if found is not None)
+
+
+def journal_bytes(folder: Path) -> int | None:
+    """Bytes in the journals of a folder, which only ever grow; None if it has none."""
+    names = [NAME, *(part.journal for part in parts_in(folder))]
+    sizes = [(folder / name).stat().st_size for name in names if (folder / name).is_file()]
+    return sum(sizes) if sizes else None
+
+
+def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
+    """Records by sample of all journals in a folder; of several a result before a failure, then the fullest."""
+    records: dict[str, dict[str, Any]] = {}
+    for name in [*(part.journal for part in parts_in(folder)), NAME]:
+        for key, record in read_journal(folder / name).items():
+            if key not in records or _worth(record) >= _worth(records[key]):
+                records[key] = record
+    return records
+
+
+def _worth(record: Mapping[str, Any]) -> tuple[bool, int]:
+    return not is_failed(record), len(record["scalars"])
+
+
+def is_failed(record: Mapping[str, Any]) -> bool:
+    """True for a sample without a result."""
+    return record["scalars"]["status"] == FAILED
+
+
+def is_analysed(record: Mapping[str, Any]) -> bool:
+    """True for a sample with the numbers of `bearings analyse`."""
+    return "power_minimum_cut" in record["scalars"]
+
+
+def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Of the numbers of parts into which the journals of a folder divide the scan: `part`, i/n, and `missing`, how many
+    of its samples have no result."""
+    found = []
+    for of in sorted({part.of for part in parts_in(folder)}):
+        numbers = part_numbers(plan, of)
+        lacking = Counter(number for key, number in numbers.items() if key not in records or is_failed(records[key]))
+        found += [{"part": str(Part(of, number)), "missing": many} for number, many in sorted(lacking.items())]
+    return found

@@ -1,0 +1,300 @@
+"""Which samples a scan consists of: a TOML file with the keys of a run, and lists, ranges and grids of them."""
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.runs.settings import RunSettings, parse_assignment, read_toml, toml_value
+from taichi_bearings.scene.initial_spins import STARTS
+
+MOST_SAMPLES = 5_000_000
+UNSHAPING = ("threads", "checkpoint_every", "replicas")  # settings that change no result of a sample
+NAMING = (
+    "shape", "law", "method", "tolerance", "seed", "spin_top", "spin_bottom", "direction", "coefficients",
+    "distribution", "initial", "normal_force", "radius", "iterations", "time_limit", "duration", "record",
+    "snapshots", "energy", "slip_threshold", "settle", "momentum", "stiffness", "damping", "mass", "inertia",
+    "static_ratio", "slipping_spring", "integrator", "gear_order", "time_step", "error_tolerance", "rest_tolerance",
+    "arch", "precision",
+)  # fmt: skip
+"""Settings that are in the name of every sample. One that is added to `run` later is in it only where it differs from
+its default, so that the samples in folders of users keep their names."""
+NOT_SCANNED = {  # key -> why not
+    "replicas": "every seed is a sample of its own, so give seed a range",
+    "threads": "it changes no result, so set it for all samples",
+    "checkpoint_every": "a scan keeps whole samples, not checkpoints",
+}
+RANGES = (
+    "{ start, stop } with an optional step (stop excluded), or { start, stop, number } with spacing = "
+    '"linear" or "log" (both ends included)'
+)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One point of a scan.
+
+    key : 16 hexadecimal digits, the same for all samples with the same result. settings : replicas is 1.
+    point : the scanned keys and their values, in the order of the file.
+    """
+
+    key: str
+    settings: RunSettings
+    point: Mapping[str, Any]
+
+    @property
+    def label(self) -> str:
+        """The sample for people: ``seed = 3, spin_bottom = 0.1 (0123456789abcdef)``."""
+        words = ", ".join(f"{name} = {written(value)}" for name, value in self.point.items())
+        return f"{words} ({self.key})" if words else self.key
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is asked of every sample beside the numbers of `run`; None where nothing is said.
+
+    analyse : the numbers of `bearings analyse` too. keep_states : the full state too. sample_timeout : seconds that a
+    sample may take.
+    """
+
+    analyse: bool | None = None
+    keep_states: bool | None = None
+    sample_timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("analyse", "keep_states"):
+            if not isinstance(value := getattr(self, name), (bool, type(None))):
+                raise InputError(f"{name} is {value!r}; it must be true or false")
+        seconds = self.sample_timeout
+        if seconds is not None and (type(seconds) not in (int, float) or not 0 < seconds < math.inf):
+            raise InputError(f"sample_timeout is {seconds}; it must be a positive number of seconds")
+
+    @classmethod
+    def taken_from(cls, document: dict[str, Any]) -> "Wishes":
+        """The wishes of a scan file, whose other keys stay in `document`."""
+        return cls(**{name: document.pop(name) for name in vars(cls()) if name in document})
+
+    def or_else(self, others: "Wishes") -> "Wishes":
+        """These, and of the others what these do not say."""
+        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
+
+    def to_toml(self) -> str:
+        return "".join(f"{name} = {toml_value(value)}\n" for name, value in vars(self).items() if value is not None)
+
+
+@dataclass(frozen=True)
+class ScanPlan:
+    """The samples of a scan, no two with the same key. scanned : keys that vary. settings : the scan as TOML, but for
+    the wishes."""
+
+    scanned: tuple[str, ...]
+    samples: tuple[Sample, ...]
+    settings: str
+    wishes: Wishes = Wishes()
+
+    @property
+    def text(self) -> str:
+        """The scan as TOML."""
+        return self.wishes.to_toml() + self.settings
+
+
+def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
+    """The samples whose settings differ in nothing but the seed, together; otherwise in their order."""
+    groups: dict[tuple[Any, ...], list[Sample]] = {}
+    for sample in samples:
+        alike = tuple(value for name, value in vars(sample.settings).items() if name != "seed")
+        groups.setdefault(alike, []).append(sample)
+    return list(groups.values())
+
+
+def written(value: Any) -> Any:
+    """A value of a setting as a table holds it: a list such as a shape becomes ``10x10``."""
+    if isinstance(value, tuple):
+        return "x".join(format(part, ".12g") if isinstance(part, float) else str(part) for part in value)
+    return value
+
+
+def read_plan(path: Path, overrides: Sequence[str] = ()) -> ScanPlan:
+    """The plan that a scan file describes.
+
+    path : TOML; keys of `run` for all samples, those of :class:`Wishes`, and a table ``[scan]`` with a list or a
+        range for each key that varies. The samples are the grid over all of them, the last key fastest; keys in one
+        table ``[[scan.zip]]`` advance together and count as one axis. Without ``[scan]`` there is one sample.
+    overrides : ``key=value`` fixes a key for all samples, ``scan.key=list or range`` scans it; values as in TOML, other
+        words are texts.
+    Raises InputError in one sentence.
+    """
+    document = read_toml(path)
+    scan = document.pop("scan", {})
+    if not isinstance(scan, Mapping):
+        raise InputError(f"scan in {path} is {scan!r}; it must be a table [scan] of lists and ranges")
+    zipped = scan.get("zip", [])
+    if not isinstance(zipped, list) or not all(isinstance(table, Mapping) for table in zipped):
+        raise InputError(f"zip in [scan] of {path} must be tables, each headed [[scan.zip]]")
+    single = {key: _located(key, values, path.parent) for key, values in scan.items() if key != "zip"}
+    tables = [{key: _located(key, values, path.parent) for key, values in table.items()} for table in zipped]
+    for text in overrides:
+        _override(text, document, single, tables)
+    tables = [table for table in tables if table]
+    return _plan(path, document, single, tables)
+
+
+def _located(key: str, values: Any, folder: Path) -> Any:
+    """Names of files relative to where the program runs, no longer to the folder of the scan file."""
+    if key not in ("coefficients", "initial") or not isinstance(values, list):
+        return values
+    return [str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v for v in values]
+
+
+def _override(text: str, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> None:
+    """Change the scan as ``--set key=value`` says."""
+    key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
+    name = key.removeprefix("scan.")
+    document.pop(name, None)
+    for table in (single, *tables):
+        table.pop(name, None)
+    (single if key.startswith("scan.") else document)[name] = value
+
+
+def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
+    wishes = Wishes.taken_from(document)
+    axes = [_zip({key: given}) for key, given in single.items()] + [_zip(table) for table in tables]
+    scanned = tuple(key for keys, _ in axes for key in keys)
+    for key in scanned:
+        if key in NOT_SCANNED:
+            raise InputError(f"{key} cannot be scanned: {NOT_SCANNED[key]}")
+        if key in document or scanned.count(key) > 1:
+            raise InputError(f"{key} is given more than once in {path}; give it above [scan] or in one place of it")
+    for key in ("replicas", "checkpoint_every"):
+        if key in document:
+            raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {NOT_SCANNED[key]}")
+    number = math.prod(len(values) for _, values in axes)
+    if number > MOST_SAMPLES:
+        raise InputError(f"the scan has {number:,} samples; at most {MOST_SAMPLES:,} are allowed")
+    samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
+    return ScanPlan(scanned, samples, _text(document, single, tables), wishes)
+
+
+def stored_wishes(folder: Path) -> Wishes:
+    """What the scan in a folder has been asked for so far."""
+    file = folder / "scan.toml"
+    return Wishes.taken_from(read_toml(file)) if file.is_file() else Wishes()
+
+
+def _samples(
+    path: Path, document: Mapping[str, Any], scanned: tuple[str, ...], axes: Sequence[Sequence[tuple[Any, ...]]]
+) -> Iterator[Sample]:
+    base: RunSettings | None = None
+    met: dict[str, Mapping[str, Any]] = {}
+    for parts in itertools.product(*axes):
+        given = dict(zip(scanned, itertools.chain.from_iterable(parts), strict=True))
+        if base is None:  # the first one is checked for unknown keys
+            base = RunSettings.from_mapping({**document, **given}, str(path))
+        settings = replace(base, **given)
+        point = {name: getattr(settings, name) for name in scanned}
+        key = sample_key(settings)
+        if key in met:
+            both = " and ".join(str({name: written(value) for name, value in p.items()}) for p in (met[key], point))
+            raise InputError(f"two samples of {path} are the same: {both}")
+        met[key] = point
+        yield Sample(key, settings, point)
+
+
+def _zip(table: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+    """Keys that advance together, as one axis: their names, and their values at each of its points."""
+    columns = {key: _values(key, given) for key, given in table.items()}
+    lengths = {key: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        words = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+        raise InputError(f"keys of one [[scan.zip]] need equally many values, but {words}")
+    return tuple(columns), list(zip(*columns.values(), strict=True))
+
+
+def _values(key: str, given: Any) -> list[Any]:
+    """The values of one scanned key."""
+    values = _range(key, given) if isinstance(given, Mapping) else given
+    if not isinstance(values, list) or not values:
+        raise InputError(f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}")
+    return values
+
+
+def _range(key: str, table: Mapping[str, Any]) -> list[Any]:
+    """A range written as a table. Whole numbers stay whole."""
+    form = {"start", "stop", "number", "spacing"} if "number" in table else {"start", "stop", "step"}
+    bad = InputError(f"{key} in [scan] is {toml_value(table)}; a range is {RANGES}")
+    if not {"start", "stop"} <= set(table) <= form:
+        raise bad
+    start, stop, step = table["start"], table["stop"], table.get("step", 1)
+    if any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in (start, stop, step)):
+        raise bad
+    if "number" in table:
+        return _spaced(table, bad)
+    count = math.ceil((stop - start) / step - 1e-9) if step else 0
+    if count < 1:
+        raise InputError(f"{key} in [scan] is {toml_value(table)}, which is empty; stop is excluded")
+    if count > MOST_SAMPLES:
+        raise InputError(f"{key} in [scan] has {count:,} values; at most {MOST_SAMPLES:,} samples are allowed")
+    return [start + i * step for i in range(count)]
+
+
+def _spaced(table: Mapping[str, Any], bad: InputError) -> list[Any]:
+    """``number`` values from start to stop, both included, evenly spaced in themselves or in their logarithm."""
+    start, stop, number, spacing = table["start"], table["stop"], table["number"], table.get("spacing", "linear")
+    if isinstance(number, bool) or not isinstance(number, int) or not 2 <= number <= MOST_SAMPLES:
+        raise bad
+    if spacing not in ("linear", "log") or (spacing == "log" and min(start, stop) <= 0) or start == stop:
+        raise bad
+    shares = [i / (number - 1) for i in range(number)]
+    if spacing == "linear":
+        between = [start + (stop - start) * share for share in shares]
+    else:
+        between = [start * (stop / start) ** share for share in shares]
+    return [start, *between[1:-1], stop]
+
+
+def sample_key(settings: RunSettings) -> str:
+    """Hash of what shapes the result of a sample: every setting but threads and the like, files by their content."""
+    values = {name: getattr(settings, name) for name in NAMING}
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        if item.name not in (*NAMING, *UNSHAPING) and value != item.default:
+            values[item.name] = value
+    for name in ("coefficients", "initial"):
+        if values[name] is not None and values[name] not in STARTS:
+            values[name] = _content(values[name])
+    lines = [f"{name} = {value!r}" for name, value in values.items()]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=1024)
+def _content(name: str) -> str:
+    """Hash of a file's content; of a run directory, of its run.h5."""
+    path = Path(name) / "run.h5" if Path(name).is_dir() else Path(name)
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else _digest(file)
+    except OSError as error:
+        raise FileError(f"{name} cannot be read: {error.strerror or error}") from None
+
+
+def _digest(file: Any) -> str:
+    """As hashlib.file_digest, which Python 3.10 lacks."""
+    digest = hashlib.sha256()
+    for piece in iter(lambda: file.read(2**20), b""):
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _text(document: Mapping[str, Any], single: Mapping[str, Any], tables: Sequence[Mapping[str, Any]]) -> str:
+    """The scan as TOML, with what --set has changed."""
+    lines = [f"{key} = {toml_value(value)}" for key, value in document.items()]
+    if single:
+        lines += ["[scan]", *(f"{key} = {toml_value(value)}" for key, value in single.items())]
+    for table in tables:
+        lines += ["[[scan.zip]]", *(f"{key} = {toml_value(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,161 @@
+"""The samples of a scan as a worker solves them: one by one, or many seeds at once where that changes no bit."""
+
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.errors import InputError, WriteError
+from taichi_bearings.files.scan_file import FAILED, bin_of
+from taichi_bearings.files.whole_file import make_folder
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run import prepare, solve_job, summarise, write_state
+from taichi_bearings.scans.estimate import method_of
+from taichi_bearings.scans.plan import Sample, groups_of
+from taichi_bearings.scene import Solution, Status
+
+ALIKE_IN_A_BLOCK = ("planar-cut",)  # methods that give a seed the same bits alone and beside others
+STATES = "states"  # folder of the full states
+
+
+class Interrupted(SystemExit):
+    """The solve was interrupted from outside: what it reached is no result, and the worker ends."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is kept of each sample. structure : the numbers of `analyse` too. states : folder for the full states."""
+
+    structure: bool = False
+    states: Path | None = None
+
+
+def solve_samples(samples: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
+    """Solve samples and return a record of each, in their order.
+
+    A record is valid JSON: `key`; `scalars`, the summary of `bearings run` for that sample alone, nothing but numbers
+    and texts; `bins`, number of the power bin -> slipping contacts. A sample that raises gives a record whose status is
+    failed, with the reason as `error`, and `final` if another try is pointless; or `unwritten`, if it is the disk that
+    failed and not the sample. Then those after it are not tried either.
+    """
+    records: dict[str, dict[str, Any]] = {}
+    with one_thread():
+        for block in _blocks(samples):
+            try:
+                found = _solve_block(block, wanted)
+            except WriteError as error:
+                unwritten = {"unwritten": True}
+                return [records.get(sample.key) or failure(sample, error) | unwritten for sample in samples]
+            except Exception as error:
+                found = [failure(block[0], error)] if len(block) == 1 else _one_by_one(block, wanted)
+            records |= {sample.key: record for sample, record in zip(block, found, strict=True)}
+    return [records[sample.key] for sample in samples]
+
+
+def _one_by_one(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
+    return [record for sample in block for record in solve_samples([sample], wanted)]
+
+
+def failure(sample: Sample, reason: Exception | str) -> dict[str, Any]:
+    """The record of a sample that has no result."""
+    if isinstance(reason, Exception):
+        logging.getLogger(__name__).debug("sample %s", sample.label, exc_info=reason)
+        words = str(reason) if isinstance(reason, InputError) else f"{type(reason).__name__}: {reason}"
+    else:
+        words = reason
+    record: dict[str, Any] = {"key": sample.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
+    return record | ({"final": True} if isinstance(reason, InputError) else {})
+
+
+def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
+    """Samples that can be solved as one block of replicas: their seeds follow each other, and nothing else differs."""
+    for group in groups_of(samples):
+        settings = group[0].settings
+        block: list[Sample] = []
+        for sample in sorted(group, key=lambda sample: sample.settings.seed):
+            follows = block and sample.settings.seed == block[-1].settings.seed + 1
+            if block and not (follows and settings.coefficients is None and method_of(settings) in ALIKE_IN_A_BLOCK):
+                yield block
+                block = []
+            block.append(sample)
+        yield block
+
+
+def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
+    first = block[0].settings
+    settings = replace(first, replicas=len(block), threads=first.threads or 1)
+    job = prepare(settings)
+    solution = solve_job(job)
+    if solution.status is Status.INTERRUPTED:
+        raise Interrupted
+    parts = [one_replica(solution, number) for number in range(len(block))]
+    if wanted.states is not None:
+        make_folder(wanted.states)
+        for sample, part in zip(block, parts, strict=True):
+            path = state_path(wanted.states, sample.key)
+            write_state(path, job, part, sample.settings, path, "bearings scan")
+    return [_record(sample, part, wanted) for sample, part in zip(block, parts, strict=True)]
+
+
+def one_replica(solution: Solution, number: int) -> Solution:
+    """One seed of a solution as if it had been solved alone; its seconds are its share."""
+    scene, one = solution.scene, slice(number, number + 1)
+    if scene.replicas == 1:
+        return solution
+
+    def cut(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value[one]
+        return tuple(part[one] for part in value) if isinstance(value, tuple) else value
+
+    changes: dict[str, Any] = {item.name: cut(getattr(solution, item.name)) for item in fields(solution)}
+    changes |= {
+        "scene": replace(scene, coefficient=cut(scene.coefficient), seeds=scene.seeds[one]),
+        "seconds": solution.seconds / scene.replicas,
+        "seconds_compile": solution.seconds_compile / scene.replicas,
+        "history": {name: v[:, one] if v.ndim == 2 else v for name, v in solution.history.items()},
+        "findings": {name: values[one] for name, values in solution.findings.items()},
+    }
+    return replace(solution, **changes)
+
+
+def _record(sample: Sample, solution: Solution, wanted: Wanted) -> dict[str, Any]:
+    summary = summarise(solution, sample.settings.tolerance, sample.settings.duration)
+    scalars = summary | {"slip_threshold": solution.slip_threshold}
+    if wanted.structure:
+        from taichi_bearings.analysis.structure import structures_of
+        from taichi_bearings.runs.structure_report import numbers_of
+
+        scalars |= numbers_of(structures_of(solution)[0])
+    power = np.concatenate([values.ravel() for values in solution.power_per_contact])
+    state = np.concatenate([values.ravel() for values in solution.state])
+    bins, count = np.unique(bin_of(power[(state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
+    return {
+        "key": sample.key,
+        "scalars": _scalars(scalars),
+        "bins": {str(number): int(many) for number, many in zip(bins, count, strict=True)},
+    }
+
+
+def _scalars(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers and texts alone, and the shape as a table holds it; what is not finite becomes None."""
+    found: dict[str, Any] = {}
+    for name, value in numbers.items():
+        value = value.item() if isinstance(value, np.generic) else value
+        if name == "shape":
+            value = "x".join(map(str, value))
+        if isinstance(value, float) and not math.isfinite(value):
+            value = None
+        if value is None or isinstance(value, (bool, int, float, str)):
+            found[name] = value
+    return found
+
+
+def state_path(folder: Path, key: str) -> Path:
+    """The file of a sample's full state, in the layout of run.h5."""
+    return folder / f"{key}.h5"

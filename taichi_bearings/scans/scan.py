@@ -1,0 +1,406 @@
+"""A scan from its plan: solve what is missing, write every sample down as it comes, and collect them in scan.h5."""
+
+import logging
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.files.run_file import read_run_file
+from taichi_bearings.files.scan_file import write_scan, write_scan_csv
+from taichi_bearings.files.scan_journal import NAME as JOURNAL
+from taichi_bearings.files.scan_journal import Journal
+from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.runs.run_directory import undisturbed, writable_folder
+from taichi_bearings.runtime import available_threads
+from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
+from taichi_bearings.scans.estimate import (
+    WORKER_START,
+    bytes_of,
+    ignored_keys,
+    paying_workers,
+    seconds_of,
+    total_seconds,
+    units_of,
+)
+from taichi_bearings.scans.parts import (
+    Part,
+    incomplete_parts,
+    is_analysed,
+    is_failed,
+    journal_bytes,
+    part_of,
+    read_journals,
+)
+from taichi_bearings.scans.plan import Sample, ScanPlan, Wishes, groups_of, stored_wishes
+from taichi_bearings.scans.sample import STATES, Wanted, failure, solve_samples, state_path
+from taichi_bearings.scans.stored_scans import outdated_figures
+from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of
+from taichi_bearings.scene import Status
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
+REACHED = [status.value for status in Status if status.reached]
+LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
+
+
+@dataclass
+class ScanProgress:
+    """Where a scan stands. done : samples with a result, those of earlier calls (`before`) included; failed : others.
+
+    running : samples in work, the first of each unit. seconds : since the start of this call.
+    """
+
+    total: int
+    before: int
+    done: int = 0
+    failed: int = 0
+    running: list[Sample] = field(default_factory=list)
+    seconds: float = 0.0
+    _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=400))
+
+    _first: float | None = None
+
+    def note(self, seconds: float) -> None:
+        """Remember when how many were done, for the rate."""
+        self.seconds = seconds
+        self._first = seconds if self._first is None else self._first
+        self._recent.append((seconds, self.done + self.failed))
+
+    @property
+    def rate(self) -> float:
+        """Samples a second of late."""
+        if len(self._recent) < 2:
+            return 0.0
+        (first, before), (last, now) = self._recent[0], self._recent[-1]
+        return (now - before) / max(last - first, 1e-9)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time left at that rate; None while it is not known: first results of several workers come at once."""
+        if self._first is None or self.seconds < 1.5 * self._first:
+            return None
+        return (self.total - self.done - self.failed) / self.rate if self.rate > 0 else None
+
+
+Monitor = Callable[[ScanProgress], None]
+
+
+def missing_samples(
+    plan: ScanPlan, folder: Path, wanted: Wanted, part: Part | None = None
+) -> tuple[list[Sample], dict[str, Record]]:
+    """The samples, of one part or of all, that a folder lacks or that have failed there; and the records that it has.
+
+    FileError if the folder holds samples that the plan does not ask for, or is something else altogether.
+    """
+    names = [file.name for file in folder.iterdir() if file.name[0] != "."] if folder.is_dir() else []
+    if names and JOURNAL not in names and not any(name.startswith("scan.toml") for name in names):
+        raise FileError(f"{folder} is not the folder of a scan and not empty; choose another --out")
+    records = read_journals(folder)
+    others = len(records.keys() - {sample.key for sample in plan.samples})
+    if others:
+        raise FileError(
+            f"{folder} holds {others:,} samples that this scan does not ask for; choose another --out, or a scan with "
+            "all of them"
+        )
+    ours = _samples_of(plan, part)
+    return [sample for sample in ours.samples if not _is_kept(sample, records.get(sample.key), folder, wanted)], records
+
+
+def _samples_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
+    return plan if part is None else part_of(plan, part)
+
+
+def _is_kept(sample: Sample, record: Record | None, folder: Path, wanted: Wanted) -> bool:
+    if record is None or is_failed(record):
+        return False
+    if wanted.structure and not is_analysed(record):
+        return False
+    return wanted.states is None or _is_whole(state_path(folder / STATES, sample.key))
+
+
+def _is_whole(state: Path) -> bool:
+    """True if the full state of a sample can be read and its checksums match; one that is damaged is named."""
+    if not state.is_file():
+        return False
+    try:
+        read_run_file(state)
+    except FileError as error:
+        _say(f"a kept state counts as missing: {error}")
+        return False
+    return True
+
+
+def _with_wishes_of(folder: Path, plan: ScanPlan, *wishes: Any) -> tuple[ScanPlan, Wanted]:
+    """The plan with all that the scan in a folder is asked for, and what that means for each sample.
+
+    wishes : those of this call, in the order of :class:`Wishes`; where they say nothing the plan does, then the folder.
+    """
+    known = Wishes(*wishes).or_else(plan.wishes).or_else(stored_wishes(folder))
+    wanted = Wanted(bool(known.analyse), (folder / STATES).absolute() if known.keep_states else None)
+    return replace(plan, wishes=known), wanted
+
+
+def estimate(
+    plan: ScanPlan,
+    folder: Path | None,
+    workers: int = 0,
+    structure: bool | None = None,
+    keep_states: bool | None = None,
+    part: Part | None = None,
+) -> dict[str, Any]:
+    """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
+    ours, structure = _samples_of(plan, part), structure or plan.wishes.analyse or False
+    missing = list(ours.samples)
+    if folder is not None:
+        plan, wanted = _with_wishes_of(folder, plan, structure or None, keep_states)
+        missing, structure = missing_samples(plan, folder, wanted, part)[0], wanted.structure
+    number = _number_of_workers(missing, workers, structure)
+    work = total_seconds(missing, structure)
+    return {
+        "samples": len(ours.samples),
+        "scanned": list(plan.scanned),
+        "missing": len(missing),
+        "workers": number,
+        "seconds": None if work is None else (work / number + WORKER_START if missing else 0.0),
+        "bytes": number * max((bytes_of(group[0].settings) for group in groups_of(missing)), default=0.0),
+    }
+
+
+def _number_of_workers(missing: Sequence[Sample], workers: int, structure: bool) -> int:
+    on_device = any(sample.settings.arch != "cpu" for sample in missing)
+    most = workers or (1 if on_device else available_threads())
+    return paying_workers(missing, most, structure)
+
+
+def scan(
+    plan: ScanPlan,
+    folder: Path,
+    workers: int = 0,
+    structure: bool | None = None,
+    keep_states: bool | None = None,
+    sample_timeout: float | None = None,
+    monitor: Monitor = lambda _: None,
+    engine: Engine | None = None,
+    client: "Client | None" = None,
+    part: Part | None = None,
+) -> dict[str, Any]:
+    """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
+
+    workers : processes at most; 0 for one a processor. structure : the numbers of `analyse` too. keep_states : full
+    states in ``states/<sample>.h5``. sample_timeout : seconds a sample may take. Default of these three: what the plan
+    says, then what the folder was asked for before; the time else 100 times what is expected, at least 600, and no
+    limit for dynamics. Samples that lack what is asked for are solved again. client : of a Dask
+    cluster that solves; default: processes on this machine.
+    engine : where to solve instead of either. part : solve those samples alone, and write nothing but their journal.
+    returns : the report of `--json`. Ctrl-C and SIGTERM end it; finished samples are kept.
+    Raises InputError or FileError before anything is computed.
+    """
+    began = time.monotonic()
+    plan, wanted = _with_wishes_of(folder, plan, structure, keep_states, sample_timeout)
+    for group in groups_of(plan.samples):
+        seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
+    for key, methods in ignored_keys(plan).items():
+        _say(f"{key} is scanned, but {' and '.join(methods)} know nothing of it: such samples are the same")
+    name = "" if part is None else part.name
+    with writable_folder(folder, name):
+        journals = journal_bytes(folder) or 0
+        missing, records = missing_samples(plan, folder, wanted, part)
+        replace_file(folder / "scan.toml", plan.text.encode(), f".{name or 'whole'}.partial")
+        if engine is None:
+            work = partial(solve_samples, wanted=wanted)
+            allowed = partial(_allowed, sample_timeout=plan.wishes.sample_timeout, structure=wanted.structure)
+            engine = _engine(work, allowed, client, _number_of_workers(missing, workers, wanted.structure))
+        course = _Course(plan, part, folder, records, missing, monitor, began, journals)
+        try:
+            with closing(engine), Journal(course.journal) as journal, _stopping() as stopped:
+                course.follow(units_of(missing, wanted.structure), engine, journal, stopped)
+            course.write_files()
+        except FileError as error:
+            kept = len(records)
+            raise FileError(f"{error}; {kept:,} samples are kept there, and the same scan again goes on") from None
+    return course.report(stopped.is_set()) | {"workers": engine.workers}
+
+
+def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
+    """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
+
+    returns : the report of :func:`scan`, and `incomplete_parts`, the parts that lack samples and how many.
+    Raises FileError if the folder has no samples of this scan.
+    """
+    began = time.monotonic()
+    if not folder.is_dir():
+        raise FileError(f"{folder} is not the folder of a scan")
+    plan, wanted = _with_wishes_of(folder, plan)
+    with writable_folder(folder):
+        journals = journal_bytes(folder) or 0
+        missing, records = missing_samples(plan, folder, wanted)
+        if not records:
+            raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
+        course = _Course(plan, None, folder, records, missing, lambda _: None, began, journals)
+        course.write_files()
+        return course.report(False) | {"incomplete_parts": incomplete_parts(plan, folder, records)}
+
+
+def _engine(work: Work, allowed: Callable[[Unit], float | None], client: "Client | None", workers: int) -> Engine:
+    if client is None:
+        return LocalEngine(work, workers, allowed)
+    from taichi_bearings.scans.cluster import DaskEngine
+
+    return DaskEngine(client, work, allowed)
+
+
+def _allowed(unit: Unit, sample_timeout: float | None, structure: bool) -> float | None:
+    if sample_timeout is not None:
+        return sample_timeout * len(unit)
+    parts = [seconds_of(sample.settings, structure) for sample in unit]
+    return None if None in parts else max(LEAST_ALLOWED, ALLOWED * sum(part for part in parts if part is not None))
+
+
+@contextmanager
+def _stopping() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set."""
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stopped
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: stopped.set()) for number in numbers}
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _say(text: str) -> None:
+    logging.getLogger(__name__).warning("bearings: %s", text)
+
+
+class _Course:
+    """A scan on its way: what it has, and who wants to hear of it."""
+
+    def __init__(
+        self,
+        plan: ScanPlan,
+        part: Part | None,
+        folder: Path,
+        records: dict[str, Record],
+        missing: Sequence[Sample],
+        monitor: Monitor,
+        began: float,
+        journals: int,
+    ) -> None:
+        self.plan, self.part = _samples_of(plan, part), part
+        self.folder, self.records, self.monitor, self.began = folder, records, monitor, began
+        before = len(self.plan.samples) - len(missing)
+        self.progress = ScanProgress(len(self.plan.samples), before, done=before)
+        self.missing = {sample.key: sample for sample in missing}
+        self.open = set(self.missing)  # samples that still lack something
+        self.written, self.writing = time.monotonic(), 0.0
+        self.removed: list[Path] = []
+        self.others = journals - self._own_bytes()
+
+    @property
+    def journal(self) -> Path:
+        return self.folder / (JOURNAL if self.part is None else self.part.journal)
+
+    def _own_bytes(self) -> int:
+        return self.journal.stat().st_size if self.journal.exists() else 0
+
+    def _journals(self) -> int:
+        """Bytes of the journals that have the records: of this one all, of others what was there at the start."""
+        return self.others + self._own_bytes()
+
+    @property
+    def files(self) -> list[Path]:
+        """What is made from the journal; parts of a scan leave that to the merge."""
+        return [self.folder / name for name in ("scan.h5", "scan.csv")] if self.part is None else []
+
+    def follow(self, units: Sequence[Unit], engine: Engine, journal: Journal, stopped: threading.Event) -> None:
+        def keep(finished: list[Record]) -> None:
+            news = [record for record in finished if not (is_failed(record) and self._has_result(record["key"]))]
+            journal.append(news)
+            self.records |= {record["key"]: record for record in news}
+            for record in finished:
+                if is_failed(record):
+                    self.progress.failed += 1
+                    _say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
+                else:
+                    self.progress.done += 1
+                    self.open.discard(record["key"])
+            self.progress.note(time.monotonic() - self.began)
+
+        def look() -> bool:
+            self.progress.seconds = time.monotonic() - self.began
+            self.progress.running = [unit[0] for unit in engine.running]
+            self.monitor(self.progress)
+            if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
+                self._write_meanwhile()
+            return not stopped.is_set()
+
+        run_samples(units, engine, keep, self._retry, look, failure)
+
+    def _has_result(self, key: str) -> bool:
+        return key in self.records and not is_failed(self.records[key])
+
+    def _retry(self, sample: Sample, reason: str) -> None:
+        _say(f"sample {sample.label} failed and is tried again: {reason}")
+
+    def _write_meanwhile(self) -> None:
+        began = time.monotonic()
+        write_files(self.plan, self.folder, self.records, self._journals())
+        self.written = time.monotonic()
+        self.writing = self.written - began
+
+    def write_files(self) -> None:
+        if self.files:
+            with undisturbed():
+                self.removed = outdated_figures(self.folder, self._journals())
+                for figure in self.removed:
+                    figure.unlink(missing_ok=True)
+                write_files(self.plan, self.folder, self.records, self._journals())
+
+    def report(self, interrupted: bool) -> dict[str, Any]:
+        statuses = [self.records[s.key]["scalars"]["status"] for s in self.plan.samples if s.key in self.records]
+        failed = [s for s in self.plan.samples if s.key in self.records and is_failed(self.records[s.key])]
+        lacking = sum(map(self._has_result, self.open))
+        solved = [s.key for s in self.plan.samples if self._has_result(s.key)]
+        analysed = sum(is_analysed(self.records[key]) for key in solved)
+        return {
+            "samples": len(self.plan.samples),
+            "done": len(statuses) - len(failed),
+            "solved_now": self.progress.done - self.progress.before,
+            "reached": sum(status in REACHED for status in statuses),
+            "failed": len(failed),
+            "missing": len(self.plan.samples) - len(statuses),
+            "lacking": lacking,
+            "unanalysed": len(solved) - analysed if analysed else 0,
+            "failures": [
+                {"sample": sample.label, "error": self.records[sample.key]["scalars"]["error"]} for sample in failed
+            ],
+            "interrupted": interrupted and (len(statuses) < len(self.plan.samples) or lacking > 0),
+            "seconds": time.monotonic() - self.began,
+            "scan": str(self.folder),
+            "files": [str(file) for file in self.files or [self.journal]],
+            "removed": [str(file) for file in self.removed],
+        }
+
+
+def write_files(plan: ScanPlan, folder: Path, records: Mapping[str, Record], journals: int) -> None:
+    """scan.h5 and scan.csv from the records, each in full or not at all; rows in the order of the plan.
+
+    journals : bytes of the journals that have these records.
+    """
+    columns = columns_of(plan, records)
+    write_scan(folder / "scan.h5", columns, histograms_of(plan, records), attributes_of(plan, journals))
+    write_scan_csv(folder / "scan.csv", columns)

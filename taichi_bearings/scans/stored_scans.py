@@ -1,0 +1,77 @@
+"""A scan as it stands in its folder, be it running, killed or complete: the one way in which commands read scans."""
+
+import logging
+from pathlib import Path
+
+import h5py
+
+from taichi_bearings.checksums import UNREADABLE
+from taichi_bearings.errors import BearingsError, FileError
+from taichi_bearings.files.scan_file import SCHEMA, StoredScan, read_scan
+from taichi_bearings.scans.parts import journal_bytes, read_journals
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of, with_missing
+
+CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
+
+
+def is_scan(path: Path) -> bool:
+    """True for the folder of a scan, with or without scan.h5, and for a scan.h5."""
+    if path.is_dir():
+        return (path / "scan.h5").is_file() or journal_bytes(path) is not None
+    try:
+        with h5py.File(path, "r") as file:
+            return bool(file.attrs.get("schema") == SCHEMA)
+    except UNREADABLE:
+        return False
+
+
+def open_scan(path: Path) -> StoredScan:
+    """The scan in a folder or beside a scan.h5, a row for each sample that it asks for; nothing is written.
+
+    scan.h5 is taken if it is complete and holds what the journals hold. Otherwise the table is made of the journals,
+    and samples that are not computed yet are in it as missing. Raises FileError if there is neither.
+    """
+    folder, file = (path, path / "scan.h5") if path.is_dir() else (path.parent, path)
+    journals = journal_bytes(folder)
+    if journals is None or file.name != "scan.h5":
+        return read_scan(path)
+    try:
+        stored, why = read_scan(file), "is older than the samples beside it"
+    except FileError as error:
+        stored, why = None, str(error)
+    scan = folder / "scan.toml"
+    if stored is not None and stored.is_complete and _is_of(stored, scan, journals):
+        return stored
+    try:
+        plan = read_plan(scan)
+        records = with_missing(plan, read_journals(folder))
+    except BearingsError as error:
+        if stored is None:
+            raise FileError(f"{why}; and its journal cannot be used: {error}") from None
+        logging.getLogger(__name__).warning("bearings: %s %s, which cannot be used: %s", file, why, error)
+        return stored
+    attributes = attributes_of(plan, journals)
+    return StoredScan.of_columns(file, columns_of(plan, records), histograms_of(plan, records), attributes)
+
+
+def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
+    """True if a table was made of this scan file and of journals of so many bytes."""
+    same = stored.attributes.get("journals") == journals
+    return same and scan.is_file() and scan.read_bytes() == str(stored.attributes["scan"]).encode()
+
+
+def outdated_figures(folder: Path, journals: int) -> list[Path]:
+    """Figures in the folder of a scan, and the tables beside them, unless scan.h5 is of journals of so many bytes."""
+    try:
+        if read_scan(folder).attributes.get("journals") == journals:
+            return []
+    except FileError:
+        pass  # no scan.h5, or one that says nothing
+    tables = [table for table in folder.glob("*_against_*.csv") if _is_of_a_figure(table)]
+    return [file for table in tables for file in (table.with_suffix(".png"), table) if file.is_file()]
+
+
+def _is_of_a_figure(table: Path) -> bool:
+    with table.open("rb") as file:
+        return file.readline(10_000).rstrip().endswith(",".join(("plot_high", *CENSUS_COLUMNS)).encode())

@@ -1,0 +1,90 @@
+"""Which samples are of one disorder in one system, and which different systems a point or a histogram mixes."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.analysis.statistics import natural
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.plan import written
+from taichi_bearings.solvers import METHODS
+
+DYNAMICS = ("cundall-strack", "rigid-limit")
+DRAWN = ("seed", "coefficients")  # what a disorder comes from
+OF_SOLVING = (
+    "method", "tolerance", "replicas", "initial", "iterations", "time_limit", "record", "snapshots", "energy",
+    "checkpoint_every", "slip_threshold", "settle", "momentum", "integrator", "gear_order", "time_step",
+    "error_tolerance", "rest_tolerance", "arch", "precision", "threads", "figures",
+)  # fmt: skip
+"""Settings that say how a system is solved, not which one it is: samples depend on each other whatever these are."""
+OF_SYSTEM = tuple(key for key in RunSettings.keys() if key not in (*DRAWN, *OF_SOLVING))
+HELP = {item.name: item.metadata["help"] for item in fields(RunSettings)}
+MOST_NAMED = 3  # values that a sentence names
+
+
+def knows(method: str, key: str) -> bool:
+    """False for a setting of other methods alone, which its help names before the colon."""
+    whose = HELP[key].partition(":")[0].split(" ")[0]
+    return whose not in ("dynamics", *METHODS) or method in (DYNAMICS if whose == "dynamics" else (whose,))
+
+
+def system_columns(columns: Mapping[str, np.ndarray]) -> dict[str, list[Any]]:
+    """The columns that say which system a sample is, with None where its method knows nothing of the setting."""
+    found = {key: columns[key].tolist() for key in OF_SYSTEM if key in columns}
+    methods = columns.get("method_found", columns.get("method"))
+    if methods is None:
+        return found
+    listed = methods.tolist()
+    for key, values in found.items():
+        known = {method: knows(method, key) for method in set(listed)}
+        found[key] = [value if known[method] else None for value, method in zip(values, listed, strict=True)]
+    return found
+
+
+def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
+    """Names of the disorder of each row of a table of samples, equal for those of one disorder in one system.
+
+    Such samples depend on each other: they differ at most in how they were solved and in settings that their methods
+    know nothing of. Where a table has no seeds every row is alone. settings : of all rows, where no column says them;
+    needed to compare the names of several tables.
+    """
+    rows = len(next(iter(columns.values())))
+    if settings is not None:
+        values = {key: written(getattr(settings, key)) for key in OF_SYSTEM}
+        columns = {**{key: np.full(rows, value, dtype=object) for key, value in values.items()}, **columns}
+    seeds = columns.get("seed", np.arange(rows))
+    drawn = (seeds.tolist(), columns.get("coefficients", seeds).tolist())
+    return list(zip(*drawn, *system_columns(columns).values(), strict=True))
+
+
+def numbered(names: Iterable[Any]) -> np.ndarray:
+    """Equal numbers for equal names."""
+    listed = list(names)
+    place = {name: number for number, name in enumerate(dict.fromkeys(listed))}
+    return np.array([place[name] for name in listed], dtype=np.int64)
+
+
+def mixture(columns: Mapping[str, np.ndarray], parts: Iterable[np.ndarray], what: str) -> str:
+    """What the rows of a part have different of the systems, as a sentence; empty if every part is of one system.
+
+    parts : numbers of the rows of each. what : a part in words, as in "a point".
+    """
+    known, places = system_columns(columns), list(parts)
+    mixed: dict[str, set[Any]] = {}
+    for key, values in known.items():
+        met = ({values[row] for row in rows} - {None} for rows in places)
+        if several := set().union(*(own for own in met if len(own) > 1)):
+            mixed[key] = several
+    if not mixed:
+        return ""
+    words = " and ".join(f"{key} {_listed(values)}" for key, values in mixed.items())
+    return f"{what} mixes {words}: --by {' --by '.join(mixed)} keeps them apart"
+
+
+def _listed(values: Iterable[Any]) -> str:
+    ordered = [str(value) for value in sorted(values, key=natural)]
+    more = [f"{len(ordered) - MOST_NAMED + 1} more"] if len(ordered) > MOST_NAMED else []
+    named = [*ordered[: MOST_NAMED - bool(more)], *more]
+    return f"{', '.join(named[:-1])} and {named[-1]}"

@@ -1,1 +1,0 @@
-"""Whole jobs: from a description of a run to its files."""

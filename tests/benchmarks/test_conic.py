@@ -1,0 +1,136 @@
+"""The conic programme says the same as the scene, and its multipliers are the contact forces."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from taichi_bearings.benchmarks.conic import build_differences, conic_programme
+from taichi_bearings.benchmarks.peers import Peer, find_peers
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice.grid import contact_differences
+from tests.scenes import make_scene, minima, name_of, scene_of
+
+DRIVINGS = [{}, {"spin_bottom": -0.4}, {"direction": (1, 0, 0)}, {"direction": (1, -2, 3), "spin_bottom": 0.3}]
+SHAPES_AND_DRIVINGS = [((4, 6), {"spin_bottom": 0.7}), *(((3, 4, 5), driving) for driving in DRIVINGS)]
+
+
+def random_spins(scene, rng):
+    """Free spins in units of the jump above the bottom, and the same as staggered spins (C, 1, *N)."""
+    axes, free = scene.minimum_spin_axes, ~scene.lattice.is_driven
+    bottom, top = scene.driven_values(axes)
+    share = rng.uniform(0, 1, (len(axes), int(free.sum())))
+    own = share * ((top - bottom) / scene.jump)[:, None]
+    staggered = np.zeros((len(axes), 1, *scene.lattice.shape))
+    for slot in range(len(axes)):
+        staggered[slot, 0, free] = bottom[slot] + own[slot] * scene.jump
+    return own.ravel(), scene.impose_driving(staggered, axes)
+
+
+@pytest.mark.parametrize(("shape", "driving"), SHAPES_AND_DRIVINGS)
+def test_rows_are_the_differences_of_the_scene(shape, driving):
+    scene = make_scene(shape, **driving)
+    own, staggered = random_spins(scene, np.random.default_rng(7))
+    rows = build_differences(scene)
+    found = rows.matrix @ own + rows.offset
+    true = contact_differences(staggered, scene.lattice, scene.minimum_spin_axes)
+    wanted = [true[axis][part, 0][~scene.lattice.between_driven(axis)] for axis, part in rows.blocks]
+    assert found * scene.jump == pytest.approx(np.concatenate(wanted), abs=1e-14)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize(("shape", "driving"), SHAPES_AND_DRIVINGS)
+def test_the_objective_is_the_power_and_the_spins_come_back(shape, driving, law):
+    """With every auxiliary unknown at its best, the objective is the power over F_n R jump, or over (R jump)^2."""
+    scene = make_scene(shape, law, **driving)
+    own, staggered = random_spins(scene, np.random.default_rng(8))
+    rows = build_differences(scene)
+    d = rows.matrix @ own + rows.offset
+    if law == "coulomb":
+        vectors = d[rows.scalars :].reshape(2, -1)
+        x = np.concatenate([own, np.abs(d[: rows.scalars]), np.hypot(*vectors)])
+        unit = scene.normal_force * scene.lattice.radius * scene.jump
+    else:
+        x, unit = np.concatenate([own, d]), (scene.lattice.radius * scene.jump) ** 2
+    programme = conic_programme(scene)
+    objective = x @ (programme.quadratic @ x) / 2 + programme.linear @ x
+    assert unit * objective == pytest.approx(scene.power(staggered, scene.minimum_spin_axes)[0], rel=1e-12)
+    assert programme.spins(x) == pytest.approx(staggered, abs=1e-14)
+    slack = programme.offset - programme.matrix @ x
+    assert slack[: programme.equalities] == pytest.approx(0, abs=1e-14)
+    assert slack[programme.equalities : programme.equalities + programme.inequalities].min(initial=0) > -1e-14
+    t, d1, d2 = slack[programme.equalities + programme.inequalities :].reshape(-1, 3).T
+    assert t == pytest.approx(np.hypot(d1, d2), abs=1e-14)
+
+
+def test_spins_that_are_not_finite_or_outside_become_allowed_ones():
+    scene = make_scene((3, 4, 5), spin_bottom=-0.4)
+    programme = conic_programme(scene)
+    spins = programme.spins(np.resize([np.nan, 1e9, -1e9], programme.linear.shape))
+    for values, bottom, top in zip(spins, *scene.driven_values(scene.minimum_spin_axes), strict=True):
+        assert (values >= bottom).all()
+        assert (values <= top).all()
+        assert (values[..., -1] == top).all()
+
+
+@pytest.mark.parametrize("entry", minima((10, 10)), ids=name_of)
+def test_discs_are_a_linear_programme(entry):
+    """HiGHS reads the same matrices: its multipliers prove its power, and that is the exact minimum."""
+    from taichi_bearings.proof.certificate import lower_bound
+
+    scene = scene_of(entry)
+    programme = conic_programme(scene)
+    answer = linprog(programme.linear, programme.matrix, programme.offset, bounds=(None, None), method="highs")
+    power = scene.power(programme.spins(answer.x), (2,))[0]
+    bound = lower_bound(scene, programme.forces(-answer.ineqlin.marginals), (2,))[0]
+    assert power == pytest.approx(entry["power_minimum"], rel=1e-10)
+    assert bound == pytest.approx(entry["power_minimum"], rel=1e-10)
+
+
+def test_replicas_are_refused():
+    with pytest.raises(InputError, match="3 replicas"):
+        conic_programme(make_scene((3, 4), seeds=(1, 2, 3)))
+
+
+@pytest.mark.parametrize("name", ["clarabel", "scs"])
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize(
+    ("shape", "driving"), [((9, 7), {}), ((5, 5, 5), {}), ((4, 5, 6), {"direction": (1, -2, 3), "spin_bottom": -0.4})]
+)
+def test_spins_and_forces_of_a_peer_are_certified(name, law, shape, driving):
+    pytest.importorskip(name)
+    scene = make_scene(shape, law, **driving)
+    answer = Peer(name, "qdldl").solve(conic_programme(scene), 1e-9, 20.0, threads=1)
+    assert answer.done
+    assert 0 <= answer.power - answer.lower_bound <= 1e-7 * answer.power
+
+
+@pytest.mark.parametrize("name", ["clarabel", "scs"])
+@pytest.mark.parametrize("entry", minima((3, 3, 3), (5, 5, 5)), ids=name_of)
+def test_a_peer_finds_the_exact_minimum(name, entry):
+    pytest.importorskip(name)
+    answer = Peer(name, "qdldl").solve(conic_programme(scene_of(entry)), 1e-9, 20.0, threads=1)
+    assert answer.lower_bound <= entry["power_minimum"] * (1 + 1e-12)
+    assert entry["power_minimum"] * (1 - 1e-12) <= answer.power <= entry["power_minimum"] * (1 + 1e-7)
+
+
+def test_a_peer_says_when_the_time_is_up():
+    pytest.importorskip("clarabel")
+    answer = Peer("clarabel", "qdldl").solve(conic_programme(make_scene((12, 12, 12))), 1e-10, 0.02, threads=1)
+    assert not answer.done
+    assert answer.status == "time-limit"
+    assert answer.lower_bound <= answer.power
+
+
+def test_peers_that_do_not_work_here_are_named(monkeypatch):
+    monkeypatch.setattr("taichi_bearings.benchmarks.peers.find_spec", lambda name: None)
+    here, missing = find_peers()
+    assert here == []
+    assert set(missing) == {"clarabel", "scs"}
+
+
+def test_a_linear_solver_without_its_library_is_left_out(monkeypatch):
+    pytest.importorskip("clarabel")
+    monkeypatch.setattr("taichi_bearings.benchmarks.peers.LINEAR_SOLVERS", {"clarabel": ("qdldl", "abacus")})
+    here, missing = find_peers()
+    assert here == [Peer("clarabel", "qdldl")]
+    assert "abacus" in missing["clarabel abacus"] or "direct_solve_method" in missing["clarabel abacus"]

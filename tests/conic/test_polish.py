@@ -1,0 +1,83 @@
+"""Pairs of doubles, and minima whose torques balance to thirty digits."""
+
+from decimal import Decimal
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from taichi_bearings.conic.contraction import Contraction, Contradiction
+from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, square_root, subtract
+from tests.verifier.laboratory import Laboratory, dot
+from tests.verifier.test_bounds import samples_of, solved
+
+
+def exact(pair, i):
+    return Fraction(pair[0][i].item()) + Fraction(pair[1][i].item())
+
+
+@pytest.mark.parametrize("name", ["add", "subtract", "multiply", "divide"])
+def test_arithmetic_of_pairs_is_good_to_a_hundred_bits(name):
+    rng = np.random.default_rng(2)
+    high = rng.standard_normal((2, 300)) * 10.0 ** rng.integers(-20, 20, (2, 300))
+    first, second = ((h, h * 2.0**-54 * rng.uniform(-1, 1, 300)) for h in high)
+    pairs = {"add": add, "subtract": subtract, "multiply": multiply, "divide": divide}
+    numbers = {
+        "add": lambda a, b: a + b, "subtract": lambda a, b: a - b, "multiply": lambda a, b: a * b,
+        "divide": lambda a, b: a / b,
+    }  # fmt: skip
+    result = pairs[name](first, second)
+    for i in range(300):
+        true = numbers[name](exact(first, i), exact(second, i))
+        assert abs(exact(result, i) - true) <= abs(true) * Fraction(1, 2**100)
+
+
+def test_roots_of_pairs_are_good_to_a_hundred_bits():
+    values = exactly(np.random.default_rng(3).uniform(1e-9, 1e9, 200))
+    root = square_root(values)
+    for i in range(200):
+        assert abs(exact(root, i) ** 2 - exact(values, i)) <= exact(values, i) * Fraction(1, 2**99)
+
+
+@pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+@pytest.mark.parametrize("seed", [1, 6])
+def test_slipping_contacts_leave_no_torque_on_any_domain(seed):
+    """mu F_n along the slip of Eq. 2, in 80 digits and the laboratory frame, summed over what moves as one."""
+    solution = solved((4, 3, 5), {"seeds": (seed,)}, "interior-point")
+    assert solution.resolved[0]
+    laboratory = Laboratory(samples_of(solution))
+    for component in (0, 1):
+        label = {site: site for site in laboratory.spin}
+
+        def root(site, label=label):
+            while label[site] != site:
+                site = label[site]
+            return site
+
+        pull = dict.fromkeys(laboratory.spin, Decimal(0))
+        for lower, upper, n, coefficient, _ in laboratory.contacts():
+            turn = tuple(a + b for a, b in zip(laboratory.spin[lower], laboratory.spin[upper], strict=True))
+            across = tuple(part for part, along in zip(turn, n, strict=True) if along == 0)
+            size = dot(across, across).sqrt()
+            if n[component] != 0:
+                continue
+            if size < Decimal("1e-25"):
+                label[root(lower)] = root(upper)
+            else:
+                for site in (lower, upper):
+                    pull[site] += coefficient * turn[component] / size
+        total = {}
+        for site, value in pull.items():
+            total[root(site)] = total.get(root(site), Decimal(0)) + laboratory.parity(site) * value
+        driven = {root(site) for site in laboratory.spin if laboratory.is_driven(site)}
+        free = [abs(value) for domain, value in total.items() if domain not in driven]
+        assert all(value < Decimal("1e-26") for value in free)
+
+
+def test_contacts_that_join_both_planes_cannot_all_be_tied():
+    from tests.conic.test_slipless_forces import BOTTOM, TOP, chain
+
+    system, parts = chain((BOTTOM, 0, 0.0), (0, TOP, 1.0))
+    Contraction(system, parts, [np.array([True, False])])
+    with pytest.raises(Contradiction):
+        Contraction(system, parts, [np.array([True, True])])

@@ -1,0 +1,145 @@
+"""What slipless contacts can bear, and what moves if they cannot: by hand, and in samples with slips below 1e-12."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
+from taichi_bearings.conic.motion import Motion, largest_parts
+from taichi_bearings.conic.slipless_forces import bear
+from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.numerics.cholesky import Part
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.interior_point import InteriorPoint
+from taichi_bearings.solvers.stopping import StopRule
+from tests.scenes import make_scene
+
+pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+BOTTOM = TOP = -1
+
+
+def chain(*contacts, unknowns=1):
+    """Contacts (below, above, slip at rest) with one component each, over `unknowns` spins."""
+    below, above, slip = np.array(contacts).T
+    ends = below.astype(int)[None], above.astype(int)[None]
+    group = ContactGroup(0, np.arange(len(contacts)), *ends, slip[None], unknowns)
+    return ContactSystem(unknowns, (group,)), [Part(np.arange(unknowns), ())]
+
+
+def pulled(friction, slip=1.0):
+    """One sphere that two contacts hold to the bottom, while the third slips under the top."""
+    system, parts = chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, slip))
+    mu, slipping = np.array(friction), np.array([False, False, True])
+    dual = np.where(slipping, -mu, np.nan)[None]  # that of slipless contacts is not looked at
+    return system, parts, mu, dual, slipping
+
+
+@pytest.mark.parametrize("friction", [(0.4, 0.3, 0.5), (0.3, 0.2001, 0.5)], ids=["easily", "barely"])
+def test_two_contacts_bear_what_a_third_pulls(friction):
+    system, parts, mu, dual, slipping = pulled(friction)
+    (found,) = bear(system, parts, [mu], [dual], [slipping])
+    assert system.torques([found]) == pytest.approx([0.0], abs=1e-11)
+    assert (np.abs(found[0, :2]) < mu[:2]).all()
+    assert found[0, 2] == -mu[2]
+
+
+def test_two_contacts_too_weak_for_it_slip():
+    system, parts, mu, dual, slipping = pulled((0.25, 0.24, 0.5))
+    motion = bear(system, parts, [mu], [dual], [slipping])
+    assert isinstance(motion, Motion)
+    assert motion.spins[0] > 0  # after the top, as the third contact pulls
+    assert [m.tolist() for m in motion.slipping] == [[True, True, False]]
+
+
+@pytest.mark.parametrize("excess", [0.0, -1e-12, -1e-10, 1e-12], ids=str)
+def test_contacts_at_their_limit_are_no_proof(excess):
+    system, parts, mu, dual, slipping = pulled((0.3, 0.2 + excess, 0.5))
+    assert not isinstance(bear(system, parts, [mu], [dual], [slipping]), list)
+
+
+def test_a_free_domain_turns_as_a_whole_at_no_cost():
+    """Two spheres tied to each other, both dragged: up by the top, down by the bottom, with the same friction."""
+    system, parts = chain((BOTTOM, 0, 0.5), (0, 1, 0.0), (1, TOP, 0.5), unknowns=2)
+    mu, slipping = np.array([0.4, 0.5, 0.4]), np.array([True, False, True])
+    dual = np.where(slipping, -mu, 0.0)[None]
+    (found,) = bear(system, parts, [mu], [dual], [slipping])
+    assert found[0] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-10)
+    motion = bear(system, parts, [np.array([0.4, 0.3, 0.4])], [dual], [slipping])
+    assert [m.tolist() for m in motion.slipping] == [[False, True, False]]
+
+
+def test_a_motion_leads_to_the_least_power_part_by_part_and_small_parts_wait():
+    """Spheres that no contact joins, each dragged by the top until that contact no longer slips; the last one rests."""
+    system, _ = chain(
+        (BOTTOM, 0, 0.0), (0, TOP, 1e-3), (BOTTOM, 1, 0.0), (1, TOP, 1e-9), (BOTTOM, 2, 0.0), (2, TOP, 1.0), unknowns=3
+    )
+    friction = [np.array([0.2, 0.5, 0.1, 0.5, 0.4, 0.3])]
+    slipless = np.array([True, False, True, False, False, False])
+    motion = Motion(np.array([0.3, 0.7, 0.0]), [slipless])
+    difference = [g.differences(np.zeros(3)) for g in system.groups]
+    both, reach = largest_parts(motion, system, friction, difference, share=1e-12)
+    assert both.spins == pytest.approx([1e-3, 1e-9, 0.0], rel=0.02)
+    assert reach == pytest.approx(1e-3, rel=0.02)
+    largest, reach = largest_parts(motion, system, friction, difference, share=1e-3)
+    assert largest.spins == pytest.approx([1e-3, 0.0, 0.0], rel=0.02)
+    assert largest.slipping[0].tolist() == [True, False, False, False, False, False]
+
+
+def test_a_motion_that_gains_nothing_goes_nowhere():
+    system, _ = chain((BOTTOM, 0, 0.0), (0, TOP, 1e-3))
+    motion = Motion(np.array([1.0]), [np.array([True, False])])
+    moved, reach = largest_parts(motion, system, [np.array([0.5, 0.4])], [np.array([[0.0, 1e-3]])], share=1e-3)
+    assert (moved.spins[0], reach) == (0.0, 0.0)
+
+
+def minimum_of(scene, start="linear"):
+    return solve(scene, InteriorPoint(), initial_spin(scene, start), StopRule(1e-10))
+
+
+HARD = [  # shape, seed, slipping contacts, order of the smallest slip: where the end of the central path tells wrongly
+    ((12, 12, 12), 29, 1751, 1e-13),
+    pytest.param((16, 16, 16), 1, 2992, 1e-11, marks=pytest.mark.slow),
+    pytest.param((16, 16, 16), 4, 4143, 1e-14, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("shape", "seed", "slipping", "smallest"), HARD)
+def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, seed, slipping, smallest):
+    scene = make_scene(shape, seeds=(seed,))
+    one, other = minimum_of(scene), minimum_of(scene, "random")
+    assert one.resolved[0]
+    assert other.resolved[0]
+    slips = np.concatenate([v[s == ContactState.SLIPPING] for v, s in zip(one.slip, one.state, strict=True)])
+    assert len(slips) == slipping
+    assert slips.min() < smallest * scene.lattice.radius
+    for a, b, u, v in zip(one.state, other.state, one.slip, other.slip, strict=True):
+        assert (a == b).all()
+        assert u == pytest.approx(v, rel=1e-3, abs=1e-14)
+
+
+def test_a_threshold_that_changes_states_leaves_none_proven():
+    scene = make_scene((6, 6, 6), seeds=(1, 2))
+    start, stop = initial_spin(scene, "linear"), StopRule(1e-10)
+    assert solve(scene, InteriorPoint(), start, stop, slip_threshold=0.0).resolved.all()
+    assert not solve(scene, InteriorPoint(), start, stop, slip_threshold=0.05).resolved.any()
+
+
+def test_proven_states_obey_the_law_of_friction_at_every_contact():
+    """In the staggered frame, by hand: slipping contacts oppose their slip with mu F_n, others hold with less."""
+    scene = make_scene((12, 12, 12), seeds=(29,))
+    method = InteriorPoint()
+    solution = solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10))
+    progress = method.progress()
+    differences = contact_differences(progress.staggered, scene.lattice, progress.spin_axes)
+    for axis, (force, difference, state) in enumerate(zip(progress.force, differences, solution.state, strict=True)):
+        limit = scene.normal_force * scene.coefficient[axis]
+        slipping, slipless = state == ContactState.SLIPPING, state == ContactState.SLIPLESS
+        size = np.sqrt((force**2).sum(axis=0))
+        assert size[slipping] == pytest.approx(limit[slipping], rel=1e-9)
+        assert (size[slipless] < limit[slipless] * (1 - 1e-9)).all()
+        fast = slipping & (solution.slip[axis] > 1e-9)  # slower ones are lost in the rounding of the spins
+        along = (force * difference).sum(axis=0)[fast]
+        assert np.abs(along) == pytest.approx(size[fast] * np.sqrt((difference**2).sum(axis=0))[fast], rel=1e-6)
+        assert (np.sign(along) == np.sign(along[0])).all()
+    assert progress.unbalanced_torque[0] < 1e-10 * scene.normal_force

@@ -1,0 +1,132 @@
+"""The lattice factorisation against SciPy's sparse solver, on every kind of lattice and component."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from taichi_bearings.conic.contact_system import free_shape, lattice_system, stacked
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, dissect
+from tests.scenes import make_scene
+
+SCENES = {
+    "two components": {"shape": (6, 7, 8)},
+    "one component": {"shape": (4, 9, 6), "direction": (0, 1, 0)},
+    "two dimensions": {"shape": (13, 9)},
+    "height of three": {"shape": (9, 8, 3)},
+    "two wide": {"shape": (2, 2, 12)},
+    "a single sphere high and two wide": {"shape": (2, 3, 3)},
+}
+
+
+def system_of(scene):
+    return lattice_system(
+        scene.lattice, scene.minimum_spin_axes, scene.driven_values(scene.minimum_spin_axes)[1] / scene.jump
+    )
+
+
+def random_stiffness(system, rng):
+    """Symmetric positive definite (d, d, n) a group, over six decades."""
+    stiffness = []
+    for group in system.groups:
+        d, n = group.below.shape
+        root = rng.standard_normal((d, d, n))
+        stiffness.append(np.einsum("ikn,jkn->ijn", root, root) * 10 ** rng.uniform(-3, 3, n))
+    return stiffness
+
+
+def assembled(system, stiffness):
+    """The same Laplacian by sparse products, D^T K D."""
+    total = sparse.csr_matrix((system.unknowns,) * 2)
+    for group, k in zip(system.groups, stiffness, strict=True):
+        blocks = [[sparse.diags(k[i, j]) for j in range(len(k))] for i in range(len(k))]
+        total = total + group.operator.T @ sparse.bmat(blocks) @ group.operator
+    return total.tocsc()
+
+
+@pytest.mark.parametrize("leaf", [3, 40, 10_000])
+@pytest.mark.parametrize("options", SCENES.values(), ids=SCENES)
+def test_solutions_equal_those_of_scipy(options, leaf):
+    rng = np.random.default_rng(8)
+    scene = make_scene(**options)
+    system = system_of(scene)
+    stiffness = random_stiffness(system, rng)
+    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), scene.minimum_spin_axes, leaf))
+    matrix.factorise(stiffness)
+    right = rng.standard_normal(system.unknowns)
+    expected = spsolve(assembled(system, stiffness), right)
+    assert matrix.solve(right) == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
+
+
+@pytest.mark.parametrize("shape", [(5, 6, 7), (2, 3, 3), (2, 2, 9)])
+def test_three_components_with_a_spring_at_every_spin(shape):
+    """Contacts do not hold the mean about the height of a layer; the springs do."""
+    rng = np.random.default_rng(2)
+    scene = make_scene(shape)
+    system = lattice_system(scene.lattice, (0, 1, 2), np.ones(3))
+    stiffness = random_stiffness(system, rng)
+    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), (0, 1, 2), 30))
+    matrix.factorise(stiffness, 0.3)
+    right = rng.standard_normal(system.unknowns)
+    expected = spsolve(assembled(system, stiffness) + 0.3 * sparse.identity(system.unknowns, format="csc"), right)
+    assert matrix.solve(right) == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
+
+
+def test_a_second_factorisation_leaves_nothing_of_the_first():
+    rng = np.random.default_rng(3)
+    scene = make_scene((5, 6, 7))
+    system = system_of(scene)
+    parts = dissect(free_shape(scene.lattice), scene.minimum_spin_axes, 30)
+    first, second = random_stiffness(system, rng), random_stiffness(system, rng)
+    right = rng.standard_normal(system.unknowns)
+    used, fresh = NewtonMatrix(system, parts), NewtonMatrix(system, parts)
+    used.factorise(first)
+    used.solve(right)
+    used.factorise(second)
+    fresh.factorise(second)
+    assert (used.solve(right) == fresh.solve(right)).all()
+
+
+def test_every_unknown_is_eliminated_once_and_separators_separate():
+    scene = make_scene((7, 6, 8))
+    system = system_of(scene)
+    parts = dissect(free_shape(scene.lattice), scene.minimum_spin_axes, 20)
+    assert sorted(np.concatenate([part.unknowns for part in parts])) == list(range(system.unknowns))
+    owner = np.empty(system.unknowns, dtype=int)
+    ancestors = {}
+    for number, part in enumerate(parts):
+        owner[part.unknowns] = number
+    parent = {child: number for number, part in enumerate(parts) for child in part.children}
+    for number in range(len(parts)):
+        chain, at = {number}, number
+        while at in parent:
+            at = parent[at]
+            chain.add(at)
+        ancestors[number] = chain
+    for a, b in zip(*(owner[ends] for ends in system.couplings()), strict=True):
+        assert a in ancestors[b] or b in ancestors[a]
+
+
+def test_the_middle_plane_separates_with_one_component_alone():
+    """Contacts along y do not feel the component along y: half an ordinary separator."""
+    root = dissect((32, 32, 30), (0, 1))[-1]
+    assert len(root.unknowns) == 32 * 30
+
+
+def test_an_indefinite_matrix_is_refused():
+    scene = make_scene((4, 4, 5))
+    system = system_of(scene)
+    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), scene.minimum_spin_axes))
+    with pytest.raises(NotPositiveDefinite):
+        matrix.factorise([-k for k in random_stiffness(system, np.random.default_rng(0))])
+
+
+def test_stacked_stiffnesses_reach_the_entries_they_belong_to():
+    scene = make_scene((3, 4, 5))
+    system = system_of(scene)
+    stiffness = random_stiffness(system, np.random.default_rng(5))
+    pattern = Cholesky(dissect(free_shape(scene.lattice), (0, 1), 10), *system.couplings()).pattern
+    values = system.laplacian_map(pattern.entry, len(pattern.row)) @ stacked(stiffness)
+    expected = assembled(system, stiffness)
+    assert values == pytest.approx(np.asarray(expected[pattern.order[pattern.row], pattern.order[pattern.column]])[0])

@@ -1,0 +1,261 @@
+"""Minimum cuts of lattices against all sides of tiny ones, planar grids and linear programmes; ties; the next cut."""
+
+import sys
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+from scipy.optimize import linprog
+from scipy.sparse import coo_array, hstack, identity, vstack
+
+from taichi_bearings.numerics import minimum_cut as module
+from taichi_bearings.numerics.minimum_cut import (
+    flow_cut,
+    jump_weights,
+    largest_flow,
+    minimum_cut,
+    next_cut,
+    weight_of_cut,
+)
+from tests.kernels.twins import neighbours
+from tests.scenes import make_scene
+
+
+@pytest.fixture(params=["ortools", "scipy"])
+def flows(request, monkeypatch):
+    """Either way to find a largest flow."""
+    if request.param == "ortools":
+        pytest.importorskip("ortools")
+    monkeypatch.setattr(module, "flow_finder", lambda: getattr(module, f"flow_by_{request.param}"))
+
+
+def random_weights(shape, seed, replicas=2, decades=1.0):
+    rng = np.random.default_rng(seed)
+    return tuple(
+        10.0 ** rng.uniform(-decades, 0, (replicas, *(n - (a == axis) for a, n in enumerate(shape))))
+        for axis in range(len(shape))
+    )
+
+
+def contacts_of(weight, replica=0):
+    """(lower site, upper site, weight) one by one, as the twins of the kernels list them."""
+    shape = (*weight[-1].shape[1:-1], weight[-1].shape[-1] + 1)
+    return [(low, high, float(weight[axis][replica][low])) for low, high, axis in neighbours(shape)]
+
+
+def all_sides(weight, replica):
+    """(sides, weight) of every choice of sides."""
+    *sides, gaps = weight[-1].shape[1:]
+    contacts = contacts_of(weight, replica)
+    for choice in product([False, True], repeat=int(np.prod(sides)) * (gaps - 1)):
+        above = np.zeros((*sides, gaps + 1), dtype=bool)
+        above[..., -1] = True
+        above[..., 1:-1] = np.reshape(choice, (*sides, gaps - 1))
+        yield above, sum(w for low, high, w in contacts if above[low] != above[high])
+
+
+def least_of_all_sides(weight, replica):
+    """Weight of the lightest of all choices of sides, by counting."""
+    return min(found for _, found in all_sides(weight, replica))
+
+
+def in_one_piece(side):
+    """True if the spheres of this side hang together; the driven plane is in it."""
+    return label(side)[1] == 1
+
+
+def without(weight, axis):
+    return tuple(np.zeros_like(values) if a == axis else values for a, values in enumerate(weight))
+
+
+@pytest.mark.parametrize("decades", [1.0, 5.0])
+@pytest.mark.parametrize("idle", [None, 0, 1, 2])
+@pytest.mark.parametrize("shape", [(2, 2, 4), (3, 2, 3)], ids=str)
+def test_no_choice_of_sides_is_lighter(shape, idle, decades, flows):
+    weight = without(random_weights(shape, 17, decades=decades), idle)
+    cut = minimum_cut(weight)
+    for replica in range(2):
+        expected = least_of_all_sides(weight, replica)
+        assert cut.weight[replica] == pytest.approx(expected, rel=1e-13, abs=1e-300)
+        assert expected * (1 - 1e-13) <= cut.lower_bound[replica] <= expected * (1 + 1e-15)
+    assert not cut.above[..., 0].any()
+    assert cut.above[..., -1].all()
+
+
+def test_small_whole_numbers_tie_and_leave_no_gap(flows):
+    rng = np.random.default_rng(3)
+    weight = tuple(rng.integers(0, 3, values.shape).astype(float) for values in random_weights((2, 2, 4), 0, 8))
+    cut = minimum_cut(weight)
+    assert (cut.weight == [least_of_all_sides(weight, replica) for replica in range(8)]).all()
+    assert (cut.lower_bound == cut.weight).all()
+
+
+@pytest.mark.parametrize("shape", [(9, 8), (2, 3), (4, 30)], ids=str)
+def test_a_flow_and_a_path_of_the_dual_graph_find_the_same_planar_cut(shape, flows):
+    weight = random_weights(shape, 5, decades=3.0)
+    path, flow = minimum_cut(weight), flow_cut(weight)
+    assert (path.above == flow.above).all()
+    assert path.unique.all()
+    assert flow.unique.all()
+    assert flow.lower_bound == pytest.approx(path.lower_bound, rel=1e-13)
+
+
+@pytest.mark.parametrize("decades", [1.0, 6.0])
+def test_the_weight_is_that_of_a_linear_programme(decades, flows):
+    """Potentials between 0 and 1 with the least weighted sum of |differences|: shares no code and no algorithm."""
+    shape = (5, 4, 6)
+    weight = random_weights(shape, 8, replicas=1, decades=decades)
+    contacts = contacts_of(weight)
+    rows = np.arange(len(contacts))
+    ends = [np.ravel_multi_index(list(zip(*(c[end] for c in contacts), strict=True)), shape) for end in (0, 1)]
+    sign, places = np.repeat([-1.0, 1.0], len(rows)), (np.tile(rows, 2), np.concatenate(ends))
+    difference = coo_array((sign, places), shape=(len(rows), int(np.prod(shape))))
+    above = vstack([hstack([s * difference, -identity(len(rows))]) for s in (1, -1)]).tocsr()
+    fixed = {0: (0, 0), shape[-1] - 1: (1, 1)}
+    limits = [fixed.get(site[-1], (0, 1)) for site in np.ndindex(*shape)] + [(0, None)] * len(rows)
+    cost = np.concatenate([np.zeros(int(np.prod(shape))), [c[2] for c in contacts]])
+    found = linprog(cost, A_ub=above, b_ub=np.zeros(above.shape[0]), bounds=limits)
+    assert minimum_cut(weight).weight[0] == pytest.approx(found.fun, rel=1e-7)
+
+
+@pytest.mark.parametrize("bits", [12, 20])
+def test_rounds_of_few_bits_end_at_the_same_cut(bits, monkeypatch):
+    weight = random_weights((5, 6, 7), 4, decades=2.0)
+    monkeypatch.setattr(module, "flow_finder", lambda: module.flow_by_scipy)
+    whole = minimum_cut(weight)
+    monkeypatch.setattr(module, "BITS", bits)
+    parts = minimum_cut(weight)
+    assert (parts.above == whole.above).all()
+    assert (parts.lower_bound == whole.lower_bound).all()
+
+
+def test_the_bound_leaves_no_more_than_a_unit_a_contact(flows):
+    cut = minimum_cut(random_weights((12, 11, 10), 6))
+    assert (cut.lower_bound <= cut.weight).all()
+    assert (cut.weight - cut.lower_bound <= 1e-13 * cut.weight).all()
+
+
+def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):
+    rng = np.random.default_rng(12)
+    ends = np.array([(low, high) for low in range(40) for high in range(low + 1, 40) if rng.random() < 0.2]).T
+    capacity = rng.integers(0, 2**50, ends.shape[1])
+    at_most = int(capacity[(ends == 0).any(axis=0)].sum())
+    flow = largest_flow(ends, capacity, at_most)
+    assert (np.abs(flow) <= capacity).all()
+    out = np.zeros(40, dtype=np.int64)
+    np.add.at(out, ends[0], flow)
+    np.add.at(out, ends[1], -flow)
+    assert not out[1:-1].any()
+    below = module._reached(ends, np.stack([capacity - flow, capacity + flow]), 0)
+    assert capacity[below[ends[0]] != below[ends[1]]].sum() == out[0] == -out[-1]
+
+
+def test_scipy_serves_where_ortools_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ortools", None)
+    monkeypatch.setitem(sys.modules, "ortools.graph.python.max_flow", None)
+    assert module.flow_finder() is module.flow_by_scipy
+
+
+def test_one_light_layer_between_heavy_ones(flows):
+    """The capacities around a driven plane add up to 2^64 here."""
+    heavy = tuple(np.full(values.shape, 1e6) for values in random_weights((46, 46, 4), 0, 1))
+    heavy[2][..., 1] = 1.0
+    cut = minimum_cut(heavy)
+    assert cut.weight == cut.lower_bound == 46 * 46
+    assert cut.unique
+
+
+@pytest.mark.parametrize("idle", [None, 0])
+def test_layers_that_weigh_the_same_tie(idle, flows):
+    """Equal weights: the cuts are the levels, so all that is free lies between the lowest and the highest one."""
+    weight = without(tuple(np.full(values.shape, 0.7) for values in random_weights((3, 4, 5), 0)), idle)
+    cut = minimum_cut(weight)
+    assert cut.weight == pytest.approx(0.7 * 12, rel=1e-15)
+    assert not cut.unique.any()
+    assert cut.between[..., 1:-1].all()
+    assert not cut.between[..., [0, -1]].any()
+    assert next_cut(weight, cut)[1] == pytest.approx(cut.weight, rel=1e-15)
+
+
+@pytest.mark.parametrize("idle", [None, 1])
+def test_two_equal_levels_enclose_what_lies_between(idle, flows):
+    weight = tuple(values + 1 for values in random_weights((3, 4, 7), 2))
+    weight[2][:, :, :, [1, 4]] = 0.01
+    weight = without(weight, idle)
+    cut = minimum_cut(weight)
+    assert (cut.between == (np.arange(7) >= 2) & (np.arange(7) <= 4)).all()
+    weight[2][1, :, :, 4] *= 1.001
+    again = minimum_cut(weight)
+    assert (again.unique == [False, True]).all()
+    assert (again.above[1] == (np.arange(7) >= 2)).all()
+    rows = 3 if idle == 1 else 12  # the upper level's contacts of one plane; where planes are joined, of all
+    assert next_cut(weight, again)[1][1] - again.weight[1] == pytest.approx(rows * 1e-5, rel=1e-9)
+
+
+def test_flat_ties_leave_a_strip_between():
+    weight = (np.ones((2, 5, 7)), np.ones((2, 6, 6)))
+    weight[1][:, :, [1, 4]] = 0.25
+    weight[1][1, 2, 4] = 0.2
+    cut = minimum_cut(weight)
+    assert (cut.unique == [False, True]).all()
+    assert (cut.between[0] == (np.arange(7) >= 2) & (np.arange(7) <= 4)).all()
+    assert not cut.between[1].any()
+    assert cut.next_weight[1] - cut.weight[1] == pytest.approx(0.05, rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 4), (3, 2, 3), (3, 4)], ids=str)
+def test_what_lies_between_ties_is_what_their_sides_differ_in(shape):
+    """Small whole numbers tie often; none is 0, so that no contact is in a cut for nothing."""
+    rng, ties = np.random.default_rng(6), 0
+    weight = tuple(rng.integers(1, 3, values.shape).astype(float) for values in random_weights(shape, 0, 12))
+    cut = minimum_cut(weight)
+    for replica in range(12):
+        lightest = [above for above, found in all_sides(weight, replica) if found == cut.weight[replica]]
+        differ = np.any(lightest, axis=0) & ~np.all(lightest, axis=0)
+        assert (cut.between[replica] == differ).all()
+        assert cut.unique[replica] == (len(lightest) == 1)
+        ties += len(lightest) > 1
+    assert 0 < ties < 12
+
+
+@pytest.mark.parametrize(("shape", "idle"), [((3, 4), None), *product([(2, 2, 4), (3, 2, 3)], [None, 0, 1])], ids=str)
+def test_the_next_cut_is_the_second_of_all_choices_in_one_piece(shape, idle):
+    weight = without(random_weights(shape, 9), idle)
+    above, following = next_cut(weight, minimum_cut(weight))
+    assert (weight_of_cut(above, weight) == following).all()
+    for replica in range(2):
+        if idle is None:  # else planes are apart, and a side is a piece in each
+            sides = [w for a, w in all_sides(weight, replica) if in_one_piece(a) and in_one_piece(~a)]
+        else:
+            sides = [w for a, w in all_sides(weight, replica) if _stacked_in_one_piece(a, idle)]
+        assert following[replica] == pytest.approx(sorted(sides)[1], rel=1e-13)
+
+
+def _stacked_in_one_piece(above, idle):
+    planes = np.moveaxis(above, idle, 0)
+    return all(in_one_piece(plane) and in_one_piece(~plane) for plane in planes)
+
+
+def test_paths_and_flows_agree_on_the_next_cut():
+    weight = random_weights((5, 6), 31)
+    expected = minimum_cut(weight).next_weight
+    assert next_cut(weight, minimum_cut(weight))[1] == pytest.approx(expected, rel=1e-13)
+    box = tuple(np.stack([values] * 2, axis=1) for values in weight)  # two equal grids, joined too firmly to part
+    joined = (np.full((2, 1, 5, 6), 50.0), *box)
+    assert minimum_cut(joined).weight == pytest.approx(2 * minimum_cut(weight).weight, rel=1e-13)
+    assert next_cut(joined, minimum_cut(joined))[1] == pytest.approx(2 * expected, rel=1e-13)
+
+
+def test_weights_of_a_jump():
+    scene = make_scene((2, 3, 4))
+    for exponent in (1, 2):
+        weights = jump_weights(scene.coefficient, scene.axis_vector, exponent)
+        for axis, across in enumerate((0.5**0.5, 0.5**0.5, 1.0)):
+            assert weights[axis] == pytest.approx(scene.coefficient[axis] * across**exponent, rel=1e-15)
+    about_x = jump_weights(scene.coefficient, np.array([1.0, 0.0, 0.0]))
+    assert not about_x[0].any()
+    assert (about_x[1] == scene.coefficient[1]).all()
+    flat = make_scene((3, 4))
+    for ours, theirs in zip(jump_weights(flat.coefficient, flat.axis_vector), flat.coefficient, strict=True):
+        assert (ours == theirs).all()

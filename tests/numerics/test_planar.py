@@ -1,0 +1,231 @@
+"""Minimum cuts of planar grids against counting all of them, and against scipy's maximum flow; ties, exactly."""
+
+from fractions import Fraction
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import maximum_flow
+
+from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.numerics.planar import cuts as module
+
+
+def cuts_of(sideways, upward):
+    """The cuts of all bundles as one."""
+    parts = [cuts for _, cuts in minimum_cuts(sideways, upward)]
+    fields = MinimumCuts.__dataclass_fields__
+    return MinimumCuts(*(np.concatenate([getattr(cuts, name) for cuts in parts]) for name in fields))
+
+
+def random_weights(columns, rows, seed, batch=1, decades=1.0):
+    rng = np.random.default_rng(seed)
+    shapes = (batch, columns - 1, rows), (batch, columns, rows - 1)
+    sideways, upward = (10.0 ** rng.uniform(-decades, 0, shape) for shape in shapes)
+    sideways[..., 0] = sideways[..., -1] = 0
+    return sideways, upward
+
+
+def weight_of(above, sideways, upward):
+    """Weight of the interface of one grid, sides (w, h)."""
+    return sideways[np.diff(above, axis=0)].sum() + upward[np.diff(above, axis=1)].sum()
+
+
+def all_interfaces(sideways, upward):
+    """Weight and sides of every choice of sides that leaves both in one piece, lightest first."""
+    _, columns, gaps = upward.shape
+    found = []
+    for choice in product([False, True], repeat=columns * (gaps - 1)):
+        above = np.zeros((columns, gaps + 1), dtype=bool)
+        above[:, 1:-1] = np.reshape(choice, (columns, gaps - 1))
+        above[:, -1] = True
+        if label(above)[1] == label(~above)[1] == 1:
+            found.append((weight_of(above, sideways[0], upward[0]), above))
+    return sorted(found, key=lambda entry: entry[0])
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(("columns", "rows"), [(3, 4), (2, 6), (8, 3), (3, 5)])
+def test_least_and_next_weight_are_those_of_all_interfaces(columns, rows, seed):
+    sideways, upward = random_weights(columns, rows, seed, decades=2.0)
+    (least, above), (second, _), *_ = all_interfaces(sideways, upward)
+    cuts = cuts_of(sideways, upward)
+    assert cuts.weight[0] == pytest.approx(least, rel=1e-14)
+    assert cuts.next_weight[0] == pytest.approx(second, rel=1e-14)
+    assert cuts.unique[0]
+    assert (cuts.above[0] == above).all()
+
+
+@cache
+def interfaces(columns, rows):
+    """Sides (K, w, h) of all interfaces that leave either side in one piece, and the contacts (K, n) of each."""
+    even = np.ones((1, columns - 1, rows)), np.ones((1, columns, rows - 1))
+    sides = np.array([above for _, above in all_interfaces(*even)])
+    contacts = [np.diff(sides, axis=axis).reshape(len(sides), -1) for axis in (1, 2)]
+    return sides, np.concatenate(contacts, axis=1)
+
+
+def exact(sideways, upward):
+    """Weights (n,) of one grid as Python's whole numbers, in one unit."""
+    return np.array([int(Fraction(w) * 2**1074) for w in np.append(sideways, upward)], dtype=object)
+
+
+def check_against_all_interfaces(sideways, upward):
+    """Everything that is said of ties, grid by grid; returns how many grids have any."""
+    cuts = cuts_of(sideways, upward)
+    columns, gaps = upward.shape[1:]
+    sides, contacts = interfaces(columns, gaps + 1)
+    for n in range(len(upward)):
+        weights = contacts.astype(object) @ exact(sideways[n], upward[n])
+        lightest = weights == weights.min()
+        assert any((cuts.above[n] == above).all() for above in sides[lightest])
+        some, every = contacts[lightest].any(axis=0), contacts[lightest].all(axis=0)
+        tied = np.append(cuts.sideways_tied[n], cuts.upward_tied[n])
+        assert (tied == some & ~every).all()
+        assert cuts.tied[n] == tied.sum()
+        assert cuts.unique[n] == (lightest.sum() == 1)
+        assert (cuts.next_weight[n] > cuts.weight[n]) == cuts.unique[n]
+        second = float(Fraction(np.partition(weights, 1)[1], 2**1074))
+        assert cuts.next_weight[n] == pytest.approx(second, rel=1e-13)
+    return int((~cuts.unique).sum())
+
+
+NEAR_ONE = 1 + np.spacing(1.0) * np.arange(3)
+TIE_RICH = {
+    "whole": [1.0, 2.0, 3.0],
+    "dyadic": [0.5, 1.0],
+    "decimal": [0.1, 1.0],
+    "tenths": [0.1, 0.2, 0.3, 0.1 + 0.2],
+    "last digits": NEAR_ONE,
+    "five decades": [1e-5, 0.1, 0.1 + 1e-5, 0.2],
+    "lost digits": [1.0, 1e-17, 3e-17, 1e-34, 3e-34],
+    "far apart": [1.0, 2.0, 2.0**-60, 2.0**-59, 2.0**-120, 3 * 2.0**-120, 2.0**-400],
+}
+
+
+@pytest.mark.parametrize("values", TIE_RICH.values(), ids=TIE_RICH)
+@pytest.mark.parametrize(("columns", "rows"), [(2, 4), (3, 3), (3, 4), (4, 4), (5, 3)])
+def test_ties_are_those_of_all_interfaces_exactly(columns, rows, values):
+    rng = np.random.default_rng(29)
+    sideways, upward = (rng.choice(values, shape) for shape in ((60, columns - 1, rows), (60, columns, rows - 1)))
+    sideways[..., 0] = sideways[..., -1] = 0
+    assert check_against_all_interfaces(sideways, upward) > 0
+
+
+def level_cuts(*levels, sideways=1e3):
+    """The cut of a grid in which it does not pay to change the level; levels : weights (w,) from the bottom up."""
+    upward = np.stack(levels, axis=-1)[None]
+    return cuts_of(np.full((1, upward.shape[1] - 1, upward.shape[2] + 1), sideways), upward)
+
+
+def test_ten_tenths_are_more_than_one():
+    """In binary, 0.1 is a little more than a tenth: the other level weighs 1 exactly, and less."""
+    tenths, one = np.full(10, 0.1), np.array([*[1 / 16] * 9, 7 / 16])
+    assert sum(map(Fraction, tenths)) > sum(map(Fraction, one)) == 1
+    for levels, level in [((tenths, one), 1), ((one, tenths), 0)]:
+        cuts = level_cuts(*levels)
+        assert cuts.unique[0]
+        assert np.diff(cuts.above[0], axis=1)[:, level].all()
+        assert cuts.next_weight[0] > cuts.weight[0]
+
+
+@pytest.mark.parametrize("columns", [2_000, 20_000])
+def test_what_rounding_takes_from_many_contacts_decides_nothing(columns):
+    """Rounded to the unit, one level is lighter by half a unit a contact; with what rounding took, it is heavier."""
+    unit = 2.0 ** (int(columns).bit_length() - 52)
+    heavier, lighter = np.full(columns, 1 + 0.99 * unit), 1 + unit * (np.arange(columns) % 2)
+    assert sum(map(Fraction, heavier)) > sum(map(Fraction, lighter))
+    assert np.floor(heavier / unit).sum() < np.floor(lighter / unit).sum()
+    for levels, level in [((heavier, lighter), 1), ((lighter, heavier), 0)]:
+        cuts = level_cuts(*levels)
+        assert cuts.unique[0]
+        assert np.diff(cuts.above[0], axis=1)[:, level].all()
+
+
+def test_a_last_digit_among_many_decides():
+    rng = np.random.default_rng(31)
+    level = rng.uniform(0.1, 1.0, 20_000)
+    other, equal = rng.permutation(level), rng.permutation(level)
+    tie = level_cuts(level, other, equal)
+    assert not tie.unique[0]
+    assert tie.tied[0] == 3 * 20_000
+    assert tie.next_weight[0] == tie.weight[0]
+    level[777] = np.nextafter(level[777], 1)
+    two = level_cuts(level, other, equal)
+    assert two.upward_tied[0].all(axis=0).tolist() == [False, True, True]
+    assert two.tied[0] == 2 * 20_000
+    equal[778] = np.nextafter(equal[778], 0)
+    one = level_cuts(level, other, equal)
+    assert one.unique[0]
+    assert np.diff(one.above[0], axis=1)[:, 2].all()
+
+
+def test_a_tie_in_one_place_leaves_the_rest_of_the_cut_in_no_doubt():
+    rng = np.random.default_rng(37)
+    level, heavy = rng.uniform(0.1, 1.0, 5_000), np.full(5_000, 2.0)
+    heavy[4_000], level[4_000] = 0.25, 0.75
+    cuts = level_cuts(heavy, level, sideways=0.25)  # down, across and up again weigh as much as straight on
+    assert cuts.upward_tied[0].nonzero()[0].tolist() == [4_000, 4_000]
+    assert cuts.tied[0] == 4
+
+
+@pytest.mark.parametrize("weight", [0.3, 1.0])
+def test_without_disorder_every_level_cut_ties(weight):
+    cuts = cuts_of(weight * np.ones((1, 60, 80)), weight * np.ones((1, 61, 79)))
+    assert cuts.weight[0] == pytest.approx(61 * weight, rel=1e-13)
+    assert not cuts.unique[0]
+    assert cuts.upward_tied.all()
+    assert not cuts.sideways_tied.any()
+    assert cuts.next_weight[0] == cuts.weight[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_integer_weights_agree_with_maximum_flow(seed):
+    columns, rows = 12, 9
+    rng = np.random.default_rng(seed)
+    sideways = rng.integers(1, 1000, (1, columns - 1, rows))
+    upward = rng.integers(1, 1000, (1, columns, rows - 1))
+    node = np.arange(columns * rows).reshape(columns, rows)
+    node[:, 0], node[:, -1] = node[0, 0], node[0, -1]
+    first = np.concatenate([node[:-1, 1:-1].ravel(), node[:, :-1].ravel()])
+    second = np.concatenate([node[1:, 1:-1].ravel(), node[:, 1:].ravel()])
+    weight = np.concatenate([sideways[0, :, 1:-1].ravel(), upward[0].ravel()])
+    graph = coo_array(
+        (np.tile(weight, 2), (np.append(first, second), np.append(second, first))), shape=(node.size, node.size)
+    )
+    expected = maximum_flow(graph.astype(np.int32).tocsr(), node[0, 0], node[0, -1]).flow_value
+    cuts = cuts_of(sideways.astype(float), upward.astype(float))
+    assert cuts.weight[0] == expected
+    assert cuts.upward_flow[0, :, 0].sum() == expected
+
+
+@pytest.mark.parametrize("decades", [1.0, 6.0, 15.0, 30.0])
+@pytest.mark.parametrize(("columns", "rows"), [(2, 3), (2, 40), (40, 3), (25, 20)])
+def test_flows_balance_and_are_admissible_without_any_rounding(columns, rows, decades):
+    sideways, upward = random_weights(columns, rows, 3, batch=3, decades=decades)
+    cuts = cuts_of(sideways, upward)
+    assert (abs(cuts.sideways_flow) <= sideways).all()
+    assert (abs(cuts.upward_flow) <= upward).all()
+    pull = np.diff(cuts.upward_flow, axis=2)
+    pull[:, :-1] += cuts.sideways_flow[..., 1:-1]
+    pull[:, 1:] -= cuts.sideways_flow[..., 1:-1]
+    assert (pull == 0).all()
+    for n in range(3):
+        assert cuts.upward_flow[n, :, 0].sum() == cuts.weight[n]
+        least = weight_of(cuts.above[n], sideways[n], upward[n])
+        assert least == pytest.approx(cuts.weight[n], rel=1e-14)
+        assert cuts.weight[n] <= least * (1 + 1e-15)
+    assert (cuts.next_weight >= cuts.weight).all()
+
+
+def test_bundles_change_nothing(monkeypatch):
+    sideways, upward = random_weights(6, 7, 8, batch=10, decades=3.0)
+    whole = cuts_of(sideways, upward)
+    monkeypatch.setattr(module, "BUNDLE", 80)
+    assert len(list(minimum_cuts(sideways, upward))) == 5
+    parts = cuts_of(sideways, upward)
+    for name in MinimumCuts.__dataclass_fields__:
+        assert (getattr(whole, name) == getattr(parts, name)).all()

@@ -1,0 +1,397 @@
+"""The analysis of stored runs: against plain graph algorithms on run.h5, and where the answer is known by hand."""
+
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.analysis.thresholds import THRESHOLDS
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.run_file import read_run_file
+from taichi_bearings.runs.analyse import analyse, structure_of
+from taichi_bearings.runs.run import run
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+from taichi_bearings.runs.structure_report import numbers_of
+from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
+
+PROMISED = {
+    "power", "power_minimum_cut", "power_over_cut", "cut_is_unique", "slipless_fraction", "spans", "reached_fraction",
+    "spanning_fraction", "domains", "threshold",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def solved(taichi_runtime, precision, tmp_path_factory):
+    """A function that solves a scene and gives its run directory, each scene once."""
+    if precision != "f64":
+        pytest.skip("stored runs are double precision")
+    done = {}
+
+    def solve(**settings):
+        key = repr(sorted(settings.items()))
+        if key not in done:
+            done[key] = tmp_path_factory.mktemp("runs") / "run"
+            run(RunSettings(threads=1, **settings), done[key])
+        return done[key]
+
+    return solve
+
+
+def coefficients(tmp_path, **arrays):
+    path = tmp_path / "coefficients.npz"
+    np.savez(path, **arrays)
+    return str(path)
+
+
+def analysed(folder, **options):
+    return analyse(folder, figures=False, **options)
+
+
+def by_plain_graphs(path):
+    """Some of the report from run.h5 alone, every driven sphere a node of its own that its plane joins."""
+    with h5py.File(path / "run.h5") as file:
+        shape, spin_top = tuple(file.attrs["shape"]), float(file.attrs["spin_top"])
+        state = [file[f"contact/{axis}/state"][()] for axis in "xyz"[: len(shape)]]
+        spin = file["spin"][()]
+    place = np.arange(np.prod(shape)).reshape(shape)
+    driven = np.zeros(shape, dtype=bool)
+    driven[..., [0, -1]] = True
+    ends, tied = [], [[] for _ in range(3)]
+    for axis, values in enumerate(state):
+        pair = np.stack([np.delete(place, -1, axis), np.delete(place, 0, axis)])
+        ends.append(pair[:, values == 0])
+        for component in range(3):
+            if component != axis:
+                tied[component].append(pair[:, (values == 0) | (values == 3)])
+
+    def label(pairs):
+        low, high = np.concatenate([*pairs, *whole_planes], axis=1)
+        graph = coo_array((np.ones(len(low)), (low, high)), shape=(place.size, place.size))
+        return connected_components(graph, directed=False)[1].reshape(shape)
+
+    whole_planes = [
+        np.stack([np.full(plane.size, plane.flat[0]), plane.ravel()]) for plane in (place[..., 0], place[..., -1])
+    ]
+    pieces = label(ends)
+    touched = np.isin(place, np.concatenate(ends, axis=1))
+    components = (2,) if len(shape) == 2 else (0, 1)
+    rigid = np.stack([label(tied[component]).ravel() for component in components])
+    return {
+        "spans": bool(pieces.flat[0] == pieces.flat[-1]),
+        "reached_fraction": float(touched[~driven].mean()),
+        "spanning_fraction": float(
+            ((pieces == pieces.flat[0])[~driven]).mean() if pieces.flat[0] == pieces.flat[-1] else 0.0
+        ),
+        "slipless": sum(int((values == 0).sum()) for values in state),
+        "domains": np.unique(rigid, axis=1).shape[1],
+        "distinct": len(np.unique(np.round(np.abs(spin) / spin_top, 9).reshape(place.size, -1), axis=0)),
+    }
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("shape", [(6, 7), (4, 5, 7), (10, 10, 10)], ids=str)
+def test_the_report_agrees_with_plain_graphs(solved, shape, seed):
+    folder = solved(shape=shape, seed=seed)
+    report, expected = analysed(folder), by_plain_graphs(folder)
+    assert set(report) >= PROMISED
+    for key in ("spans", "reached_fraction", "spanning_fraction", "slipless", "domains"):
+        assert report[key] == expected[key], key
+    assert report["states"] == "proven"
+    assert report["largest_spread_in_a_domain"] < 1e-12
+    # unlike domains may turn alike by chance, but spheres that turn unlike belong to unlike domains
+    assert report["domains"] >= expected["distinct"]
+
+
+def test_in_2d_the_minimum_is_the_cut_and_has_two_domains(solved):
+    report = analysed(solved(shape=(6, 7), seed=0))
+    assert report["power_over_cut"] == pytest.approx(1, abs=1e-12)
+    assert report["slipping_contacts_are_the_cut"]
+    assert report["domains"] == 2
+    assert report["domains_locked_to"] == {"bottom": 1, "top": 1, "both": 0, "mixed": 0, "partly": 0, "neither": 0}
+    assert not report["spans"]
+    assert report["disjoint_paths"] == 0
+    for name in OF_A_SPANNING_NETWORK:  # does not apply, and is not 0
+        assert report[name] is None
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)], ids=str)
+def test_without_a_jump_no_contact_is_cut(solved, shape):
+    report = analysed(solved(shape=shape, spin_bottom=1.0, seed=2))
+    assert (report["power_minimum_cut"], report["cut_contacts"], report["slipping"]) == (0, 0, 0)
+    assert report["power_over_cut"] is None
+    assert report["slipping_contacts_are_the_cut"]
+
+
+def test_a_weak_row_is_the_cut_and_equal_rows_are_not_unique(solved, tmp_path):
+    weak = {"x": np.full((3, 6), 0.7), "y": np.full((4, 5), 0.9)}
+    weak["y"][:, 3] = 0.2
+    report = analysed(solved(shape=(4, 6), coefficients=coefficients(tmp_path, **weak)))
+    assert report["power_minimum_cut"] == pytest.approx(4 * 0.2 * 50 * 0.5, rel=1e-12)
+    assert (report["cut_contacts"], report["cut_is_unique"], report["slipping"]) == (4, True, 4)
+    assert report["free_spheres_locked_to"] == {
+        "bottom": 12,
+        "top": 4,
+        "both": 0,
+        "mixed": 0,
+        "partly": 0,
+        "neither": 0,
+    }
+    assert report["next_cut_over_cut"] == pytest.approx((3 * 0.2 + 0.9 + 0.7) / 0.8)  # a step of one disc at the edge
+    equal = analysed(solved(shape=(4, 6), distribution="constant:0.5"))
+    assert not equal["cut_is_unique"]
+    assert equal["power_minimum_cut"] == pytest.approx(4 * 0.5 * 50 * 0.5, rel=1e-12)
+
+
+def test_driven_about_x_the_planes_part_but_contacts_along_x_join_them(solved):
+    """Spins about x alone: contacts along x never slip, so a path changes planes where their cuts differ in height."""
+    report = analysed(solved(shape=(5, 4, 6), direction=(1, 0, 0), seed=1))
+    assert report["power_over_cut"] == pytest.approx(1, abs=1e-12)
+    assert report["spans"]
+    assert report["domains"] == 2
+    assert report["planes_crossed"][0] > 1
+
+
+def test_without_frustration_nothing_slips(solved):
+    report = analysed(solved(shape=(4, 4, 5), spin_bottom=1.0))
+    assert report["power_over_cut"] is None
+    assert report["slipping"] == 0
+    assert (report["spans"], report["spanning_fraction"], report["domains"]) == (True, 1.0, 1)
+    assert report["disjoint_paths"] == 16
+
+
+def test_a_viscous_state_has_no_network(solved):
+    report = analysed(solved(shape=(4, 4, 5), law="viscous"))
+    assert report["power_over_cut"] < 1
+    assert (report["slipless"], report["spans"], report["components"]) == (0, False, 0)
+    assert report["domains"] == 2 * 1 + 4 * 4 * 3  # each driven plane, each free sphere
+    assert "mean_saturation" not in report
+
+
+def test_contacts_that_are_not_decided_join_nothing(solved):
+    stored = read_run_file(solved(shape=(4, 5, 7), seed=0))
+    for state in stored.state:
+        state[state == 0] = 2
+    found = numbers_of(structure_of(stored, 0))
+    assert found["undecided"] > 0
+    assert found["slipless"] == found["components"] == 0
+
+
+def test_dynamics_whose_third_component_has_not_died_out_are_judged_by_the_two_that_matter(solved):
+    folder = solved(shape=(3, 3, 4), method="cundall-strack", initial="random", tolerance=1e-6, seed=2)
+    exact = solved(shape=(3, 3, 4), seed=2)
+    found, expected = analysed(folder), analysed(exact)
+    assert found["domains"] == expected["domains"]
+    assert found["power_over_cut"] == pytest.approx(expected["power_over_cut"], rel=1e-5)
+
+
+@pytest.mark.parametrize("driving", [{"spin_bottom": 1.0}, {"direction": (0.0, 0.0, 1.0)}], ids=str)
+def test_a_sample_that_slips_nowhere_is_one_bearing(solved, driving, tmp_path):
+    report = analyse(solved(shape=(3, 3, 4), **driving), out=tmp_path / "figures")
+    assert (report["power"], report["slipping"], report["domains"], report["driving_torque"]) == (0, 0, 1, [0])
+    assert report["power_over_cut"] is None
+    assert len(report["files"]) == 1 + len(FIGURES)
+
+
+def test_thresholds_go_from_one_domain_to_the_certified_view(solved):
+    folder = solved(shape=(10, 10, 10), seed=0)
+    report = analysed(folder)
+    rows = report["by_threshold"]
+    assert [row["threshold"] for row in rows] == list(THRESHOLDS)
+    assert np.all(np.diff([row["slipless"] for row in rows]) <= 0)
+    assert np.all(np.diff([row["domains"] for row in rows]) >= 0)
+    for key in ("slipless", "domains", "reached_fraction"):
+        assert rows[-1][key] == report[key]
+    everything = analysed(folder, threshold=10.0)
+    assert (everything["slipping"], everything["domains"], everything["states"]) == (0, 1, "threshold")
+    assert (report["minimum_is_unique"], everything["minimum_is_unique"]) == (True, None)
+    coarse = analysed(folder, threshold=1e-2 * 0.5)
+    assert coarse["slipless"] == rows[0]["slipless"]
+    analysed(folder)  # leave the run as it was
+
+
+@pytest.mark.parametrize(("seed", "certified", "coarse"), [(0, True, True), (2, False, True)])
+def test_a_coarse_threshold_can_join_planes_that_the_minimum_parts(solved, seed, certified, coarse):
+    report = analysed(solved(shape=(10, 10, 10), seed=seed))
+    assert report["states"] == "proven"
+    assert (report["spans"], report["by_threshold"][0]["spans"]) == (certified, coarse)
+    assert (report["disjoint_paths"] > 0) == certified
+
+
+def test_that_the_minimum_is_the_only_one_is_said_only_of_proven_states(solved):
+    tied = solved(shape=(6, 6), distribution="constant:0.5", method="gradient-descent", initial="minimum-cut")
+    report = analysed(tied)
+    assert (report["states"], report["undecided"], report["cut_is_unique"]) == ("decided", 0, False)
+    assert report["minimum_is_unique"] is None  # the descent stands at one of many minima
+    folder = solved(shape=(4, 5, 7), seed=0)
+    assert analysed(folder)["minimum_is_unique"] is True
+    assert analysed(folder, threshold=0.01)["minimum_is_unique"] is None
+
+
+def test_the_group_holds_the_structure_and_the_rest_of_the_file_stays(solved):
+    folder = solved(shape=(10, 10, 10), seed=0)
+    before = contents(folder / "run.h5", without="analysis")
+    report = analysed(folder)
+    assert contents(folder / "run.h5", without="analysis") == before
+    with h5py.File(folder / "run.h5") as file:
+        group = file["analysis"]
+        assert all(isinstance(item, h5py.Group) or {"units", "description"} <= set(item.attrs) for item in every(group))
+        assert group.attrs["power_over_cut"] == report["power_over_cut"]
+        assert group["domain"].shape == (10, 10, 10)
+        assert len(group["domains/spheres"]) == report["domains"] == group["domain"][()].max() + 1
+        path = group["path"][()]
+        assert len(path) == report["shortest_path"] + 1
+        assert (path[0, 2], path[-1, 2]) == (0, 9)
+        for here, there in pairwise(path):
+            axis = int(np.abs(there - here).argmax())
+            assert file[f"contact/{'xyz'[axis]}/state"][tuple(np.minimum(here, there))] == 0
+        cut = sum(int(group[f"minimum_cut/{axis}"][()].sum()) for axis in "xyz")
+        assert cut == report["cut_contacts"]
+        current = group["current/z"][()][..., 0].sum()
+        assert current == pytest.approx(1.0)
+        through = group["torque_flow/through_gap"][()]
+        assert through == pytest.approx(np.tile(through[:, :1], 9))
+    size = (folder / "run.h5").stat().st_size
+    analysed(folder)
+    assert (folder / "run.h5").stat().st_size == size
+
+
+def test_no_figure_outlives_its_analysis(solved, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(solved(shape=(3, 4), seed=1), folder)
+    for place, more in ((folder, {}), (tmp_path / "out", {"out": tmp_path / "out", "force": True})):
+        analyse(folder, **more)
+        assert {"domains.png", "thresholds.png"} <= {file.name for file in place.iterdir()}
+        (place / "own.png").write_text("mine")
+        analyse(folder, threshold=0.1, figures=False, **more)
+        assert {file.name for file in place.glob("*.png")} - {"history.png", "power_histogram.png"} == {"own.png"}
+
+
+def contents(path, without):
+    """Every data set and attribute of a file as bytes."""
+    with h5py.File(path) as file:
+        found = {key: np.asarray(value).tobytes() for key, value in file.attrs.items()}
+        for key in file:
+            if key != without:
+                found |= {i.name: i[()].tobytes() for i in every(file[key]) if isinstance(i, h5py.Dataset)}
+                found |= {
+                    f"{i.name} {k}": np.asarray(v).tobytes() for i in every(file[key]) for k, v in i.attrs.items()
+                }
+    return found
+
+
+def every(item):
+    if isinstance(item, h5py.Dataset):
+        return [item]
+    return [item, *(part for key in item for part in every(item[key]))]
+
+
+def test_several_samples_are_lists_and_stacked_arrays(solved):
+    folder = solved(shape=(4, 4, 5), seed=5, replicas=3)
+    report = analysed(folder)
+    assert report["seed"] == [5, 6, 7]
+    for number, seed in enumerate(report["seed"]):
+        alone = analysed(solved(shape=(4, 4, 5), seed=seed))
+        for key in ("power_minimum_cut", "domains", "spans", "reached_fraction", "self_stress_states"):
+            assert report[key][number] == pytest.approx(alone[key], rel=1e-12)
+        assert report["by_threshold"][number] == alone["by_threshold"]
+    with h5py.File(folder / "run.h5") as file:
+        group = file["analysis"]
+        assert group["domain"].shape == (3, 4, 4, 5)
+        spheres = group["domains/spheres"][()]
+        assert spheres.shape == (3, max(report["domains"]))
+        assert [int(row[row > 0].sum()) for row in spheres] == [80, 80, 80]
+        assert group.attrs["domains"].tolist() == report["domains"]
+
+
+def test_a_run_from_before_forces_were_stored_is_analysed_without_them(solved, tmp_path):
+    folder = solved(shape=(4, 5, 7), seed=0)
+    old = tmp_path / "old.h5"
+    old.write_bytes((folder / "run.h5").read_bytes())
+    with h5py.File(old, "r+") as file:
+        for axis in "xyz":
+            del file[f"contact/{axis}/friction"]
+    report, full = analyse(old), analysed(folder)
+    assert "driving_torque" not in report
+    assert "driving_torque" in full
+    assert report["domains"] == full["domains"]
+    assert not (tmp_path / "torque_flow.png").exists()
+
+
+def test_figures_and_files_beside_the_run(solved, tmp_path):
+    folder = solved(shape=(4, 5, 7), seed=0)
+    before = (folder / "run.h5").read_bytes()
+    report = analyse(folder, out=tmp_path / "beside")
+    assert (folder / "run.h5").read_bytes() == before
+    names = {path.name for path in (tmp_path / "beside").iterdir()}
+    assert names == {"analysis.h5", *(f"{name}.png" for name in FIGURES)}
+    assert {Path(file).name for file in report["files"]} == names
+    with pytest.raises(FileError, match="already exists"):
+        analyse(folder, out=tmp_path / "beside")
+    analyse(folder, out=tmp_path / "beside", force=True)
+
+
+def test_several_samples_are_drawn_together_too(solved, tmp_path):
+    report = analyse(solved(shape=(4, 4, 5), seed=5, replicas=3), out=tmp_path / "beside")
+    names = {Path(file).name for file in report["files"]}
+    assert names == {"analysis.h5", *(f"{name}.png" for name in (*FIGURES, *FIGURES_OF_ALL))}
+    assert names == {path.name for path in (tmp_path / "beside").iterdir()}
+
+
+def test_what_cannot_be_analysed_is_refused_in_one_sentence(solved, tmp_path):
+    folder = solved(shape=(4, 5, 7), seed=0)
+    for replica in (1, -1):
+        with pytest.raises(InputError, match=f"replica is {replica}"):
+            analyse(folder, replica=replica)
+    with pytest.raises(FileError, match="not a run"):
+        analyse(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="cannot be written"):
+        analyse(folder, out=tmp_path / "file")
+
+
+def test_a_figure_that_cannot_be_written_is_named_and_leaves_nothing(solved, tmp_path):
+    (tmp_path / "network.png").mkdir()
+    with pytest.raises(FileError, match=r"network\.png cannot be written"):
+        analyse(solved(shape=(4, 5, 7), seed=0), out=tmp_path, force=True)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("damage", ["attribute", "shape", "number"])
+def test_a_damaged_run_is_refused_in_one_sentence(solved, tmp_path, damage):
+    path = tmp_path / "run.h5"
+    path.write_bytes((solved(shape=(4, 5, 7), seed=0) / "run.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        if damage == "attribute":
+            del file.attrs["scene"]
+        elif damage == "shape":
+            values = file["spin"][:, :, 1:]
+            del file["spin"]
+            file["spin"] = values
+        else:
+            file["spin"][0, 0, 1] = np.nan
+    before = path.read_bytes()
+    with pytest.raises(FileError, match="damaged"):
+        analysed(path)
+    assert path.read_bytes() == before
+
+
+def test_a_link_to_a_run_file_stays_a_link(solved, tmp_path):
+    real, link = tmp_path / "real.h5", tmp_path / "run.h5"
+    real.write_bytes((solved(shape=(4, 5, 7), seed=0) / "run.h5").read_bytes())
+    link.symlink_to(real)
+    analysed(link)
+    assert link.is_symlink()
+    with h5py.File(real) as file:
+        assert "analysis" in file
+
+
+def test_plot_offers_the_figures_of_the_analysis():
+    from taichi_bearings_cli.plot import STRUCTURE
+
+    assert (*FIGURES, *FIGURES_OF_ALL) == STRUCTURE

@@ -1,0 +1,405 @@
+"""Scans keep every sample whatever fails: workers, samples, the scan itself; and a sample is what `run` makes of it."""
+
+import os
+import random
+import signal
+import sys
+import threading
+import time
+from dataclasses import replace
+from functools import partial
+
+import h5py
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import BearingsError, FileError, InputError
+from taichi_bearings.files.run_file import read_run_file
+from taichi_bearings.files.scan_file import bin_of, read_scan
+from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans import engine as scan_engine
+from taichi_bearings.scans.engine import LocalEngine, run_samples
+from taichi_bearings.scans.estimate import ignored_keys, paying_workers, units_of
+from taichi_bearings.scans.plan import Wishes, read_plan
+from taichi_bearings.scans.sample import Wanted, failure, one_replica, solve_samples
+from taichi_bearings.scans.scan import estimate, scan
+from tests.scans import scan_faults
+from tests.scans.scan_faults import Here
+
+CLOCKS = {"seconds", "seconds_compile"}
+
+
+def stripped(text):
+    """A scan without what it keeps beside its table."""
+    return [line for line in text.splitlines() if not line.startswith("keep_states")]
+
+
+def assert_same_but_for_the_clock(a, b):
+    first, second = read_scan(a), read_scan(b)
+    assert list(first.table) == list(second.table)
+    for name in first.table.keys() - CLOCKS:
+        x, y = first.table[name], second.table[name]
+        assert x.dtype == y.dtype
+        assert np.array_equal(x, y, equal_nan=x.dtype == np.float64), name
+    for name in ("edges", "count", "slipping", "slipless", "undecided"):
+        assert np.array_equal(getattr(first.histograms, name), getattr(second.histograms, name)), name
+    assert stripped(first.attributes["scan"]) == stripped(second.attributes["scan"])
+    assert len(set(first.table["sample"])) == first.samples
+
+
+MIXED = """
+tolerance = 1e-6
+[scan]
+law = ["coulomb", "viscous"]
+seed = { start = 4, stop = 9, step = 2 }
+[[scan.zip]]
+shape = [[5, 6], [3, 4, 4]]
+spin_bottom = [0.0, 0.1]
+"""
+
+
+def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, needs_f64):
+    plan = plan_of(MIXED)
+    report = scan(plan, tmp_path / "scan", workers=2)
+    assert report["reached"] == report["samples"] == report["done"] == 12
+    stored = read_scan(tmp_path / "scan")
+    names = "law seed shape spin_bottom power lower_bound gap status method slipping slipless seconds"
+    assert " ".join(stored.table).startswith(names)
+    for row, sample in enumerate(plan.samples):
+        solution = solve_job(prepare(replace(sample.settings, threads=1)))
+        summary = summarise(solution, sample.settings.tolerance, sample.settings.duration)
+        for name, values in stored.table.items():
+            if name in summary and name not in CLOCKS:
+                found = summary[name]
+                found = "x".join(map(str, found)) if name == "shape" else np.nan if found is None else found
+                assert np.array_equal(values[row], found, equal_nan=isinstance(found, float)), (name, sample.label)
+        power = np.concatenate([values.ravel() for values in solution.power_per_contact])
+        state = np.concatenate([values.ravel() for values in solution.state])
+        edges = stored.histograms.edges
+        first = round(20 * np.log10(edges[0]))
+        expected = np.bincount(bin_of(power[(state == 1) & (power > 0)]) - first, minlength=len(edges) - 1)
+        assert np.array_equal(stored.histograms.count[row], expected)
+        assert stored.histograms.slipping[row] == (state == 1).sum()
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (5, 4, 5)])
+def test_seeds_solved_together_are_the_same_to_the_last_bit(shape):
+    settings = RunSettings(shape=shape, seed=3, direction=(1, 0, 0))
+    together = solve_job(prepare(replace(settings, replicas=5)))
+    for number in range(5):
+        alone = solve_job(prepare(replace(settings, seed=3 + number)))
+        part = one_replica(together, number)
+        assert part.scene.seeds == alone.scene.seeds
+        assert (part.slip_threshold, part.status) == (alone.slip_threshold, alone.status)
+        for name in ("spin", "power", "lower_bound", "gap", "unbalanced_torque", "resolved"):
+            assert np.array_equal(getattr(part, name), getattr(alone, name)), name
+        for name in ("slip", "power_per_contact", "force", "friction", "state", "slip_bound"):
+            assert all(map(np.array_equal, getattr(part, name), getattr(alone, name))), name
+        assert all(np.array_equal(part.findings[name], alone.findings[name]) for name in alone.findings)
+
+
+def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
+    from taichi_bearings.runs.analyse import structure_of
+    from taichi_bearings.runs.structure_report import numbers_of
+
+    plan = plan_of("shape = [4, 4, 4]\n[scan]\nseed = [1, 2, 3]\n")
+    scan(plan, tmp_path / "scan")
+    assert "spans" not in read_scan(tmp_path / "scan").table
+    report = scan(plan, tmp_path / "scan", structure=True, keep_states=True)
+    assert report["solved_now"] == 3
+    stored = read_scan(tmp_path / "scan")
+    for row, sample in enumerate(plan.samples):
+        state = read_run_file(tmp_path / "scan" / "states" / f"{sample.key}.h5")
+        numbers = numbers_of(structure_of(state, 0))
+        for name in (
+            "power_minimum_cut",
+            "spans",
+            "domains",
+            "slipless_fraction",
+            "reached_fraction",
+            "disjoint_paths",
+        ):
+            assert stored.table[name][row] == numbers[name], name
+    assert scan(plan, tmp_path / "scan", structure=True, keep_states=True)["solved_now"] == 0
+    damaged = tmp_path / "scan" / "states" / f"{plan.samples[1].key}.h5"
+    whole = damaged.read_bytes()
+    with h5py.File(damaged, "r") as file:
+        offset = file["contact/x/power"].id.get_offset()
+    for content in (
+        whole[:5000],
+        whole[:5000] + 8 * b"?" + whole[5008:],
+        whole[:offset] + 8 * b"?" + whole[offset + 8 :],
+    ):
+        caplog.clear()
+        damaged.write_bytes(content)
+        assert scan(plan, tmp_path / "scan")["solved_now"] == 1
+        assert f"a kept state counts as missing: {damaged} " in caplog.text
+        read_run_file(damaged)
+    assert scan(plan, tmp_path / "scan")["solved_now"] == 0
+
+
+def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
+    """Resumed, extended and asked in the file alike; until it is called off."""
+    three = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 3 }\n")
+    four = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 4 }\n")
+    folder = tmp_path / "scan"
+    scan(three, folder)
+    asked = plan_of("analyse = true\nkeep_states = true\nsample_timeout = 50\n" + three.text)
+    assert estimate(asked, folder)["missing"] == 3
+    assert scan(asked, folder)["solved_now"] == 3  # brought up
+    assert (folder / "scan.toml").read_text() == asked.text
+    assert scan(four, folder)["solved_now"] == 1
+    assert not np.isnan(read_scan(folder).table["power_minimum_cut"]).any()
+    assert {file.stem for file in (folder / "states").iterdir()} == {sample.key for sample in four.samples}
+    five = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 5 }\n")
+    report = scan(five, folder, structure=False, keep_states=False)
+    assert (report["lacking"], report["unanalysed"]) == (0, 1)
+    assert np.isnan(read_scan(folder).table["power_minimum_cut"]).sum() == 1
+    assert read_plan(folder / "scan.toml").wishes == Wishes(False, False, 50)
+
+
+@pytest.mark.parametrize(
+    "line", ["analyse = 1", 'keep_states = "yes"', "sample_timeout = nan", "sample_timeout = true"]
+)
+def test_bad_wishes_are_named(plan_of, line):
+    with pytest.raises(InputError, match=f"{line.split()[0]} is .*; it must be "):
+        plan_of(line)
+
+
+def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
+    plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 2, stop = 5 }\n"), tmp_path / "scan"
+    scan(plan, folder, engine=Here())
+    report = scan(plan, folder, structure=True, engine=LocalEngine(scan_faults.lack_memory, 1))
+    assert (report["done"], report["failed"], report["lacking"]) == (3, 0, 3)
+    assert caplog.text.count("failed: MemoryError: no room") == 3
+    assert np.isfinite(read_scan(folder).table["power"]).all()
+
+
+def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog):
+    """One lacks memory, one ends its process, one hangs, one crashes, one fails but once."""
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 12 }\n")
+    engine = LocalEngine(partial(scan_faults.solve, marks=tmp_path), 2, lambda unit: 1.0)
+    report = scan(plan, tmp_path / "scan", engine=engine)
+    assert (report["done"], report["failed"], report["missing"]) == (8, 4, 0)
+    stored = read_scan(tmp_path / "scan")
+    bad = [3, 5, 7, 8]
+    assert stored.table["seed"][stored.failed].tolist() == bad
+    reasons = dict(zip(stored.table["seed"].tolist(), stored.table["error"], strict=True))
+    expected = ("MemoryError: no room", "exit code 42", "no result within 1 s", "SIGABRT")
+    for seed, words in zip(bad, expected, strict=True):
+        assert words in reasons[seed]
+        assert f"sample seed = {seed} (" in caplog.text
+    assert np.isnan(stored.table["power"][bad]).all()
+    assert stored.histograms.count[bad].sum() == 0
+    again = scan(plan, tmp_path / "scan", engine=Here())  # the fault is gone: only those are done again
+    assert (again["solved_now"], again["failed"], again["reached"]) == (4, 0, 12)
+    scan(plan, tmp_path / "undisturbed", engine=Here())
+    assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs limits of memory as Linux has them")
+def test_workers_that_run_out_of_memory_cost_their_samples_alone(plan_of, tmp_path, caplog):
+    """The arrays of one sample do not fit, another ends its worker by the signal that the kernel sends."""
+    plan = plan_of("""
+    [[scan.zip]]
+    seed = [0, 1, 2, 3, 4, 5, 6]
+    shape = [[5, 5], [5, 5], [5, 5], [2000, 2000], [5, 5], [5, 5], [5, 5]]
+    """)
+    assert 2000 * 2000 * 8 < scan_faults.ROOM < 2 * 2000 * 2000 * 8  # the second array of coefficients is too much
+    work = partial(scan_faults.solve_in_little_memory, marks=tmp_path)
+    report = scan(plan, tmp_path / "scan", engine=LocalEngine(work, 2))
+    assert (report["reached"], report["failed"], report["missing"]) == (5, 2, 0)
+    reasons = {failure["sample"]: failure["error"] for failure in report["failures"]}
+    for seed, words in ((3, "MemoryError: Unable to allocate"), (5, "ended by SIGKILL (out of memory?)")):
+        (label,) = [label for label in reasons if f"seed = {seed}" in label]
+        assert words in reasons[label]
+        assert f"sample {label} failed and is tried again: {reasons[label]}" in caplog.text
+        assert f"sample {label} failed: {reasons[label]}" in caplog.text
+    assert (tmp_path / "tries-3").read_text() == "II"
+    assert len((tmp_path / "tries-5").read_text()) == 3  # with the samples of its unit, and twice alone
+    power = read_scan(tmp_path / "scan").table["power"]
+    assert np.isnan(power).tolist() == [seed in (3, 5) for seed in range(7)]
+
+
+def test_workers_that_never_work_end_the_scan_in_one_sentence(plan_of, monkeypatch):
+    monkeypatch.setattr(scan_engine, "HOPELESS", 3)
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 500 }\n")
+    units = [(sample,) for sample in plan.samples]
+    engine = LocalEngine(scan_faults.die, 2)
+    with pytest.raises(BearingsError, match="ended one after the other"):
+        run_samples(units, engine, lambda _: None, lambda *_: None, lambda: True, failure)
+    engine.close()
+
+
+def test_bad_scenes_are_refused_before_anything_is_written(plan_of, tmp_path):
+    np.savez(tmp_path / "c.npz", x=np.ones((31, 32, 32)))
+    for text in (
+        "shape = [[5, 5], [5, 5, 2]]",
+        'distribution = ["uniform:0.1,1", "cauchy:1"]',
+        "direction = [[1, 0, 0], [0, 0, 0]]",
+        'coefficients = ["c.npz"]',
+    ):
+        with pytest.raises(BearingsError):
+            scan(plan_of(f"[scan]\n{text}\n"), tmp_path / "scan")
+        assert not (tmp_path / "scan").exists()
+
+
+def test_input_errors_of_a_sample_are_not_tried_again(plan_of, tmp_path, caplog):
+    np.savez(tmp_path / "start.npz", spin=np.ones((3, 4)))
+    report = scan(
+        plan_of('shape = [4, 4]\n[scan]\ninitial = ["start.npz", "linear"]\n'), tmp_path / "scan", engine=Here()
+    )
+    assert (report["failed"], report["reached"]) == (1, 1)
+    assert "has shape (3, 4)" in report["failures"][0]["error"]
+    assert "tried again" not in caplog.text
+
+
+def test_killed_workers_lose_nothing(plan_of, tmp_path):
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 40 }\n")
+    engine = LocalEngine(partial(scan_faults.dawdle, seconds=0.01), 2)
+    draw, kills = random.Random(7), []
+
+    def kill_now_and_then(progress):
+        alive = [worker for worker in engine._pool if worker.unit is not None and worker.started]
+        if alive and len(kills) < 3 and draw.random() < 0.5:
+            kills.append(draw.choice(alive).process.pid)
+            os.kill(kills[-1], signal.SIGKILL)
+
+    scan(plan, tmp_path / "scan", engine=engine, monitor=kill_now_and_then)
+    assert len(kills) == 3
+    report = scan(plan, tmp_path / "scan", engine=Here())
+    assert report["reached"] == 40
+    scan(plan, tmp_path / "undisturbed", engine=Here())
+    assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
+
+
+def test_a_scan_grows_but_does_not_forget(plan_of, tmp_path):
+    small = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 10 }\n")
+    large = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 15 }\n")
+    scan(small, tmp_path / "scan", engine=Here())
+    assert scan(large, tmp_path / "scan", engine=Here())["solved_now"] == 5
+    with pytest.raises(FileError, match="5 samples that this scan does not ask for"):
+        scan(small, tmp_path / "scan", engine=Here())
+    assert read_scan(tmp_path / "scan").samples == 15
+
+
+def test_a_damaged_journal_line_costs_that_sample_alone(plan_of, tmp_path, caplog):
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 10 }\n")
+    scan(plan, tmp_path / "scan", engine=Here())
+    scan(plan, tmp_path / "undisturbed", engine=Here())
+    journal = tmp_path / "scan" / "samples.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([*lines[:4], lines[4].replace(b"power", b"pover"), *lines[5:-1], lines[-1][:60]]))
+    (tmp_path / "scan" / "scan.h5").write_bytes(b"damaged")
+    assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 2
+    assert "line 5" in caplog.text
+    caplog.clear()
+    assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 0
+    assert not caplog.records
+    assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
+
+
+def test_folders_that_cannot_serve_are_named(plan_of, tmp_path):
+    plan = plan_of("shape = [5, 5]\n")
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(FileError, match="file cannot be written"):
+        scan(plan, tmp_path / "file")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "precious.txt").write_text("mine")
+    with pytest.raises(FileError, match="not the folder of a scan"):
+        scan(plan, tmp_path / "folder")
+    assert [file.name for file in (tmp_path / "folder").iterdir()] == ["precious.txt"]
+    if os.geteuid():  # root may write anywhere
+        (tmp_path / "closed").mkdir(mode=0o500)
+        with pytest.raises(FileError, match="closed cannot be written"):
+            scan(plan, tmp_path / "closed")
+
+
+def test_a_second_scan_in_one_folder_is_refused(plan_of, tmp_path):
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 4 }\n")
+    refused = []
+
+    def try_meanwhile(progress):
+        if not refused:
+            with pytest.raises(FileError) as caught:
+                scan(plan, tmp_path / "scan")
+            refused.append(str(caught.value))
+
+    assert scan(plan, tmp_path / "scan", monitor=try_meanwhile)["reached"] == 4
+    assert "is in use by another process" in refused[0]
+    assert "\n" not in refused[0]
+
+
+def test_samples_of_two_precisions_get_workers_of_their_own(plan_of, tmp_path):
+    plan = plan_of(
+        'shape = [3, 3, 3]\ntolerance = 1e-2\nmethod = "gradient-descent"\n[scan]\n'
+        'precision = ["f64", "f32"]\nseed = [1, 2]\n'
+    )
+    assert scan(plan, tmp_path / "scan", workers=1)["reached"] == 4
+    power = read_scan(tmp_path / "scan").table["power"]
+    assert (power[:2] != power[2:]).all()
+    assert np.allclose(power[:2], power[2:], rtol=2e-2)
+
+
+def test_units_hold_like_samples_of_a_fraction_of_a_second(plan_of):
+    plan = plan_of("[scan]\nshape = [[10, 10], [10, 10, 10], [24, 24, 24]]\nseed = { start = 0, stop = 300 }\n")
+    units = units_of(plan.samples)
+    assert [sample for unit in units for sample in unit] == list(plan.samples)
+    assert {len({s.settings.shape for s in unit}) for unit in units} == {1}
+    sizes = {shape: max(len(u) for u in units if u[0].settings.shape == shape) for shape in ((10, 10), (24, 24, 24))}
+    assert sizes == {(10, 10): 256, (24, 24, 24): 1}
+
+
+def test_no_more_workers_than_the_work_pays(plan_of, tmp_path):
+    small = plan_of("shape = [10, 10]\n[scan]\nseed = { start = 0, stop = 1000 }\n")
+    large = plan_of("shape = [16, 16, 16]\n[scan]\nseed = { start = 0, stop = 100 }\n")
+    assert paying_workers(small.samples, 8) == 1
+    assert paying_workers(large.samples, 8) == 8
+    expected = estimate(large, None, workers=4)
+    assert (expected["samples"], expected["missing"], expected["workers"]) == (100, 100, 4)
+    assert 5 < expected["seconds"] < 100
+    assert 4 * 200e6 < expected["bytes"] < 4 * 1e9
+    dynamics = plan_of('shape = [4, 4]\nmethod = "cundall-strack"\nduration = 1.0\n')
+    assert estimate(dynamics, None)["seconds"] is None
+    scan(plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2]\n"), tmp_path / "scan", engine=Here())
+    assert estimate(plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2, 3]\n"), tmp_path / "scan")["missing"] == 1
+
+
+def test_a_scanned_method_stands_beside_the_one_that_solved(plan_of, tmp_path):
+    scan(plan_of('shape = [5, 5]\n[scan]\nmethod = ["auto", "planar-cut"]\n'), tmp_path / "scan", engine=Here())
+    stored = read_scan(tmp_path / "scan")
+    assert stored.table["method"].tolist() == ["auto", "planar-cut"]
+    assert stored.table["method_found"].tolist() == ["planar-cut"] * 2
+    with h5py.File(tmp_path / "scan" / "scan.h5") as file:
+        assert file["table/method"].attrs["description"].startswith("auto is")
+
+
+def test_a_scanned_key_that_no_method_knows_is_named(plan_of, tmp_path, caplog):
+    minima = plan_of("shape = [4, 4]\n[scan]\nstiffness = [1e4, 1e5]\nmass = [1.0, 2.0]\nradius = [0.5, 1.0]\n")
+    assert ignored_keys(minima) == {"stiffness": ["planar-cut"], "mass": ["planar-cut"]}
+    scan(minima, tmp_path / "scan", engine=Here())
+    assert "stiffness is scanned, but planar-cut" in caplog.text
+    both = plan_of(
+        'shape = [4, 4]\n[scan]\nmethod = ["auto", "rigid-limit"]\nstiffness = [1e4, 1e5]\nmass = [1.0, 2.0]\n'
+    )
+    assert list(ignored_keys(both)) == ["stiffness"]
+
+
+def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):
+    plan, reports = plan_of("shape = [5, 5]\n"), []
+    thread = threading.Thread(target=lambda: reports.append(scan(plan, tmp_path / "scan")))
+    thread.start()
+    thread.join()
+    assert reports[0]["reached"] == 1
+
+
+def test_records_come_in_the_order_of_the_samples(plan_of):
+    plan = plan_of("shape = [5, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = [7, 3, 5, 4]\n")
+    mixed = random.Random(1).sample(list(plan.samples), 8)
+    began = time.perf_counter()
+    records = solve_samples(mixed, Wanted())
+    assert [record["key"] for record in records] == [sample.key for sample in mixed]
+    assert [record["scalars"]["seed"] for record in records] == [sample.settings.seed for sample in mixed]
+    assert sum(record["scalars"]["seconds"] for record in records) < time.perf_counter() - began

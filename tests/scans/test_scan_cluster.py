@@ -1,0 +1,235 @@
+"""Scans on a real Dask cluster of two processes: the same bits as on this machine, whatever dies."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from taichi_bearings.errors import BearingsError, InputError
+from taichi_bearings.files.scan_file import read_scan
+from taichi_bearings.scans.cluster import DaskEngine, connected
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.scan import scan
+from tests.cli.test_cli import bearings
+from tests.scans import scan_faults
+from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
+
+distributed = pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")  # which distributed needs
+COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
+
+
+@pytest.fixture(scope="module")
+def client():
+    with connected(cluster="local", workers=2) as client:
+        yield client
+
+
+@pytest.fixture
+def plan(plan_of):
+    return plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 14 }\n")
+
+
+def solvers(client):
+    """Processes that solve, of all Dask workers; spawn may have its resource tracker beside them."""
+    found = []
+    for pid in client.run(os.getpid).values():
+        for child in psutil.Process(pid).children():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                found += [child.pid] if any("spawn_main" in word for word in child.cmdline()) else []
+    return found
+
+
+def test_the_same_bits_as_on_this_machine(client, plan_of, tmp_path):
+    plan = plan_of(MIXED)
+    report = scan(plan, tmp_path / "cluster", client=client)
+    assert (report["reached"], report["workers"]) == (12, 2)
+    scan(plan, tmp_path / "local", workers=2)
+    assert_same_but_for_the_clock(tmp_path / "cluster", tmp_path / "local")
+    assert scan(plan, tmp_path / "cluster")["solved_now"] == 0
+    assert solvers(client) == []  # they end with their scan
+
+
+@pytest.mark.slow
+def test_samples_that_fail_cost_nothing_but_themselves(client, plan, tmp_path, caplog):
+    engine = DaskEngine(client, partial(scan_faults.solve, marks=tmp_path), partial(scan_faults.allowed, seconds=1.0))
+    before = set(client.run(os.getpid).values())
+    report = scan(plan, tmp_path / "scan", engine=engine)
+    assert (report["done"], report["failed"], report["missing"]) == (10, 4, 0)
+    stored = read_scan(tmp_path / "scan")
+    assert stored.table["seed"][stored.failed].tolist() == [3, 5, 7, 8]
+    reasons = " ".join(stored.table["error"])
+    for words in ("exit code 42", "no result within 1 s", "SIGABRT", "MemoryError"):
+        assert words in reasons
+        assert words in caplog.text
+    assert set(client.run(os.getpid).values()) == before  # no sample ends a Dask worker
+    assert scan(plan, tmp_path / "scan", client=client)["solved_now"] == 4
+
+
+@pytest.mark.parametrize("whom", ["solver", "Dask worker"])
+def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 40 }\n")
+    engine = DaskEngine(client, partial(scan_faults.dawdle, seconds=0.05))
+    kills = []
+
+    def kill_once(progress):
+        if not kills and progress.done > 5:
+            victims = solvers(client) if whom == "solver" else list(client.run(os.getpid).values())
+            kills.append(victims[0])
+            os.kill(victims[0], signal.SIGKILL)
+
+    def units(samples, structure):
+        return [tuple(samples[start : start + 2]) for start in range(0, len(samples), 2)]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taichi_bearings.scans.scan.units_of", units)
+        report = scan(plan, tmp_path / "scan", engine=engine, monitor=kill_once)
+    assert len(kills) == 1
+    assert (report["reached"], report["failed"], report["missing"]) == (40, 0, 0)
+    scan(plan, tmp_path / "undisturbed", workers=1)
+    assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
+
+
+@pytest.mark.slow
+def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(client, plan_of, tmp_path):
+    plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2, 5]\n")
+    engine = DaskEngine(client, scan_faults.end_dask_worker)
+    report = scan(plan, tmp_path / "scan", engine=engine)
+    assert (report["done"], report["failed"]) == (2, 1)
+    assert "seed = 5" in report["failures"][0]["sample"]
+    assert "Dask workers were lost" in report["failures"][0]["error"]
+
+
+def test_files_are_found_and_states_kept_wherever_workers_run(client, plan_of, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plan = plan_of("shape = [3, 3, 3]\n[scan]\nseed = [1]\n")
+    assert scan(plan, tmp_path / "first", client=client, keep_states=True)["reached"] == 1
+    state = next((tmp_path / "first" / "states").iterdir())
+    state.rename(tmp_path / "start.h5")
+    (tmp_path / "scan.toml").write_text('shape = [3, 3, 3]\ncoefficients = "start.h5"\n')
+    assert scan(read_plan(Path("scan.toml")), Path("second"), client=client, keep_states=True)["reached"] == 1
+    assert len(list((tmp_path / "second" / "states").iterdir())) == 1
+    powers = [read_scan(tmp_path / name).table["power"][0] for name in ("first", "second")]
+    assert powers[0] == powers[1]
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(plan, tmp_path):
+    with contextlib.ExitStack() as stack:
+        cluster = stack.enter_context(
+            distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0", silence_logs=50)
+        )
+        there = stack.enter_context(connected(scheduler=cluster.scheduler_address))
+        engine = DaskEngine(there, partial(scan_faults.dawdle, seconds=0.3))
+
+        def leave(progress):
+            if progress.done:
+                cluster.close()
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("taichi_bearings.scans.scan.units_of", lambda samples, _: [(s,) for s in samples])
+            with pytest.raises(BearingsError, match="connection to the Dask scheduler is lost"):
+                scan(plan, tmp_path / "scan", engine=engine, monitor=leave)
+    report = scan(plan, tmp_path / "scan")
+    assert report["reached"] == 14
+    assert 0 < report["solved_now"] < 14
+
+
+def test_the_command_on_a_cluster_and_its_interruption(tmp_path):
+    (tmp_path / "scan.toml").write_text("shape = [8, 8, 8]\n[scan]\nseed = { start = 0, stop = 400 }\n")
+    words = [
+        *COMMAND,
+        tmp_path / "scan.toml",
+        "--cluster",
+        "local",
+        "--workers",
+        "2",
+        "--json",
+        "--out",
+        tmp_path / "s",
+    ]
+    process = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )  # fmt: skip
+    journal, end = tmp_path / "s" / "samples.jsonl", time.monotonic() + 60
+    while not (journal.exists() and journal.read_bytes().count(b"\n")):
+        assert time.monotonic() < end
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: to the workers too
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert err == ""
+    report = json.loads(out)
+    assert report["interrupted"]
+    assert 0 < report["done"] == journal.read_bytes().count(b"\n") < 400
+
+
+def test_bad_addresses_and_options_are_one_sentence(monkeypatch):
+    monkeypatch.setattr("taichi_bearings.scans.cluster.CONNECT", 1.0)
+    began = time.monotonic()
+    for given, words in (
+        ({"scheduler": "tcp://127.0.0.1:1"}, "no Dask scheduler at 'tcp://127.0.0.1:1': no answer within 1 s"),
+        ({"scheduler": "nowhere"}, "missing port number"),
+        ({"scheduler": "foo://bar:7"}, "unknown address scheme"),
+        ({"scheduler": "tcp://127.0.0.1:1", "workers": 2}, "--scheduler has workers already"),
+        ({"cluster": "local", "options": ["queue=long"]}, "needs a queue"),
+        ({"cluster": "slurm", "options": ["queue"]}, "must be key=value"),
+    ):
+        with pytest.raises(InputError) as caught:
+            connected(**given).__enter__()
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert time.monotonic() - began < 6
+
+
+def test_without_dask_the_extra_is_named(tmp_path):
+    (tmp_path / "scan.toml").write_text("shape = [5, 5]\n")
+    program = "import sys; sys.modules['distributed'] = None; from taichi_bearings_cli.main import main; main()"
+    words = [sys.executable, "-c", program, "scan", tmp_path / "scan.toml", "--cluster", "local"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "pip install 'taichi-bearings[cluster]'" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+SBATCH = """#!/bin/sh
+if [ -n "$REFUSE" ]; then echo "sbatch: error: invalid partition specified: nope" >&2; exit 1; fi
+grep -q -- "-t 00:10:00" "$1" || exit 1
+cp "$1" "$1.job"  # Dask deletes the script
+setsid sh "$1.job" > "$1.log" 2>&1 &
+echo "Submitted batch job $!"
+"""
+SCANCEL = '#!/bin/sh\nfor job in "$@"; do kill -- "-$job"; done\n'
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs setsid and the interface lo")
+def test_jobs_of_a_queue_solve_or_are_refused_in_one_sentence(tmp_path, monkeypatch):
+    pytest.importorskip("dask_jobqueue")
+    (tmp_path / "bin").mkdir()
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (tmp_path / "bin" / name).write_text(text)
+        (tmp_path / "bin" / name).chmod(0o755)
+    (tmp_path / "scan.toml").write_text("shape = [5, 5, 5]\n[scan]\nseed = [1, 2, 3, 4]\n")
+    words = ["scan", tmp_path / "scan.toml", "--cluster", "slurm", "--workers", "2", "--cluster-option", "interface=lo",
+             "--cluster-option", "walltime=00:10:00"]  # fmt: skip
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
+    done = bearings(*words, "--out", tmp_path / "s")
+    assert done.returncode == 2
+    assert "needs the command sbatch" in done.stderr
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
+    assert bearings(*words, "--out", tmp_path / "s", "--json").returncode == 0
+    assert bearings("scan", tmp_path / "scan.toml", "--out", tmp_path / "local").returncode == 0
+    assert_same_but_for_the_clock(tmp_path / "s", tmp_path / "local")
+    monkeypatch.setenv("REFUSE", "1")
+    done = bearings(*words, "--out", tmp_path / "t")
+    assert done.returncode == 2
+    assert done.stderr.strip() == "bearings: sbatch refused the jobs: sbatch: error: invalid partition specified: nope"

@@ -1,0 +1,138 @@
+"""Figures of a scan: which samples make a point, what its bar is, and what collapses."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.scan_file import read_scan
+from taichi_bearings.scans.figure import Request, columns_of, curves_of, look_of, plot_scan, points_of
+from tests.stored_scans import stored_scan
+
+SEEDS, BOTTOMS = 9, (0.0, 0.1)
+FAILED = (1, 30)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return stored_scan(tmp_path_factory.mktemp("scan"), bottoms=BOTTOMS, seeds=SEEDS, failed=FAILED)
+
+
+def points(scan, *words, **more):
+    request = Request(*words, **more)
+    return points_of(columns_of(read_scan(scan.path), request), request)
+
+
+def power(scan, shape, bottom):
+    table = scan.table
+    chosen = zip(table["shape"], table["spin_bottom"], table["power"], strict=True)
+    return np.array([p for s, b, p in chosen if (s, b) == (shape, bottom) and p is not None])
+
+
+def test_a_point_is_the_mean_of_its_samples_and_failed_ones_are_missing(scan):
+    found = points(scan, "power", "spin_bottom", by=("shape",))
+    assert [(point.part, point.x) for point in found] == [
+        ((shape,), bottom) for shape in ("4x4", "8x8", "16x16") for bottom in BOTTOMS
+    ]
+    assert sum(point.number for point in found) == 3 * 2 * SEEDS - len(FAILED)
+    for point in found:
+        values = power(scan, *point.part, point.x)
+        error = values.std(ddof=1) / np.sqrt(len(values))
+        assert point.number == len(values)
+        assert point.plot == pytest.approx((point.x, values.mean(), values.mean() - error, values.mean() + error))
+
+
+def test_bars_are_what_was_asked_for(scan):
+    values = power(scan, "8x8", 0.1)
+    only = {"where": ("spin_bottom=0.1", "shape=8x8")}
+    (point,) = points(scan, "power", "L", bars="quartiles", **only)
+    assert point.plot == pytest.approx((8, *np.quantile(values, [0.5, 0.25, 0.75])))
+    (point,) = points(scan, "power", "L", bars="bootstrap", **only)
+    assert point.plot[1] == pytest.approx(values.mean())
+    assert values.min() < point.plot[2] < point.plot[1] < point.plot[3] < values.max()
+    (point,) = points(scan, "power/power_minimum_cut", "L", **only)
+    assert point.plot == pytest.approx((8, 0.8, 0.8, 0.8))
+    (alone,) = points(scan, "power", "L", where=("seed=4", *only["where"]))
+    assert alone.number == 1
+    assert np.isnan(alone.plot[2:]).all()  # one sample has no bar
+
+
+def test_two_samples_have_no_bar(tmp_path):
+    two, three = (stored_scan(tmp_path / str(n), sides=(4,), bottoms=(0.0,), seeds=n) for n in (2, 3))
+    for bars in ("standard-error", "quartiles", "bootstrap"):
+        ends = [points(known, "power", "L", bars=bars)[0].plot[2:] for known in (two, three)]
+        assert np.isnan(ends).tolist() == [[True, True], [False, False]]
+
+
+def test_texts_stand_in_their_natural_order_with_their_names(scan):
+    request = Request("power", "shape", where=("spin_bottom=0",))
+    columns = columns_of(read_scan(scan.path), request)
+    found = points_of(columns, request)
+    assert [point.plot[0] for point in found] == [0, 1, 2]
+    look = look_of(read_scan(scan.path), columns, found, request)
+    assert look.ticks == ["4x4", "8x8", "16x16"]
+    share = f"{3 * SEEDS - 1} of {3 * SEEDS} samples"
+    assert look.title == f"{share} over seed: means with standard errors\nleft out: 1 failed"
+
+
+def test_powers_of_the_size_collapse(scan):
+    request = Request("power", "spin_bottom", collapse=(1.5, 0.5))
+    found = points_of(columns_of(read_scan(scan.path), request), request)
+    curves = curves_of(found, request)
+    assert [curve.label for curve in curves] == ["4", "8", "16"]
+    for curve, size in zip(curves, (4, 8, 16), strict=True):
+        assert curve.x == pytest.approx(np.array(BOTTOMS) * np.sqrt(size))
+        assert curve.y == pytest.approx([1, 0.9], rel=0.06)  # P = L^1.5 (1 - spin_bottom), give or take 10 %
+        plain = points(scan, "power", "spin_bottom", by=("L",), where=(f"L={size}",))
+        assert curve.high == pytest.approx([point.plot[3] / size**1.5 for point in plain])
+    against_size = points(scan, "power", "L", collapse=(1.5, 0.0), where=("spin_bottom=0",))
+    assert [point.plot[1] for point in against_size] == pytest.approx([1, 1, 1], rel=0.06)
+
+
+def test_figure_and_table_hold_the_same_points(scan, tmp_path):
+    request = Request("power", "spin_bottom", collapse=(1.5, 0.0), log="y")
+    files = plot_scan(scan.path.parent, request, tmp_path / "figure.png")
+    assert files == [tmp_path / "figure.png", tmp_path / "figure.csv"]
+    assert files[0].read_bytes()[:4] == b"\x89PNG"
+    with files[1].open() as file:
+        rows = list(csv.DictReader(file))
+    found = points(scan, "power", "spin_bottom", collapse=(1.5, 0.0))
+    assert [(int(row["L"]), float(row["spin_bottom"])) for row in rows] == [(*p.part, p.x) for p in found]
+    assert [float(row["mean"]) for row in rows] == [p.statistics["mean"] for p in found]
+    assert [float(row["plot_high"]) for row in rows] == [p.plot[3] for p in found]
+    with pytest.raises(FileError, match="already exists"):
+        plot_scan(scan.path, request, tmp_path / "figure.png")
+    plot_scan(scan.path, request, tmp_path / "figure.png", force=True)
+    own = plot_scan(scan.path, Request("power/slipping", "L", by=("spin_bottom",)))
+    assert own[0] == scan.path.parent / "power_over_slipping_against_L_by_spin_bottom.png"
+    assert plot_scan(scan.path, Request("power/slipping", "L", by=("spin_bottom",))) == own
+
+
+@pytest.mark.parametrize(
+    ("words", "more", "sentence"),
+    [
+        (("colour", "L"), {}, "no column 'colour'"),
+        (("power", "L"), {"by": ("colour",)}, "no column 'colour'"),
+        (("law", "L"), {}, "texts"),
+        (("power/slipping/slipless", "L"), {}, "one over another"),
+        (("power/slipping", "L"), {"bars": "quartiles"}, "bootstrap"),
+        (("power", "L"), {"where": ("spin_bottom",)}, "KEY=VALUE"),
+        (("power", "L"), {"where": ("spin_bottom=x",)}, "has numbers"),
+        (("power", "L"), {"where": ("spin_bottom=0.5",)}, r"one of 0.0, 0.1"),
+        (("power", "L"), {"where": ("status=failed",)}, "no sample"),
+        (("power", "spin_bottom"), {"log": "x"}, "above 0"),
+        (("power", "shape"), {"log": "x"}, "above 0"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_drawn_is_refused_in_a_sentence(scan, words, more, sentence):
+    with pytest.raises(InputError, match=sentence):
+        points(scan, *words, **more)
+
+
+def test_too_many_curves_are_refused(tmp_path):
+    many = stored_scan(tmp_path, sides=(4,), bottoms=(0.0,), seeds=25)
+    request = Request("power", "L", by=("seed",))
+    with pytest.raises(InputError, match="25 curves"):
+        curves_of(points(many, "power", "L", by=("seed",)), request)

@@ -1,0 +1,196 @@
+"""Scans as they are read back, killed, grown and complete ones alike; and what figures say of samples they lack."""
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.scan_file import read_scan
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.figure import Request, columns_of, look_of, plot_scan, points_of
+from taichi_bearings.scans.histogram import histogram, pooled, read_source
+from taichi_bearings.scans.scan import scan
+from taichi_bearings.scans.stored_scans import open_scan
+from taichi_bearings.scans.systems import disorder_of, knows
+from tests.scans.scan_faults import Here
+
+LAWS = "shape = [4, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 6 }\n"
+
+
+@pytest.fixture
+def folder(plan_of, tmp_path):
+    scan(plan_of(LAWS), tmp_path / "scan", engine=Here())
+    return tmp_path / "scan"
+
+
+def killed(folder, lines):
+    """The scan as a kill would have left it, when so many samples were done and no table was written."""
+    journal = folder / "samples.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:lines]) + b'{"crc32": "0')
+    (folder / "scan.h5").unlink()
+    (folder / "scan.csv").unlink()
+
+
+def told(folder, y, x="law", **more):
+    lines = []
+    files = plot_scan(folder, Request(y, x, **more), tell=lines.append)
+    with files[1].open() as file:
+        return lines, list(csv.DictReader(file))
+
+
+def test_a_killed_scan_opens_with_what_it_has(folder):
+    killed(folder, 8)
+    stored = open_scan(folder)
+    assert stored.missing.sum() == 4
+    assert stored.table["law"].tolist() == ["coulomb"] * 6 + ["viscous"] * 6
+    assert np.isfinite(stored.table["power"]).sum() == 8
+    lines, rows = told(folder, "power")
+    assert lines == ["8 of 12 samples (4 not computed yet)"]
+    assert [(row["law"], row["number"], row["asked"], row["left_out"]) for row in rows] == [
+        ("coulomb", "6", "6", ""),
+        ("viscous", "2", "6", "4 not computed yet"),
+    ]
+    report = histogram([folder], folder.parent / "h", by="law")
+    assert report["left_out"] == {"not computed yet": 4}
+    assert report["groups"][1]["census"] == "2 of 6 samples (4 not computed yet)"
+    text = (folder.parent / "h" / "power_histogram.csv").read_text()
+    assert "# law viscous: slip_threshold " in text
+    assert "samples 2 of 6 (4 not computed yet)" in text
+    assert {file.name for file in folder.iterdir()} == {
+        "samples.jsonl", "scan.toml", "power_against_law.png", "power_against_law.csv",
+    }  # fmt: skip
+
+
+def test_a_scan_that_was_killed_before_its_first_sample_has_none(folder):
+    killed(folder, 0)
+    with pytest.raises(InputError, match=r"no sample has both power and law: 12 not computed yet"):
+        told(folder, "power")
+    with pytest.raises(InputError, match="no sample has a result: 12 not computed yet"):
+        pooled([read_source(folder)])
+
+
+def test_a_table_that_is_older_than_the_journal_or_the_scan_is_not_used(folder, plan_of):
+    complete = folder / "scan.h5"
+    assert open_scan(folder).attributes.keys() == read_scan(folder).attributes.keys()  # schema, and so from the file
+    old = complete.read_bytes()
+    larger = plan_of(LAWS.replace("6", "7"))
+    (folder / "scan.toml").write_text(larger.text)  # grown, and killed before the first new sample
+    assert open_scan(complete).missing.sum() == 2
+    scan(larger, folder, engine=Here())
+    complete.write_bytes(old)
+    assert (open_scan(folder).samples, open_scan(folder).missing.sum()) == (14, 0)
+    complete.write_bytes(b"damaged")
+    assert open_scan(folder).samples == 14
+
+
+def test_no_figure_in_the_folder_is_older_than_the_scan(folder, plan_of):
+    plan = plan_of(LAWS)
+    _, figures = told(folder, "power"), sorted(folder.glob("power_against_law.*"))
+    (folder / "mine_against_yours.csv").write_text("x,y\n")
+    assert scan(plan, folder, engine=Here())["removed"] == []
+    assert all(file.is_file() for file in figures)
+    assert sorted(scan(plan_of(LAWS.replace("6", "7")), folder, engine=Here())["removed"]) == sorted(map(str, figures))
+    assert not any(file.exists() for file in figures)
+    assert (folder / "mine_against_yours.csv").is_file()
+
+
+def test_a_scan_whose_file_is_gone_is_read_from_its_table_or_refused(folder, caplog):
+    with (folder / "samples.jsonl").open("ab") as journal:
+        journal.write(b"torn")
+    (folder / "scan.toml").unlink()
+    assert open_scan(folder).samples == 12
+    assert "is older than the samples beside it" in caplog.text
+    shutil.copy(folder / "scan.h5", folder.parent)
+    assert open_scan(folder.parent / "scan.h5").samples == 12
+    (folder / "scan.h5").unlink()
+    with pytest.raises(FileError, match=r"scan\.toml does not exist"):
+        open_scan(folder)
+
+
+def test_a_curve_without_a_single_sample_is_named(folder):
+    lines, rows = told(folder, "power_normalised", by=("law",), x="seed")
+    assert lines == [
+        "6 of 12 samples (6 without power_normalised)",
+        "  law viscous: none of 6 samples (6 without power_normalised)",
+    ]
+    assert [row["number"] for row in rows] == ["1"] * 6 + ["0"] * 6
+    assert {row["mean"] for row in rows[6:]} == {""}
+
+
+def test_what_does_not_span_has_no_path_and_is_not_averaged_in(plan_of, tmp_path):
+    plan = plan_of('shape = [4, 4, 4]\ndistribution = "lognormal:0.4,0.8"\n[scan]\nseed = { start = 0, stop = 6 }\n')
+    scan(plan, tmp_path / "scan", structure=True, workers=1)
+    table = open_scan(tmp_path / "scan").table
+    spans = table["spans"]
+    assert 0 < spans.sum() < 6
+    lines, (row,) = told(tmp_path / "scan", "shortest_path", "L")
+    assert lines == [f"{spans.sum()} of 6 samples ({6 - spans.sum()} that do not span)"]
+    assert float(row["mean"]) == table["shortest_path"][spans].mean() >= 3
+
+
+def test_one_seed_at_two_values_of_an_irrelevant_parameter_is_one_sample(plan_of, tmp_path):
+    """A minimisation knows no stiffness."""
+    once = plan_of("shape = [4, 4]\n[scan]\nseed = { start = 0, stop = 8 }\n")
+    thrice = plan_of("shape = [4, 4]\n[scan]\nstiffness = [1e4, 1e5, 1e6]\nseed = { start = 0, stop = 8 }\n")
+    found = []
+    for name, plan in (("once", once), ("thrice", thrice)):
+        scan(plan, tmp_path / name, engine=Here())
+        _, (row,) = told(tmp_path / name, "power", "L")
+        _, (ratio,) = told(tmp_path / name, "power/slipping", "L")
+        pool = pooled([read_source(tmp_path / name)])[None]
+        numbers = [float(row[key]) for key in ("number", "mean", "standard_error", "low", "high", "quantile_25")]
+        found.append(([*numbers, float(ratio["low"]), *pool.density_error], pool.standard_error))
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-12)
+    assert found[1][1] == pytest.approx(3 * found[0][1])
+    both = pooled([read_source(tmp_path / "once"), read_source(tmp_path / "thrice")])[None]
+    assert (both.samples, both.density_error.tolist()) == (32, pytest.approx(found[0][0][7:]))
+
+
+SHAPES = "[scan]\nshape = [[3, 6], [6, 6], [3, 2, 6]]\nseed = { start = 0, stop = 3 }\n"
+
+
+def test_one_seed_in_different_systems_is_as_many_samples_and_the_figure_says_so(plan_of, tmp_path):
+    folder = tmp_path / "scan"
+    scan(plan_of(SHAPES), folder, engine=Here())
+    power = open_scan(folder).table["power"]
+    lines, (row,) = told(folder, "power", "L")
+    mixed = "a point mixes shape 3x2x6, 3x6 and 6x6: --by shape keeps them apart"
+    assert lines == ["all 9 samples", mixed]
+    assert (row["number"], row["used"]) == ("9", "9")
+    assert float(row["mean"]) == pytest.approx(power.mean())
+    assert float(row["standard_error"]) == pytest.approx(power.std(ddof=1) / 3)
+    _, (ratio,) = told(folder, "power/slipping", "L")
+    assert ratio["number"] == "9"
+    stored, request = open_scan(folder), Request("power", "L")
+    columns = columns_of(stored, request)
+    assert mixed in look_of(stored, columns, points_of(columns, request), request).title
+    assert pooled([read_source(folder)])[None].density_error.any()
+    lines, rows = told(folder, "power", "L", by=("shape",))
+    assert (lines, [row["number"] for row in rows]) == (["all 9 samples"], ["3", "3", "3"])
+
+
+def test_settings_of_a_dynamics_are_systems_to_it_alone(plan_of, tmp_path):
+    plan = plan_of(
+        "shape = [4, 4]\nmethod = 'planar-cut'\n[scan]\nspin_bottom = [0.0, 0.1]\nstiffness = [1e4, 1e5]\n"
+        "seed = { start = 0, stop = 3 }\n"
+    )
+    scan(plan, tmp_path / "scan", engine=Here())
+    lines, (row,) = told(tmp_path / "scan", "power", "L")
+    assert row["number"] == "6"
+    assert lines[1] == "a point mixes spin_bottom 0.0 and 0.1: --by spin_bottom keeps them apart"
+    assert [knows(method, "stiffness") for method in ("planar-cut", "cundall-strack")] == [False, True]
+    table = {"seed": np.array([0, 0]), "stiffness": np.array([1e4, 1e5]), "method": np.array(["cundall-strack"] * 2)}
+    assert len(set(disorder_of(table))) == 2
+    distributions = [RunSettings(distribution=f"constant:{value}") for value in (1, 2)]
+    assert len({disorder_of({"seed": np.array([0])}, settings)[0] for settings in distributions}) == 2
+
+
+def test_a_failed_sample_is_counted_where_it_belongs(plan_of, tmp_path):
+    np.savez(tmp_path / "start.npz", spin=np.ones((3, 4)))
+    plan = plan_of('shape = [4, 4]\n[scan]\ninitial = ["start.npz", "linear"]\nseed = [1, 2, 3]\n')
+    scan(plan, tmp_path / "scan", engine=Here())
+    _, rows = told(tmp_path / "scan", "power", "L")
+    assert [(row["L"], row["used"], row["left_out"]) for row in rows] == [("4", "3", "3 failed")]
+    assert read_source(tmp_path / "scan").column("seed").tolist() == [1, 2, 3]
