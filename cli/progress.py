@@ -135,7 +135,7 @@ class Forecast:
         self.most = stop.seconds - report.seconds
         words = [counted(progress.iteration, "iteration")]
         words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
-        words += [f"P = {float(np.mean(report.power)):.8g}", f"gap {float(np.max(report.gap)):.1e}"]
+        words += [f"P = {float(np.mean(report.objective)):.8g}", f"gap {float(np.max(report.gap)):.1e}"]
         self.standing = ", ".join(words)
 
     def left(self, now: float) -> str:

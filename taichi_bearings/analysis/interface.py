@@ -13,7 +13,7 @@ import numpy as np
 
 from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.initial_spins import cut_power_unit, cut_weights
+from taichi_bearings.scene.initial_spins import cut_unit, cut_weights
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def find_interface(scene: Scene, replica: int = 0) -> Interface:
     """The cheapest interface of one sample, for either law."""
     slips = scene.jump > 0  # else no contact of any interface slips
     weight = tuple(values[[replica]] for values in cut_weights(scene))
-    cut, unit = minimum_cut(weight), cut_power_unit(scene)
+    cut, unit = minimum_cut(weight), cut_unit(scene)
     above = cut.above[0]
     return Interface(
         above=above,

@@ -105,7 +105,7 @@ class Structure:
     @cached_property
     def friction_load(self) -> FrictionLoad | None:
         """How close to slipping the contacts are; None without forces or without a limit of friction."""
-        if self.force is None or self.scene.law != "coulomb":
+        if self.force is None or not self.scene.law.is_rate_independent:
             return None
         limit = tuple(self.scene.normal_force * values[0] for values in self.scene.coefficient)
         return friction_load(self.force, limit, self.state)

@@ -26,7 +26,6 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.scene.scene import LAWS
 from taichi_bearings.solvers import METHODS, method_class
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
@@ -124,7 +123,7 @@ def choose_scenes(shapes: Sequence[str], laws: Sequence[str], **others: Any) -> 
     if shapes:
         named: list[tuple[Any, str]] = [(shape, law) for law in laws or ("coulomb",) for shape in shapes]
     else:
-        wanted = [RunSettings(law=law).law for law in laws or LAWS]
+        wanted = [RunSettings(law=law).law for law in laws or ("coulomb", "viscous")]
         named = [(shape, law) for shape, law in DEFAULT_SCENES if law in wanted]
     return [RunSettings(shape=shape, law=law, **others) for shape, law in named]
 

@@ -54,7 +54,7 @@ def _rows(result: SceneResult, entry: Entry) -> Iterable[tuple[Any, ...]]:
     for n in range(len(entry.seconds)):
         numbers = (entry.seconds[n], entry.seconds_compile, entry.power[n], entry.lower_bound[n], gaps[n], errors[n])
         yield (
-            shape, scene.law, scene.seeds[0], entry.method, entry.settings[n], *map(float, numbers),
+            shape, scene.law.name, scene.seeds[0], entry.method, entry.settings[n], *map(float, numbers),
             result.reference_gap, int(entry.iterations[n]), entry.statuses[n],
         )  # fmt: skip
 
@@ -116,7 +116,7 @@ def summarise(result: SceneResult) -> dict[str, Any]:
         )
     return {
         "shape": list(result.scene.lattice.shape),
-        "law": result.scene.law,
+        "law": result.scene.law.name,
         "seed": result.scene.seeds[0],
         "reference": result.reference,
         "reference_gap": result.reference_gap,

@@ -108,7 +108,7 @@ class ConicProgramme:
     def forces(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         """Contact forces, one array (T, 1, *contacts) an axis, of the multipliers z of the rows."""
         scene, lattice, pairs = self.scene, self.scene.lattice, self.inequalities // 2
-        if scene.law == "viscous":
+        if not scene.law.holds:
             along = lattice.radius * scene.jump / 2 * z
         else:
             cones = z[2 * pairs :].reshape(-1, 3)
@@ -129,7 +129,11 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     if scene.replicas != 1:
         raise InputError(f"the scene has {scene.replicas} replicas; a conic programme describes one")
     differences = build_differences(scene)
-    return _viscous(scene, differences) if scene.law == "viscous" else _coulomb(scene, differences)
+    if not scene.law.holds:
+        return _viscous(scene, differences)
+    if scene.law.flows:
+        raise InputError(f"law is {scene.law}; only one coefficient a contact can be written as a conic programme")
+    return _coulomb(scene, differences)
 
 
 def _viscous(scene: Scene, differences: Differences) -> ConicProgramme:

@@ -72,7 +72,7 @@ class ProximalSteps:
         acting = [scene.coefficient[g.axis].reshape(scene.replicas, -1)[:, g.acting] for g in groups]
         mean = np.concatenate(acting, axis=1).mean(axis=1)
         self._coefficient = [[c[r] / mean[r] for c in acting] for r in range(scene.replicas)]
-        damping = scene.lattice.radius * unit if scene.law == "viscous" else 1.0
+        damping = scene.lattice.radius * unit if not scene.law.holds else 1.0
         self._force_unit = scene.strength * damping * mean
         self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)
 
@@ -82,7 +82,7 @@ class ProximalSteps:
         after = staggered.copy()
         force = scene.no_force(self.spin_axes)
         slipping, creep, newton_steps, solved = np.zeros(scene.replicas, dtype=int), 0.0, 0, True
-        solve = self._damped if scene.law == "viscous" else self._rubbed
+        solve = self._damped if not scene.law.holds else self._rubbed
         for replica in range(scene.replicas):
             before = self._own_spins(staggered, replica)
             answer = solve(self._coefficient[replica], before, self._slowness[replica] / duration)
@@ -92,7 +92,7 @@ class ProximalSteps:
                 values[:, group.acting] = -dual * self._force_unit[replica]
             for coefficient, z, y in zip(self._coefficient[replica], answer.difference, answer.dual, strict=True):
                 slip = length(z)
-                slips = slip > (0.0 if scene.law == "viscous" else 1 - length(y) / coefficient)
+                slips = slip > (0.0 if not scene.law.holds else 1 - length(y) / coefficient)
                 slipping[replica] += int(slips.sum())
                 creep = max(creep, self.unit * float(slip[~slips].max(initial=0.0)))
             newton_steps += answer.newton_steps

@@ -29,7 +29,8 @@ HISTORY_UNITS = {
     "seconds": ("s", "wall time of the solve, compilation apart"),
     "time": ("time", "simulated time"),
     "power": ("energy/time", "power dissipated by the spins"),
-    "lower_bound": ("energy/time", "best proven lower bound on the least power so far"),
+    "potential": ("energy/time", "dissipation potential of the spins, of which the lower bound is"),
+    "lower_bound": ("energy/time", "best proven lower bound so far"),
     "slipping": ("1", "contacts that slip at this moment"),
     "kinetic_energy": ("energy", "kinetic energy of the free spheres"),
     "spring_energy": ("energy", "energy in the elongations of the contacts"),
@@ -66,11 +67,11 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in attributes.items():
             file.attrs[key] = storable(value)
-        law_unit = "1" if scene.law == "coulomb" else "force*time/length"
         for axis in range(scene.lattice.dimension):
-            name, values = AXES[axis], scene.coefficient[axis]
-            kind = "friction" if scene.law == "coulomb" else "damping"
-            put(file, f"coefficient/{name}", strip(values), law_unit, f"{kind} coefficient of the {name}-contacts")
+            name = AXES[axis]
+            for quantity, (group, parts) in zip(scene.law.quantities, scene.coefficients.items(), strict=True):
+                text = f"{quantity.name} coefficient of the {name}-contacts"
+                put(file, f"{group}/{name}", strip(parts[axis]), quantity.unit, text)
             for key, (attribute, unit, text) in CONTACT_SETS.items():
                 put(file, f"contact/{name}/{key}", strip(getattr(solution, attribute)[axis]), unit, text)
             text = FRICTION[scene.lattice.dimension]
@@ -120,6 +121,7 @@ class StoredRun:
     path: Path
     attributes: dict[str, Any]
     coefficient: tuple[np.ndarray, ...]
+    viscosity: tuple[np.ndarray, ...]
     spin: np.ndarray
     slip: tuple[np.ndarray, ...]
     power: tuple[np.ndarray, ...]
@@ -167,6 +169,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         path=path,
         attributes=attributes,
         coefficient=tuple(get(f"coefficient/{axis}") for axis in axes),
+        viscosity=tuple(get(f"viscosity/{axis}") for axis in axes) if "viscosity" in file else (),
         spin=get("spin"),
         history={key: get(f"history/{key}") for key in file["history"]},
         snapshots={key: get(f"snapshots/{key}") for key in file.get("snapshots", ())},

@@ -34,12 +34,12 @@ def clamp(value, low, high):
 
 
 @ti.func
-def coulomb_force(spin_difference: ti.template(), friction, sharpness):
-    """Friction along D: of size `friction` where the contact slips, |D| sharpness >= 1, and linear in D below.
+def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
+    """Friction along D: of its full size where the contact slips, |D| sharpness >= 1, and linear in D below.
 
     paper Eq. (3) with its cases in the right order; sharpness is 1 over the largest |D| that counts as no slip.
     """
-    scale = 0.0
+    friction, scale = coefficients[0], 0.0
     if ti.static(len(spin_difference) > 1):
         scale = friction * smaller(sharpness, 1.0 / length(spin_difference))
     return [
@@ -49,6 +49,18 @@ def coulomb_force(spin_difference: ti.template(), friction, sharpness):
 
 
 @ti.func
-def viscous_force(spin_difference: ti.template(), damping, unused):
-    """Paper Eq. (1), over the radius: damping times D."""
-    return [d * damping for d in ti.static(spin_difference)]
+def viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
+    """Paper Eq. (1), over the radius: damping, the last coefficient, times D."""
+    return [d * coefficients[ti.static(len(coefficients) - 1)] for d in ti.static(spin_difference)]
+
+
+@ti.func
+def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
+    """The sum of both."""
+    held = coulomb_force(spin_difference, coefficients, sharpness)
+    flowing = viscous_force(spin_difference, coefficients, sharpness)
+    return [held[t] + flowing[t] for t in ti.static(range(len(held)))]
+
+
+FORCES = {"coulomb": coulomb_force, "viscous": viscous_force, "coulomb-viscous": coulomb_viscous_force}
+"""Law of scene/law.py -> its force along D, for coefficients in one unit, regularised where it jumps."""

@@ -11,24 +11,22 @@ from math import comb
 import taichi as ti
 
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
-from taichi_bearings.kernels.contact import length
+from taichi_bearings.kernels.contact import length, viscous_force
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
 
 @lru_cache
-def cundall_strack_steps(
-    spec: FieldSpec, stencil: Stencil, law: str, corrector: tuple[float, ...]
-) -> "CundallStrackSteps":
+def cundall_strack_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]) -> "CundallStrackSteps":
     """One for each configuration, so that the next scene finds its kernels compiled."""
-    return CundallStrackSteps(spec, stencil, law, corrector)
+    return CundallStrackSteps(spec, stencil, corrector)
 
 
 @ti.data_oriented
 class CundallStrackSteps:
-    """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient` and, for Coulomb,
-    `integral` and `elongation`.
+    """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`, with friction also
+    `integral` and `elongation`, and with damping beside it `viscosity`.
 
     gear_n : the n-th derivative of the staggered spin times (time step)^n / n!.
     predicted, integral : the spin extrapolated to the end of the step, and its mean over the step.
@@ -39,15 +37,18 @@ class CundallStrackSteps:
     work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
     """
 
-    def __init__(self, spec: FieldSpec, stencil: Stencil, law: str, corrector: tuple[float, ...]):
+    def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
         slot, axes = first_slots(spec), range(stencil.dimension)
-        self.stencil, self.block, self.coulomb = stencil, stencil.block, law == "coulomb"
+        self.stencil, self.block = stencil, stencil.block
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
         self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
         self.force = stencil.force_rows(slot["force"])
-        if self.coulomb:
+        self.holds = "elongation" in slot
+        if self.holds:
             self.integral = stencil.spin_rows(slot["integral"])
             self.elongation = stencil.force_rows(slot["elongation"])
+        names = [name for name in ("coefficient", "viscosity") if name in slot]
+        self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
         # rows of the first component; those of the others follow
         self.gear = tuple(slot[f"gear_{n}"] for n in range(self.order))
         self.ahead = tuple(slot[name] for name in ("predicted", "integral") if name in slot)
@@ -78,15 +79,17 @@ class CundallStrackSteps:
 
     @ti.func
     def spring(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """Elongation and force of one Coulomb contact.
+        """Elongation and force of one contact with friction: a spring and a damper that slip together, and beside them
+        the viscosity, if there is one.
 
         reach: radius * time step; damping: A_t * radius.
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         compliance, memory: elongation after a slip, from the force and from the elongation before.
         """
-        integral, integral_above, spin, spin_above, elongation, coefficient = at
+        integral, integral_above, spin, spin_above, elongation, own = at
         reach, stiffness, damping, kinetic, static, compliance, memory = numbers
-        before, friction = read(values, elongation, m), values[coefficient[0] + m]
+        before, coefficients = read(values, elongation, m), read(values, own, m)
+        friction = coefficients[0]
         moved, speed = difference(values, integral, integral_above, m), difference(values, spin, spin_above, m)
         stretch = [reach * moved[t] + before[t] for t in ti.static(range(len(moved)))]
         trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(len(moved)))]
@@ -95,13 +98,17 @@ class CundallStrackSteps:
         share = ti.select(slips, kinetic * friction / size, 1.0)
         force = [share * f for f in ti.static(trial)]
         left = [force[t] * compliance + memory * before[t] for t in ti.static(range(len(force)))]
-        return [ti.select(slips, left[t], stretch[t]) for t in ti.static(range(len(force)))] + force
+        if ti.static(len(own) > 1):
+            flowing = viscous_force(speed, coefficients, 0.0)
+            for t in ti.static(range(len(force))):
+                force[t] += flowing[t]
+        return [ti.select(slips, left[t], stretch[t]) for t in ti.static(range(len(left)))] + force
 
     @ti.func
     def dashpot(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
         """Force of one viscous contact."""
-        spin, spin_above, coefficient = at
-        return [values[coefficient[0] + m] * numbers[0] * d for d in difference(values, spin, spin_above, m)]
+        spin, spin_above, own = at
+        return [values[own[0] + m] * numbers[0] * d for d in difference(values, spin, spin_above, m)]
 
     @ti.func
     def added_work(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
@@ -169,17 +176,17 @@ class CundallStrackSteps:
             spin_above = [places(self.spin[axis], row, above[axis]) for axis in axes]
             each_site(values, blocks, self.block, work, self.added_work, [work, force, spin, spin_above], numbers)
         for axis in ti.static(self.stencil.slipping_axes):
-            coefficient = places((self.slot["coefficient"] + axis,), row, first)
+            own = places(self.coefficients[axis], row, first)
             spin, force = places(self.predicted[axis], row, first), places(self.force[axis], row, first)
             spin_above = places(self.predicted[axis], row, above[axis])
-            if ti.static(self.coulomb):
+            if ti.static(self.holds):
                 integral = places(self.integral[axis], row, first)
                 integral_above = places(self.integral[axis], row, above[axis])
                 elongation = places(self.elongation[axis], row, first)
-                at = [integral, integral_above, spin, spin_above, elongation, coefficient]
+                at = [integral, integral_above, spin, spin_above, elongation, own]
                 each_site(values, blocks, self.block, elongation + force, self.spring, at, numbers)
             else:
-                at = [spin, spin_above, coefficient]
+                at = [spin, spin_above, own]
                 each_site(values, blocks, self.block, force, self.dashpot, at, numbers[2:3])
 
     @ti.func

@@ -5,12 +5,10 @@ from functools import lru_cache
 import taichi as ti
 
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
-from taichi_bearings.kernels.contact import clamp, coulomb_force, viscous_force
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, fill, in_range, new_rows, places
+from taichi_bearings.kernels.contact import FORCES, clamp
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, fill, in_range, new_rows, places, read
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
-
-FORCE_LAWS = {"coulomb": coulomb_force, "viscous": viscous_force}
 
 
 @lru_cache
@@ -21,24 +19,26 @@ def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str) -> "DescentSweep
 
 @ti.data_oriented
 class DescentSweeps:
-    """Sweeps over the fields `point`, `point_next`, `coefficient`, `inverse_weight`, with momentum `spin`, and for
-    averages `spin_sum` and `force_sum`.
+    """Sweeps over the fields `point`, `point_next`, `coefficient`, for a law with two of them `viscosity`,
+    `inverse_weight`, with momentum `spin`, and for averages `spin_sum` and `force_sum`.
 
     The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
 
         spin_new = clip(point + step * inverse_weight * (sum of the forces that pull on the sphere at `point`), box)
         point    = spin_new + beta (spin_new - spin)
 
-    inverse_weight is 1 / (sum of the coefficients of the sphere's contacts), for each component; 0 for driven spheres,
-    which therefore stay. On request the points and the contact forces at the points are summed up in `spin_sum` and
-    `force_sum`. Without momentum `spin` is not used: `point` is the spin.
+    inverse_weight is 1 / (sum over the sphere's contacts of what bounds their curvature), for each component; 0 for
+    driven spheres, which therefore stay. On request the points and the contact forces at the points are summed up in
+    `spin_sum` and `force_sum`. Without momentum `spin` is not used: `point` is the spin.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
         self.slot = slot = first_slots(spec)
-        self.stencil, self.block, self.force_law = stencil, stencil.block, FORCE_LAWS[law]
+        self.stencil, self.block, self.force_law = stencil, stencil.block, FORCES[law]
         self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
         self.components = tuple(range(stencil.components))
+        first = [slot[name] for name in ("coefficient", "viscosity") if name in slot]
+        self.coefficients = tuple(tuple(row + axis for row in first) for axis in range(stencil.dimension))
         self.at_once = stencil.components == 1  # what one component reads fits the processor's registers, more does not
 
         def of_sites(name: str) -> tuple[int, ...]:
@@ -75,8 +75,10 @@ class DescentSweeps:
             self.pair_on_gpu(fields.values, 0, False, *(0,) * 5, *nothing)
 
     @ti.func
-    def force(self, values: ti.template(), lower: ti.template(), upper: ti.template(), coefficient, m, sharpness):
-        return self.force_law(difference(values, lower, upper, m), values[coefficient + m], sharpness)
+    def force(
+        self, values: ti.template(), lower: ti.template(), upper: ti.template(), own: ti.template(), m, sharpness
+    ):
+        return self.force_law(difference(values, lower, upper, m), read(values, own, m), sharpness)
 
     @ti.func
     def pull(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
@@ -133,7 +135,7 @@ class DescentSweeps:
     def added_force(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
         """The sum of the forces of one contact, with this one added."""
         total, here, up, own = at
-        force = self.force(values, here, up, own[0], m, numbers[0])
+        force = self.force(values, here, up, own, m, numbers[0])
         return [values[total[t] + m] + force[t] for t in ti.static(range(len(force)))]
 
     @ti.func
@@ -156,8 +158,8 @@ class DescentSweeps:
         here = [places(self.kept[axis], row, source) for axis in axes]
         up = [places(self.kept[axis], row, source + strides[axis]) for axis in axes]
         down = [places(self.kept[axis], row, source - strides[axis]) for axis in axes]
-        own = [in_range((self.slot["coefficient"] + axis) * row + first) for axis in axes]
-        lower = [in_range((self.slot["coefficient"] + axis) * row + first - strides[axis]) for axis in axes]
+        own = [places(self.coefficients[axis], row, first) for axis in axes]
+        lower = [places(self.coefficients[axis], row, first - strides[axis]) for axis in axes]
         point, weight = places(self.point, row, source), places(self.weight, row, first)
         spin, to = places(self.spin, row, first), places(self.point, row, target)
         if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
@@ -166,7 +168,7 @@ class DescentSweeps:
                 each_site(values, blocks, self.block, spin_sum, self.added_point, [spin_sum, point], numbers)
                 for axis in ti.static(self.stencil.slipping_axes):
                     total = places(self.force_sum[axis], row, first)
-                    at = [total, here[axis], up[axis], [own[axis]]]
+                    at = [total, here[axis], up[axis], own[axis]]
                     each_site(values, blocks, self.block, total, self.added_force, at, [sharpness])
         carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
         contacts = [

@@ -53,18 +53,6 @@ class MinimumCut:
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
-def jump_weights(
-    coefficient: tuple[np.ndarray, ...], direction: np.ndarray, exponent: float = 1.0
-) -> tuple[np.ndarray, ...]:
-    """Share of each contact in the power of a cut: coefficient |d x n|^exponent, shaped as `coefficient`.
-
-    coefficient : one array (R, *contacts) an axis. direction : unit vector d (3,) of the jump; in 2D along z.
-    exponent : 1 for friction, 2 for viscous damping.
-    """
-    across = (np.linalg.norm(np.delete(direction, axis)) for axis in range(len(coefficient)))
-    return tuple(values * share**exponent for values, share in zip(coefficient, across, strict=True))
-
-
 def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
     """A lightest cut between the bottom plane and the top plane of each lattice.
 

@@ -30,7 +30,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_of, cut_power_unit, cut_weights, initial_spin
+from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights, initial_spin
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.gradient_descent import GradientDescent
 from taichi_bearings.solvers.interior_point import InteriorPoint
@@ -159,7 +159,7 @@ class Minimum:
     @property
     def spread(self) -> np.ndarray:
         """Largest relative difference (R,) of the power, its bound by friction forces and those of the flow."""
-        power, unit = self.solution.power, cut_power_unit(self.solution.scene)
+        power, unit = self.solution.power, cut_unit(self.solution.scene)
         flow = (unit * self.by_flow.weight, unit * self.by_flow.lower_bound)
         return np.max([np.abs(other / power - 1) for other in (self.solution.lower_bound, *flow)], axis=0)
 
@@ -182,7 +182,7 @@ class Settled:
 
     @property
     def cut_power(self) -> np.ndarray:
-        return cut_power_unit(self.solution.scene) * self.cut.weight
+        return cut_unit(self.solution.scene) * self.cut.weight
 
     @property
     def spread(self) -> np.ndarray:
@@ -237,7 +237,7 @@ def write_samples(path: Path, minimum: Minimum, descent: Descent) -> None:
         minimum.solution.scene.seeds,
         minimum.solution.power,
         minimum.solution.lower_bound,
-        cut_power_unit(minimum.solution.scene) * minimum.by_flow.weight,
+        cut_unit(minimum.solution.scene) * minimum.by_flow.weight,
         minimum.distance,
         count(minimum.contacts),
         descent.excess,

@@ -1,9 +1,9 @@
-"""Bounds on the least power, from any spins and any contact forces. NumPy in float64, apart from every method.
+"""Bounds on what the stationary state minimises, from any spins and any contact forces. NumPy in float64.
 
-The problem is convex and has a dual (PHYSICS 3 and 4). With t_i the sum of the contact forces that pull on sphere i,
+The problem is convex and has a dual. With t_i the sum of the contact forces that pull on sphere i, and phi* the
+conjugate of the potential of a contact (scene/law.py), for any forces that the law admits
 
-    Coulomb:  P_min >= R [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]         for |f_e| <= mu_e F_n
-    viscous:  P_min >= 2 R [ the same ]  -  sum_e |f_e|^2 / eta_e                            for any f
+    least potential >= R [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]  -  sum_e phi*(|f_e|)
 
 where c and w are the middle and the half width of the interval that the two driven planes span in each component: a
 minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Three candidates
@@ -25,7 +25,7 @@ PROVEN, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, a
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Proven lower bound (R,) on the least power of each replica, energy/time; never below 0.
+    """Proven lower bound (R,) on the least objective of each replica, energy/time; never below 0.
 
     force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
     """
@@ -37,19 +37,20 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
 def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list[Forces]:
     """Admissible forces made from the given ones; each of them may prove the most."""
     balanced = balance(scene, force, spin_axes)
-    if scene.law == "viscous":
-        return [force, balanced]
-    return [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
+    found = [force, balanced] if scene.law.flows else []  # every force is admissible
+    if scene.law.holds:
+        found += [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
+    return found
 
 
 def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray) -> Forces:
     """Forces near the given ones that certify by themselves, one array (T, R, *contacts) an axis.
 
-    They leave no torque on any free sphere but rounding, and none is longer than its friction disc (Coulomb): the work
-    of the driven planes against them is a lower bound on the least power (viscous: twice the work less the sum of
-    |f|^2 / eta is one). Where such forces prove less than `bound`, those that pay for leftover torques are returned.
+    They leave no torque on any free sphere but rounding, and with Coulomb friction none is longer than its disc: the
+    bound is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`,
+    those that pay for leftover torques are returned.
 
-    bound : (R,), lower bound on the power that these forces should prove.
+    bound : (R,), lower bound on the objective that these forces should prove.
 
     Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
     forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
@@ -62,7 +63,7 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     in_balance = left_over <= BALANCED * largest
     if not in_balance.all():
         force = _where(in_balance, force, balance(scene, force, spin_axes))
-    if scene.law == "viscous":
+    if scene.law.flows:
         return _most_proving(scene, force, given, spin_axes, bound)
     best = scaled(scene, force)
     reached = dual_value(scene, best, spin_axes)
@@ -98,22 +99,24 @@ def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
     return tuple(np.where(pick, a, b) for a, b in zip(force, other, strict=True))
 
 
-def slip_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...], power: np.ndarray) -> tuple[np.ndarray, ...]:
+def slip_bound(
+    scene: Scene, force: Forces, spin_axes: tuple[int, ...], objective: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """Largest slip speed that a contact can have at any minimum, one array (R, *contacts) an axis, length/time.
 
-    Admissible forces f with lower bound D prove sum_e (mu_e F_n - |f_e|) |v_e| <= P_min - D <= power - D (PHYSICS 4):
-    a contact with a friction margin slips at most (power - D) / margin, and never more than the spins of the box allow.
-    Coulomb law only. power : (R,), of any spins. The forces count as they are, capped or scaled: no Poisson solve.
+    Admissible forces f with lower bound D prove that at a minimum phi(|v_e|) + phi*(|f_e|) - |f_e| |v_e|, which no
+    contact has below 0, is at most the least potential less D: with Coulomb friction a contact with a margin slips at
+    most (power - D) / margin. None slips more than the spins of the box allow.
+    objective : (R,), of any spins. The forces count as they are, or capped or scaled: no Poisson solve.
     """
-    force = _finite(scene, force)
+    force, law = _finite(scene, force), scene.law
     bounds = [np.full((scene.replicas, *c.shape[1:]), np.inf) for c in scene.coefficient]
-    for candidate in (capped(scene, force), scaled(scene, force)):
-        left = np.maximum(power - dual_value(scene, candidate, spin_axes), 0.0)
+    for candidate in (force,) if law.flows else (capped(scene, force), scaled(scene, force)):
+        left = np.maximum(objective - dual_value(scene, candidate, spin_axes), 0.0) / law.share
         excess = left.reshape(-1, *(1,) * scene.lattice.dimension)
-        for axis, (full, bound) in enumerate(zip(saturation(scene, candidate), bounds, strict=True)):
-            margin = scene.strength * scene.acting_coefficient[axis] * np.maximum(1.0 - full, 0.0)
-            slowest = np.divide(excess, margin, out=np.full_like(bound, np.inf), where=margin > 0)
-            np.minimum(bound, slowest, out=bound)
+        for of, values, bound in zip(scene.contact, candidate, bounds, strict=True):
+            size = vector_length(values) * (1 + 4 * np.finfo(np.float64).eps)
+            np.minimum(bound, law.largest_slip(of, size, excess), out=bound)
     bottom, top = scene.driven_values(spin_axes)
     for axis, bound in enumerate(bounds):
         jump = (top - bottom)[list(tangential(axis, spin_axes))]
@@ -133,7 +136,7 @@ def _finite(scene: Scene, force: Forces) -> Forces:
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Dual objective of Coulomb forces as they are, and the lower bound that they prove capped or scaled; (R,) each.
+    """Work of Coulomb forces as they are, and the lower bound that they prove capped or scaled; (R,) each.
 
     For forces that leave practically no torque: the Poisson solve of :func:`lower_bound` is left out. The bound holds
     for any finite forces, and both come from two passes over the contacts, for methods that check often.
@@ -146,20 +149,20 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     return work, np.maximum(bound, 0.0)
 
 
-def relative_gap(scene: Scene, power: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """(power - lower bound) / power, (R,); NaN where either is not a number, so that nothing follows from it.
+def relative_gap(scene: Scene, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """(objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows from it.
 
-    Without a jump the least power is 0 and a relative gap says nothing: the power then counts by the natural one, of
-    all contacts at their limit with the imposed spin for slip, where that is larger.
+    Without a jump the least objective is 0 and a relative gap says nothing: it then counts by the natural one, of all
+    contacts with the imposed spin for slip, where that is larger.
     """
-    unit = power
+    unit = objective
     if scene.jump == 0:
-        friction = np.sum([c.reshape(scene.replicas, -1).sum(axis=1) for c in scene.acting_coefficient], axis=0)
-        speed = scene.lattice.radius * abs(scene.spin_top)
-        unit = np.maximum(power, scene.strength * friction * (speed if scene.law == "coulomb" else speed**2))
+        speed = np.full((), scene.lattice.radius * abs(scene.spin_top))
+        natural = (scene.law.objective(of, speed).reshape(scene.replicas, -1) for of in scene.contact)
+        unit = np.maximum(objective, np.sum([values.sum(axis=1) for values in natural], axis=0))
     with np.errstate(invalid="ignore", over="ignore"):
-        gap = np.divide(power - bound, unit, out=np.full(np.shape(power), np.nan), where=unit > 0)
-    return np.where((power == 0) & (bound == 0), 0.0, gap)
+        gap = np.divide(objective - bound, unit, out=np.full(np.shape(objective), np.nan), where=unit > 0)
+    return np.where((objective == 0) & (bound == 0), 0.0, gap)
 
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -169,7 +172,7 @@ def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int,
 
 
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Dual objective (R,) of admissible forces, torque-balanced or not, minus an allowance for rounding."""
+    """What admissible forces prove (R,), torque-balanced or not: the dual objective minus an allowance for rounding."""
     pull = precise_torques(scene, force, spin_axes)
     bottom, top = scene.driven_values(spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
@@ -182,13 +185,11 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
     total = np.sum([vector_length(f).reshape(scene.replicas, -1).sum(axis=1) for f in force], axis=0)
     allowance += ROUNDING**2 * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
-    if scene.law == "coulomb":
-        return work - allowance
-    cost = np.zeros(scene.replicas)
-    for axis, values in enumerate(force):
-        inverse = _inverse(scene.acting_coefficient[axis])
-        cost += (vector_length(values) ** 2 * inverse).reshape(scene.replicas, -1).sum(axis=1)
-    return 2 * work - cost - 2 * allowance - ROUNDING * cost
+    if scene.law.flows:  # else the conjugate of admissible forces is 0
+        costs = (scene.law.conjugate(of, vector_length(f)) for of, f in zip(scene.contact, force, strict=True))
+        cost = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in costs], axis=0)
+        work, allowance = work - cost, allowance + ROUNDING * cost
+    return scene.law.share * (work - allowance)
 
 
 def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:

@@ -38,13 +38,13 @@ def classify(
 
     slip : speed, (R, *contacts) an axis; force : vectors (T, R, *contacts) an axis; threshold : length/time.
 
-    Coulomb: slipping if the slip exceeds `threshold` and the friction is saturated (|f| > 0.999999 mu F_n), slipless if
-    neither, undecided if the two disagree. Viscous contacts have no friction limit: the slip alone decides.
+    Slipping if the slip exceeds `threshold` and the friction is saturated (|f| > 0.999999 mu F_n), slipless if neither,
+    undecided if the two disagree. Viscous contacts have no friction limit: the slip alone decides.
     """
     states = []
     for axis, (speed, ratio) in enumerate(zip(slip, saturation(scene, force), strict=True)):
         fast = speed > threshold
-        full = ratio > SATURATED if scene.law == "coulomb" else fast
+        full = ratio > SATURATED if scene.law.holds else fast
         state = np.where(fast & full, ContactState.SLIPPING, ContactState.SLIPLESS)
         state = np.where(fast != full, ContactState.UNDECIDED, state)
         states.append(np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, state).astype(np.uint8))

@@ -25,8 +25,8 @@ from taichi_bearings.stages import alike, each, stage
 def scene_of(run: StoredRun, replica: int) -> Scene:
     """One sample of a stored run as a scene."""
     settings = settings_of(run)
-    coefficient = tuple(values[replica][None] for values in run.coefficient)
-    return scene_with(settings, coefficient, (settings.seed + replica,))
+    parts = (tuple(values[replica][None] for values in sets) for sets in (run.coefficient, run.viscosity))
+    return scene_with(settings, (settings.seed + replica,), *parts)
 
 
 def structure_of(run: StoredRun, replica: int, threshold: float | None = None) -> Structure:

@@ -27,8 +27,9 @@ from taichi_bearings.runs.run_directory import completed, default_run_path, in_u
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.scene.law import law_named
 from taichi_bearings.stages import stage
 
 
@@ -39,22 +40,33 @@ def build_scene(settings: RunSettings) -> Scene:
         most = MOST_SITES // 8 // lattice.sites
         raise InputError(f"replicas is {settings.replicas}; with this shape at most {most} can be indexed")
     seeds = tuple(range(settings.seed, settings.seed + settings.replicas))
-    if settings.coefficients is None:
-        distribution = Distribution.parse(settings.distribution)
-        drawn = [draw_coefficients(lattice, distribution, seed) for seed in seeds]
-        coefficient = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
-    else:
-        stored = read_coefficients(Path(settings.coefficients), lattice.dimension)
-        coefficient = tuple(_with_replicas(values, lattice.dimension, len(seeds)) for values in stored)
-    return scene_with(settings, coefficient, seeds)
+    sources = (
+        ("coefficient", draw_coefficients, settings.distribution),
+        ("viscosity", draw_viscosities, settings.viscosity),
+    )
+    found = []
+    for kind, draw, distribution in sources[: len(law_named(settings.law).quantities)]:
+        if settings.coefficients is None:
+            drawn = [draw(lattice, Distribution.parse(distribution), seed) for seed in seeds]
+            found.append(tuple(np.stack(parts) for parts in zip(*drawn, strict=True)))
+        else:
+            stored = read_coefficients(Path(settings.coefficients), lattice.dimension, kind)
+            found.append(tuple(_with_replicas(values, lattice.dimension, len(seeds)) for values in stored))
+    return scene_with(settings, seeds, *found)
 
 
-def scene_with(settings: RunSettings, coefficient: tuple[np.ndarray, ...], seeds: tuple[int, ...]) -> Scene:
+def scene_with(
+    settings: RunSettings,
+    seeds: tuple[int, ...],
+    coefficient: tuple[np.ndarray, ...],
+    viscosity: tuple[np.ndarray, ...] = (),
+) -> Scene:
     """The scene of the settings with these coefficients, one array (R, *contacts) an axis, and seeds (R,)."""
     return Scene(
         lattice=Lattice(settings.shape, settings.radius),
-        law=settings.law,
+        law=law_named(settings.law),
         coefficient=coefficient,
+        viscosity=viscosity,
         spin_top=settings.spin_top,
         spin_bottom=settings.spin_bottom,
         direction=(settings.direction[0], settings.direction[1], settings.direction[2]),
@@ -81,16 +93,16 @@ ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interi
 
 def automatic_method(scene: Scene, settings: RunSettings) -> str:
     """Name of the fastest method that certifies this scene."""
-    if scene.law == "viscous":
+    if not scene.law.holds:
         return "linear-solver"
-    if len(scene.minimum_spin_axes) == 1:
+    if scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1:
         return "planar-cut"
     arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
     if arch != "cpu":
         return "gradient-descent"
-    if settings.tolerance < ROUGH and scene.lattice.sites <= MOST_FACTORISED:
+    if scene.lattice.sites <= MOST_FACTORISED and (settings.tolerance < ROUGH or scene.law.flows):
         return "interior-point"
-    return "operator-splitting"
+    return "operator-splitting" if scene.law.is_rate_independent else "gradient-descent"
 
 
 def build_method(settings: RunSettings, scene: Scene) -> Any:
@@ -203,7 +215,7 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     from taichi_bearings.proof.certificate import relative_gap
 
     bound = np.maximum(first.lower_bound, second.lower_bound)
-    gaps = [relative_gap(first.scene, answer.power, bound) for answer in (first, second)]
+    gaps = [relative_gap(first.scene, answer.objective, bound) for answer in (first, second)]
     clearly = gaps[1].max() <= tolerance < gaps[0].max() or 2 * gaps[1].max() < gaps[0].max()
     answer, gap = (second, gaps[1]) if clearly else (first, gaps[0])
     status = Status.CERTIFIED if (gap <= tolerance).all() else second.status
@@ -232,6 +244,7 @@ def summarise(solution: Solution, tolerance: float, duration: float | None = Non
     close = solution.gap <= tolerance  # far from a minimum slips that are far apart say nothing
     summary = {
         "power": per_seed(solution.power),
+        **({} if scene.law.minimises == "power" else {"potential": per_seed(solution.objective)}),
         "lower_bound": per_seed(solution.lower_bound),
         "gap": per_seed(solution.gap),
         "status": per_seed(
@@ -241,7 +254,7 @@ def summarise(solution: Solution, tolerance: float, duration: float | None = Non
             ]
         ),
         "method": solution.method,
-        "law": scene.law,
+        "law": scene.law.name,
         "shape": list(scene.lattice.shape),
         "seed": per_seed(scene.seeds),
         "iterations": solution.iterations,
@@ -263,7 +276,7 @@ def summarise(solution: Solution, tolerance: float, duration: float | None = Non
         "radius": scene.lattice.radius,
         "version": __version__,
     }
-    if scene.law == "coulomb" and unit > 0:
+    if scene.law.is_rate_independent and unit > 0:
         summary["power_normalised"] = per_seed(solution.power / unit)
     summary |= {name: per_seed(values) for name, values in solution.findings.items()}
     summary["minimum_is_unique"] = per_seed(solution.minimum_is_unique)

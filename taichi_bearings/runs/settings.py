@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import METHODS
 
 METHOD_NAMES = ("auto", *METHODS)
@@ -123,7 +124,7 @@ class RunSettings:
     """One run, fully described. Values are checked when it is built; InputError names the key and what is allowed."""
 
     shape: tuple[int, ...] = setting((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
-    law: str = setting("coulomb", _one_of("coulomb", "viscous"), "Contact law.")
+    law: str = setting("coulomb", _one_of(*LAWS), "Contact law.")
     method: str = setting("auto", _one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
     tolerance: float = setting(
         1e-8,
@@ -146,6 +147,9 @@ class RunSettings:
         TEXT,
         "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
         "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.",
+    )
+    viscosity: str = setting(
+        "uniform:0.1,1.0", TEXT, "coulomb-viscous: distribution of the viscosities, as that of the coefficients."
     )
     initial: str = setting(
         "linear", TEXT, "Spins to start from: random, zero, linear, minimum-cut, or a file with an array `spin`."

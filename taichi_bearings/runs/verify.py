@@ -1,6 +1,7 @@
 """Independent verification of a run from its file alone."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,12 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
 from taichi_bearings.verifier.verdict import as_report, verdict_of
 
+Draw = Callable[[Lattice, Distribution, int], tuple[np.ndarray, ...]]
 REDRAWN = 1e-12  # relative difference of coefficients that are drawn again from their seed
 
 
@@ -51,16 +53,23 @@ def _coefficients(run: StoredRun) -> list[str]:
     """Coefficients that the scene says to be drawn from seeds are those of the seeds."""
     if not _is_drawn(run):
         return []
+    found = _redrawn(run, "coefficients", "distribution", draw_coefficients, run.samples.coefficient)
+    if run.samples.viscosity:
+        found += _redrawn(run, "viscosities", "viscosity", draw_viscosities, run.samples.viscosity)
+    return found
+
+
+def _redrawn(run: StoredRun, kind: str, key: str, draw: Draw, values: tuple[np.ndarray, ...]) -> list[str]:
     lattice = Lattice(run.samples.shape)
     try:
-        distribution = Distribution.parse(str(run.settings["distribution"]))
+        distribution = Distribution.parse(str(run.settings[key]))
         seeds = [int(seed) for seed in run.claimed("seed")]
-    except (InputError, TypeError, ValueError):
+    except (KeyError, InputError, TypeError, ValueError):
         return ["the scene names no distribution and seed that coefficients can be drawn from"]
     found = []
     for number, seed in enumerate(seeds):
-        for axis, drawn in enumerate(draw_coefficients(lattice, distribution, seed)):
-            stored = run.samples.coefficient[axis][number]
+        for axis, drawn in enumerate(draw(lattice, distribution, seed)):
+            stored = values[axis][number]
             if not (np.abs(stored - drawn) <= REDRAWN * drawn).all():
-                found.append(f"coefficients along {'xyz'[axis]} are not those of seed {seed}")
+                found.append(f"{kind} along {'xyz'[axis]} are not those of seed {seed}")
     return found

@@ -1,6 +1,8 @@
 """What is solved and what comes out. NumPy only; nothing here knows Taichi."""
 
-from taichi_bearings.scene.scene import LAWS, Scene
+from taichi_bearings.scene.law import LAWS as LAWS
+from taichi_bearings.scene.law import Law as Law
+from taichi_bearings.scene.scene import Scene
 from taichi_bearings.scene.solution import Energy, Progress, Snapshots, Solution, Status
 
 __all__ = ["LAWS", "Energy", "Progress", "Scene", "Snapshots", "Solution", "Status"]

@@ -11,7 +11,7 @@ from taichi_bearings.errors import FileError
 
 
 def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
-    """The named arrays; in npz a name such as ``coefficient/x`` may also be stored as ``x``.
+    """The named arrays; in npz ``coefficient/x`` may also be stored as ``x``, ``viscosity/x`` as ``x_viscosity``.
 
     Raises FileError if the file is missing, truncated, of another kind, or lacks a name.
     """
@@ -26,7 +26,7 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
             return {names[0]: np.load(path, allow_pickle=False)}
         if path.suffix == ".npz":
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                return {name: stored[name if name in stored else name.split("/")[-1]] for name in names}
+                return {name: stored[name if name in stored else _short(name)] for name in names}
         with h5py.File(path, "r") as file:
             check(path, file)
             return {name: file[name][()] for name in names}
@@ -38,9 +38,14 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         ) from None
 
 
-def read_coefficients(path: Path, dimension: int) -> tuple[np.ndarray, ...]:
-    """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on."""
-    names = [f"coefficient/{axis}" for axis in "xyz"[:dimension]]
+def _short(name: str) -> str:
+    kind, _, axis = name.rpartition("/")
+    return f"{axis}_viscosity" if kind == "viscosity" else axis
+
+
+def read_coefficients(path: Path, dimension: int, kind: str = "coefficient") -> tuple[np.ndarray, ...]:
+    """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on. kind : or "viscosity"."""
+    names = [f"{kind}/{axis}" for axis in "xyz"[:dimension]]
     stored = read_arrays(path, names)
     for name in names:
         if np.asarray(stored[name]).dtype.kind not in "fiu":

@@ -92,5 +92,13 @@ class Distribution:
 
 def draw_coefficients(lattice: Lattice, distribution: Distribution, seed: int) -> tuple[np.ndarray, ...]:
     """One array an axis of that axis' contact shape, drawn from ``default_rng(seed)``; dimensionless or damping."""
-    rng = np.random.default_rng(seed)
+    return _draw(lattice, distribution, np.random.default_rng(seed))
+
+
+def draw_viscosities(lattice: Lattice, distribution: Distribution, seed: int) -> tuple[np.ndarray, ...]:
+    """The same of the second coefficient of a law that has two, from ``default_rng([seed, 2])``."""
+    return _draw(lattice, distribution, np.random.default_rng([seed, 2]))
+
+
+def _draw(lattice: Lattice, distribution: Distribution, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return tuple(distribution.draw(rng, lattice.contact_shape(axis)) for axis in range(lattice.dimension))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.numerics.minimum_cut import MinimumCut, jump_weights, minimum_cut
+from taichi_bearings.numerics.minimum_cut import MinimumCut, minimum_cut
 from taichi_bearings.scene.scene import Scene
 
 STARTS = ("random", "zero", "linear", "minimum-cut")
@@ -41,21 +41,25 @@ def cut_of(scene: Scene) -> MinimumCut:
 
 
 def cut_weights(scene: Scene) -> tuple[np.ndarray, ...]:
-    """Share of each contact in the power of such an interface, over :func:`cut_power_unit`; (R, *contacts) an axis.
+    """Share of each contact in the objective of such an interface, over :func:`cut_unit`; (R, *contacts) an axis.
 
-    Viscous contacts weigh by the square of their slip.
+    Viscous contacts weigh by the square of their slip, and viscosities beside a friction by their share in it.
     """
-    return jump_weights(scene.coefficient, scene.axis_vector, 1.0 if scene.law == "coulomb" else 2.0)
+    beside_friction = scene.lattice.radius * scene.jump / scene.normal_force
+    parts = (scene.coefficient, tuple(beside_friction * values for values in scene.viscosity))
+    coefficients = zip(*(part for part in parts if part), strict=True)
+    across = (np.linalg.norm(np.delete(scene.axis_vector, axis)) for axis in range(scene.lattice.dimension))
+    return tuple(scene.law.objective(of, np.asarray(slip)) for of, slip in zip(coefficients, across, strict=True))
 
 
-def cut_power_unit(scene: Scene) -> float:
-    """Power of an interface over its weight: strength * R jump (coulomb; PHYSICS 3.7) or (R jump)^2 (viscous)."""
+def cut_unit(scene: Scene) -> float:
+    """Objective of an interface over its weight: strength * R jump with friction, else (R jump)^2; energy/time."""
     speed = scene.lattice.radius * scene.jump
-    return scene.strength * (speed if scene.law == "coulomb" else speed**2)
+    return scene.strength * (speed if scene.law.holds else speed**2)
 
 
 def minimum_cut_spin(scene: Scene) -> np.ndarray:
-    """Every sphere turns with the bottom or with the top: of all such states the one of least power, for either law."""
+    """Every sphere turns with the bottom or with the top: of all such states the one of least power."""
     axes = scene.lattice.all_spin_axes
     bottom, top = (
         np.reshape(values, (-1, *(1,) * (1 + len(scene.lattice.shape)))) for values in scene.driven_values(axes)

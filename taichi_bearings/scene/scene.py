@@ -1,5 +1,6 @@
 """What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,8 +19,8 @@ from taichi_bearings.numerics.double_double import (
     two_product,
     two_sum,
 )
+from taichi_bearings.scene.law import Coefficients, Law, law_named
 
-LAWS = ("coulomb", "viscous")
 AXIS_NAMES = ("x", "y", "z")
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 
@@ -28,25 +29,26 @@ LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 class Scene:
     """A frustrated bearing: R samples of the disorder (replicas) on one lattice with one driving.
 
-    coefficient : one array (R, *contacts) an axis; friction (coulomb) or damping (viscous), all positive.
+    law : or its name. coefficient : one array (R, *contacts) an axis, all positive; friction, or damping of the viscous
+    law. viscosity : the same for a law that has both, else empty.
     spin_top, spin_bottom : 1/time; imposed spin of the top and bottom planes, with the sign of the sublattice.
     direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
-    normal_force : force at every contact (coulomb).
+    normal_force : force at every contact, of laws with friction.
     seeds : seed of each replica, for the record and for random initial spins.
     """
 
     lattice: Lattice
-    law: str
+    law: Law
     coefficient: tuple[np.ndarray, ...]
     spin_top: float = 1.0
     spin_bottom: float = 0.0
     direction: tuple[float, float, float] = (1.0, 1.0, 0.0)
     normal_force: float = 50.0
     seeds: tuple[int, ...] = (0,)
+    viscosity: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.law not in LAWS:
-            raise InputError(f"law is {self.law!r}; allowed are {', '.join(LAWS)}")
+        object.__setattr__(self, "law", law_named(self.law))
         for name in ("spin_top", "spin_bottom", "normal_force"):
             if not np.isfinite(getattr(self, name)):
                 raise InputError(f"{name} is {getattr(self, name)}; it must be a finite number")
@@ -54,21 +56,33 @@ class Scene:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
         if len(self.direction) != 3 or not np.all(np.isfinite(self.direction)) or not np.any(self.direction):
             raise InputError(f"direction is {list(self.direction)}; it must be three finite numbers, not all zero")
-        for axis in range(self.lattice.dimension):
-            self._check_coefficients(axis)
+        if bool(self.viscosity) != (len(self.law.quantities) > 1):
+            raise InputError(
+                f"law is {self.law}, which has {len(self.law.quantities)} coefficients a contact; "
+                f"viscosities {'must not' if self.viscosity else 'must'} be given beside the coefficients"
+            )
+        for kind, coefficients in self.coefficients.items():
+            for axis, values in enumerate(coefficients):
+                self._check_coefficients(kind, values, axis)
 
-    def _check_coefficients(self, axis: int) -> None:
+    def _check_coefficients(self, kind: str, values: np.ndarray, axis: int) -> None:
         name, expected = AXIS_NAMES[axis], (len(self.seeds), *self.lattice.contact_shape(axis))
-        values = self.coefficient[axis]
         if values.shape != expected:
-            raise InputError(f"coefficients along {name} have shape {values.shape}; this lattice needs {expected}")
+            kinds = {"coefficient": "coefficients", "viscosity": "viscosities"}[kind]
+            raise InputError(f"{kinds} along {name} have shape {values.shape}; this lattice needs {expected}")
         bad = ~((values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
         if bad.any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
             raise InputError(
-                f"coefficient {values[where]} at {list(where[1:])} along {name} is not allowed; "
-                "every coefficient must be a positive number from 1e-15 to 1e15"
+                f"{kind} {values[where]} at {list(where[1:])} along {name} is not allowed; "
+                f"every {kind} must be a positive number from 1e-15 to 1e15"
             )
+
+    @property
+    def coefficients(self) -> dict[str, tuple[np.ndarray, ...]]:
+        """Those of the law, by the name of the field that has them, in its order."""
+        found = {"coefficient": self.coefficient, "viscosity": self.viscosity}
+        return {name: values for name, values in found.items() if values}
 
     @property
     def replicas(self) -> int:
@@ -132,20 +146,37 @@ class Scene:
 
     @property
     def strength(self) -> float:
-        """Factor that turns a coefficient into a contact force: the normal force, or 1 for the viscous law."""
-        return self.normal_force if self.law == "coulomb" else 1.0
+        """Factor that turns a friction coefficient into a contact force; 1 for the damping of the viscous law."""
+        return self.normal_force if self.law.quantities[0].is_friction else 1.0
 
     @cached_property
     def acting_coefficient(self) -> tuple[np.ndarray, ...]:
         """The coefficients with 0 for contacts between two driven spheres, which take no part."""
-        return tuple(
-            np.where(self.lattice.between_driven(axis), 0.0, values) for axis, values in enumerate(self.coefficient)
-        )
+        return self._acting(self.coefficient)
+
+    @cached_property
+    def acting_viscosity(self) -> tuple[np.ndarray, ...]:
+        """The same of the viscosities; empty for laws that have no second coefficient."""
+        return self._acting(self.viscosity)
+
+    def _acting(self, values: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        return tuple(np.where(self.lattice.between_driven(axis), 0.0, part) for axis, part in enumerate(values))
+
+    @property
+    def viscosities(self) -> tuple[np.ndarray, ...]:
+        """Slope of the force over the slip of every contact, one array (R, *contacts) an axis; 0 between driven
+        spheres, empty for laws without."""
+        return self.acting_viscosity if self.law.holds else self.acting_coefficient if self.law.flows else ()
+
+    @cached_property
+    def contact(self) -> tuple[Coefficients, ...]:
+        """What the functions of the law take for the contacts of each axis, 0 between two driven spheres."""
+        held = tuple(self.strength * values for values in self.acting_coefficient)
+        return tuple(zip(*(part for part in (held, self.acting_viscosity) if part), strict=True))
 
     def power_of(self, slip: np.ndarray, axis: int) -> np.ndarray:
         """Power dissipated at the contacts of `axis` with slip speed `slip` (R, *contacts)."""
-        force = self.strength * self.acting_coefficient[axis]
-        return force * slip if self.law == "coulomb" else force * slip**2
+        return self.law.power(self.contact[axis], slip)
 
     def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
         """Slip speed |v| of every contact (paper Eq. 2), one array (R, *contacts) an axis, length/time."""
@@ -157,8 +188,17 @@ class Scene:
         return tuple(self.power_of(slip, axis) for axis, slip in enumerate(self.slips(staggered, spin_axes)))
 
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Dissipated power (R,), energy/time: an upper bound on the least power whatever the spins are."""
-        per_contact = self.contact_powers(staggered, spin_axes)
+        """Dissipated power (R,), energy/time."""
+        return self.total(self.contact_powers(staggered, spin_axes))
+
+    def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the
+        power is least there its potential. An upper bound on the least value whatever the spins are."""
+        slips = self.slips(staggered, spin_axes)
+        return self.total(self.law.objective(of, slip) for of, slip in zip(self.contact, slips, strict=True))
+
+    def total(self, per_contact: Iterable[np.ndarray]) -> np.ndarray:
+        """Sum (R,) over the contacts, of arrays (R, *contacts)."""
         return np.sum([values.reshape(self.replicas, -1).sum(axis=1) for values in per_contact], axis=0)
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:

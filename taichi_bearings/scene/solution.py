@@ -68,7 +68,8 @@ class Progress:
     staggered : (C, R, *N) spins that this check stands for, components as named by spin_axes.
     rest : (C, R, *N), what is to be added to them, of a method that knows more than their rounding, else None.
     force : contact forces, one array (T, R, *contacts) an axis, along the spin difference of the contact.
-    power, lower_bound : (R,), energy/time.
+    objective : (R,), what the stationary state minimises (`Scene.objective`); lower_bound : (R,), on its least value;
+        energy/time.
     proof : forces like `force` from which lower_bound follows, where these are others.
     time : simulated time of a dynamics, else None.
     energy : energy books of a dynamics that keeps them. slipping : (R,), contacts of a dynamics that slip now.
@@ -90,7 +91,7 @@ class Progress:
     staggered: np.ndarray
     spin_axes: tuple[int, ...]
     force: tuple[np.ndarray, ...]
-    power: np.ndarray
+    objective: np.ndarray
     lower_bound: np.ndarray
     resolution: float
     unbalanced_torque: np.ndarray
@@ -124,7 +125,8 @@ class Solution:
         discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
     resolved : (R,), True where the contact states are proven to be those of every minimum.
     slip_bound : Coulomb, one array (R, *contacts) an axis: no minimiser slips faster there; proven. Else empty.
-    power, lower_bound, gap : (R,); gap is (power - lower_bound) / power, and BearingsError where it is negative.
+    power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
+        of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
     findings : what else the method has found, by name, (R,) each.
     history : columns of equal length; power and lower_bound are (checks, R).
     snapshots : spins of a dynamics at the times asked for.
@@ -145,6 +147,7 @@ class Solution:
     slip_bound: tuple[np.ndarray, ...]
     resolved: np.ndarray
     power: np.ndarray
+    objective: np.ndarray
     lower_bound: np.ndarray
     gap: np.ndarray
     slip_threshold: float
@@ -157,11 +160,11 @@ class Solution:
     interrupted: bool = False
 
     def __post_init__(self) -> None:
-        for power, bound, gap in zip(self.power, self.lower_bound, self.gap, strict=True):
+        for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):
             if gap < -ROUNDING:
                 raise BearingsError(
-                    f"the lower bound {bound:.17g} lies above the power {power:.17g}: one of them is wrong, and this "
-                    "is no result; please report it with the command"
+                    f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
+                    "is wrong, and this is no result; please report it with the command"
                 )
 
     @property

@@ -115,8 +115,10 @@ class CundallStrack:
         forces = Stencil(self.spin_axes, dimension, 1).force_components
         spec = [(f"gear_{n}", components) for n in range(self.options.gear_order + 1)]
         spec += [("predicted", components), ("is_free", 1), ("force", forces), ("coefficient", dimension)]
-        if scene.law == "coulomb":
+        if scene.law.holds:
             spec += [("integral", components), ("elongation", forces)]
+        if scene.viscosity:
+            spec.append(("viscosity", dimension))
         if self.options.keep_energy:
             spec += [("work", 1), ("impulse", components)]
         self.spec = tuple(spec)
@@ -135,8 +137,10 @@ class CundallStrack:
         is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
         fields.load("is_free", is_free.astype(np.float64))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
+        if scene.viscosity:  # over the radius, as the force of the device law
+            fields.load("viscosity", scene.lattice.radius * layout.at_lower_sphere(scene.acting_viscosity))
         self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
-        self.steps = cundall_strack_steps(self.spec, self.stencil, scene.law, CORRECTORS[options.gear_order])
+        self.steps = cundall_strack_steps(self.spec, self.stencil, CORRECTORS[options.gear_order])
         self.steps.compile(fields, self.team)
         self.iteration = self.rest_check = 0
         self.rest = RestWatch(np.full(scene.replicas, np.inf))
@@ -154,7 +158,7 @@ class CundallStrack:
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
         self.fields.load("predicted", np.sum(derivatives, axis=0))
-        if scene.law == "coulomb":
+        if scene.law.holds:
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
         if options.keep_energy:
             self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
@@ -169,12 +173,12 @@ class CundallStrack:
         its force, apart from a turn of the slip in contacts with two components, which is left out.
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
-        if order == 0 or scene.law == "viscous":
+        if order == 0 or not scene.law.holds:
             return self._damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
         holds = options.static_ratio * scene.normal_force
-        return tuple(
+        sticking = tuple(
             np.where(options.damping * slip <= holds * coefficient, scene.lattice.radius * values, 0.0)
             for values, slip, coefficient in zip(
                 contact_differences(felt, scene.lattice, self.spin_axes),
@@ -183,20 +187,29 @@ class CundallStrack:
                 strict=True,
             )
         )
+        return self._with_viscosity(sticking, derivatives[-1])
 
     def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Forces of unstretched contacts: damping, capped by friction for Coulomb."""
-        scene, forces = self.scene, []
-        for axis, spin_difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
-            coefficient = scene.acting_coefficient[axis]
-            if scene.law == "viscous":
-                forces.append(scene.lattice.radius * coefficient * spin_difference)
-                continue
-            force = self.options.damping * scene.lattice.radius * spin_difference
-            size, limit = vector_length(force), scene.normal_force * coefficient
-            slips = size > limit * self.options.static_ratio
-            forces.append(force * np.divide(limit, size, out=np.ones_like(size), where=slips))
-        return tuple(forces)
+        """Forces of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
+        scene, options = self.scene, self.options
+        forces = scene.no_force(self.spin_axes)
+        if scene.law.holds:
+            for axis, force in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
+                force *= options.damping * scene.lattice.radius
+                size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient[axis]
+                slips = size > limit * options.static_ratio
+                forces[axis][...] = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
+        return self._with_viscosity(forces, staggered)
+
+    def _with_viscosity(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The forces and what the viscosity of the contacts, if they have any, adds at these spins."""
+        if not self.scene.law.flows:
+            return force
+        differences = contact_differences(staggered, self.scene.lattice, self.spin_axes)
+        viscosities = self.scene.viscosities
+        return tuple(
+            f + self.scene.lattice.radius * v * d for f, v, d in zip(force, viscosities, differences, strict=True)
+        )
 
     @property
     def time(self) -> float:
@@ -219,12 +232,12 @@ class CundallStrack:
         counters = [self.iteration, self.rest_check, self.rest.quiet_checks, self.rest.last_slipping]
         return fields | {
             "counters": np.array(counters, dtype=np.int64),
-            "last_power": self.rest.last_power,
+            "last_power": self.rest.last_objective,
             "time_step": np.array(self.time_step),
         }
 
     def _changing_fields(self) -> list[str]:
-        return [name for name, _ in self.spec if name not in ("is_free", "coefficient")]
+        return [name for name, _ in self.spec if name not in ("is_free", "coefficient", "viscosity")]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:
@@ -240,11 +253,10 @@ class CundallStrack:
     def advance(self, steps: int) -> None:
         scene, options = self.scene, self.options
         radius = scene.lattice.radius
-        viscous = scene.law == "viscous"
         numbers = (
             radius * self.time_step,
             options.stiffness,
-            radius * (1.0 if viscous else options.damping),
+            radius * (options.damping if scene.law.holds else 1.0),
             scene.normal_force,
             scene.normal_force * options.static_ratio,
             *options.after_slip(self.time_step),
@@ -258,28 +270,29 @@ class CundallStrack:
         staggered = scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
         force = self._contact_forces("force") if self.iteration else self._damping_force(staggered)
         springs = force
-        if scene.law == "coulomb":
+        if scene.law.holds:
             springs = tuple(self.options.stiffness * e for e in self._contact_forces("elongation"))
-        power = scene.power(staggered, self.spin_axes)
+            springs = self._with_viscosity(springs, staggered)
+        objective = scene.objective(staggered, self.spin_axes)
         bound = lower_bound(scene, springs, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
         if self.iteration >= self._next_rest_check():
             self.rest_check = self.iteration
-            believed, slipping = self._is_believed(power, bound), int(saturation.slipping.sum())
-            self.rest.look(scene, power, slipping, force, left_over, self.options.rest_tolerance, believed)
+            believed, slipping = self._is_believed(objective, bound), int(saturation.slipping.sum())
+            self.rest.look(scene, objective, slipping, force, left_over, self.options.rest_tolerance, believed)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
             spin_axes=self.spin_axes,
             force=force,
-            power=power,
+            objective=objective,
             lower_bound=bound,
             resolution=saturation.creep,
             unbalanced_torque=left_over,
             proof=springs,
             time=self.time,
-            energy=self._energy(staggered, force, springs) if self.options.keep_energy else None,
+            energy=self._energy(staggered, force) if self.options.keep_energy else None,
             slipping=saturation.slipping,
             at_rest=self.rest.at_rest,
             findings={
@@ -293,15 +306,16 @@ class CundallStrack:
         differences = contact_differences(staggered, self.scene.lattice, self.spin_axes)
         return np.sum([replica_sum(f * d) for f, d in zip(force, differences, strict=True)], axis=0)
 
-    def _energy(self, staggered: np.ndarray, force: tuple[np.ndarray, ...], springs: tuple[np.ndarray, ...]) -> Energy:
-        """The books at the end of the last step. springs : forces of the springs alone, stiffness * elongation.
+    def _energy(self, staggered: np.ndarray, force: tuple[np.ndarray, ...]) -> Energy:
+        """The books at the end of the last step.
 
         The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
         the integration, of Gear's and of this rule.
         """
         scene, spring = self.scene, np.zeros(self.scene.replicas)
-        if scene.law == "coulomb":
-            spring = np.sum([replica_sum(f**2) for f in springs], axis=0) / (2 * self.options.stiffness)
+        if scene.law.holds:
+            stretch = self._contact_forces("elongation")
+            spring = self.options.stiffness / 2 * np.sum([replica_sum(e**2) for e in stretch], axis=0)
         reach = scene.lattice.radius * self.time_step
         ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
         work = reach * (replica_sum(self.fields.read("work")) + ends)
@@ -317,12 +331,12 @@ class CundallStrack:
     def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
         return self.stencil.forces_by_axis(self.fields.read(name), self.fields.layout)
 
-    def _is_believed(self, power: np.ndarray, bound: np.ndarray) -> bool:
+    def _is_believed(self, objective: np.ndarray, bound: np.ndarray) -> bool:
         """Rest is believed only if the certificate agrees; with mu_s > mu_k, where it need not, only after the driven
         planes could have stretched the springs to slipping."""
         if self.options.static_ratio > 1:
             return self.time >= self._loading_time()
-        return bool((relative_gap(self.scene, power, bound) <= BELIEVED).all())
+        return bool((relative_gap(self.scene, objective, bound) <= BELIEVED).all())
 
     def _loading_time(self) -> float:
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""
@@ -336,10 +350,11 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
     """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
     inertia = options.inertia or default_inertia(scene, options.mass)
     over = scene.lattice.radius**2 / inertia
-    if scene.law == "viscous":
-        return largest_stable_step(options.gear_order, over * largest_weighted_eigenvalue(scene, spin_axes), 0.0)
+    decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
+    if not scene.law.holds:
+        return largest_stable_step(options.gear_order, decay, 0.0)
     stiffest = over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
-    return largest_stable_step(options.gear_order, options.damping * stiffest, options.stiffness * stiffest)
+    return largest_stable_step(options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest)
 
 
 def sticking_modes(
@@ -352,15 +367,15 @@ def sticking_modes(
     radius = scene.lattice.radius
     over = radius**2 / (options.inertia or default_inertia(scene, options.mass))
     spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
-    if scene.law == "viscous":  # all as much stiffer than with even contacts as the stiffest one, known by its bound
+    if not scene.law.holds:  # all as much stiffer than with even contacts as the stiffest one, known by its bound
         stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
         decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
         return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
     strongest = max(float(values.max(initial=0.0)) for values in scene.acting_coefficient)
     holds = scene.normal_force * strongest * options.static_ratio
     fastest = max(largest_spin, abs(scene.spin_top), abs(scene.spin_bottom), np.finfo(float).tiny)
-    decay, oscillation = options.damping * spectrum, options.stiffness * spectrum
-    return Modes(decay, oscillation, options.damping, options.stiffness, holds / radius / fastest)
+    damping = options.damping + max((float(values.mean()) for values in scene.acting_viscosity), default=0.0)
+    return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)
 
 
 def choose_time_step(bound: float, wanted: float | None) -> float:

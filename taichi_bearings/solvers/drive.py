@@ -25,10 +25,10 @@ from taichi_bearings.verifier.samples import Samples
 
 @dataclass(frozen=True)
 class Report:
-    """What a monitor hears at each check. power, gap : (R,), of the best state so far."""
+    """What a monitor hears at each check. objective, gap : (R,), of the best state so far; see `Progress`."""
 
     progress: Progress
-    power: np.ndarray
+    objective: np.ndarray
     gap: np.ndarray
     seconds: float
     stop: StopRule
@@ -155,11 +155,11 @@ class _Course:
             best.take(progress)
             elapsed = self.elapsed
             self.recorder.take(progress, best.bound, elapsed)
-            gap = relative_gap(scene, best.power, best.bound)
+            gap = relative_gap(scene, best.objective, best.bound)
             for monitor in monitors:
-                monitor(Report(progress, best.power, gap, elapsed, stop))
+                monitor(Report(progress, best.objective, gap, elapsed, stop))
             stalled = progress.exhausted or best.has_stalled(iteration, float(gap.max()))
-            status = stop.judge(scene, progress, best.power, best.bound, self._seconds_of_this_call, stalled)
+            status = stop.judge(scene, progress, best.objective, best.bound, self._seconds_of_this_call, stalled)
             if status is None and self.interrupt.heard:
                 status = Status.INTERRUPTED
             if status is not None:
@@ -257,8 +257,8 @@ class _Best:
         self._gap, self._improved_at = np.inf, 0
 
     @property
-    def power(self) -> np.ndarray:
-        return self.progress.power
+    def objective(self) -> np.ndarray:
+        return self.progress.objective
 
     def has_stalled(self, iteration: int, gap: float) -> bool:
         """True if a minimisation has not brought the worst gap down by 1 % in the last four fifths of its iterations:
@@ -277,9 +277,9 @@ class _Best:
             self.progress = new
             return
         old = self.progress
-        better = new.power <= old.power  # False for NaN, so a failed step never counts
-        if new.settled is not None:  # settled contact states are worth more than the last digit of the power
-            better |= new.settled & (new.power <= old.power * (1 + 1e-11))
+        better = new.objective <= old.objective  # False for NaN, so a failed step never counts
+        if new.settled is not None:  # settled contact states are worth more than the last digit
+            better |= new.settled & (new.objective <= old.objective * (1 + 1e-11))
         if better.all():
             self.progress = new
             return
@@ -301,7 +301,7 @@ class _Best:
             rest=rest,
             staggered=np.where(pick, new.staggered, old.staggered),
             force=tuple(np.where(pick, a, b) for a, b in zip(new.force, old.force, strict=True)),
-            power=np.where(better, new.power, old.power),
+            objective=np.where(better, new.objective, old.objective),
             unbalanced_torque=np.where(better, new.unbalanced_torque, old.unbalanced_torque),
             resolution=new.resolution if better.any() else old.resolution,
         )
@@ -344,8 +344,8 @@ def _states(
 def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
     samples = Samples(
-        scene.lattice.shape, scene.law, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction,
+        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
+        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction, scene.viscosity,
     )  # fmt: skip
     return Judgement(samples) if samples.can_be_judged else None
 
@@ -355,7 +355,7 @@ def _proven(scene: Scene, final: Progress, judgement: Judgement | None, state: t
 
     It is asked where the method believes so, and where one component makes that cheap.
     """
-    one_component = scene.law == "coulomb" and len(scene.minimum_spin_axes) == 1
+    one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
     found = np.full(scene.replicas, one_component) if final.resolved is None else np.array(final.resolved)
     if judgement is None or not found.any():
         return np.zeros(scene.replicas, dtype=bool)
@@ -388,10 +388,11 @@ def _collect(
     friction = laboratory_forces(
         certifying_forces(scene, proof, final.spin_axes, bound), scene.lattice, final.spin_axes
     )
-    power, judgement = final.power, _judged(scene, spin, spin_rounding, friction)
+    objective, judgement = final.objective, _judged(scene, spin, spin_rounding, friction)
     if judgement is not None:  # what the answer proves is what is reported
-        power, bound = judgement.power, judgement.lower_bound
-    gap = relative_gap(scene, power, bound)
+        objective, bound = judgement.objective, judgement.lower_bound
+    gap = relative_gap(scene, objective, bound)
+    per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
     if status in (Status.CERTIFIED, Status.STALLED):
         status = Status.CERTIFIED if (gap <= tolerance).all() else Status.STALLED
     return Solution(
@@ -402,13 +403,14 @@ def _collect(
         spin=spin,
         spin_rounding=spin_rounding,
         slip=slip,
-        power_per_contact=tuple(scene.power_of(values, axis) for axis, values in enumerate(slip)),
+        power_per_contact=per_contact,
         force=tuple(vector_length(values) for values in final.force),
         friction=friction,
         state=state,
-        slip_bound=slip_bound(scene, final.force, final.spin_axes, power) if scene.law == "coulomb" else (),
+        slip_bound=slip_bound(scene, final.force, final.spin_axes, objective) if scene.law.holds else (),
         resolved=_proven(scene, final, judgement, state),
-        power=power,
+        power=objective if scene.law.minimises == "power" else scene.total(per_contact),
+        objective=objective,
         lower_bound=bound,
         gap=gap,
         slip_threshold=threshold,

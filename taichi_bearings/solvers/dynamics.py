@@ -43,7 +43,7 @@ def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ..
 
 @dataclass(frozen=True)
 class Saturation:
-    """Contacts of a Coulomb scene that bear all the friction they can, to a relative `tolerance`, and so slip.
+    """Contacts that bear all the friction they can, to a relative `tolerance`, and so slip; none without friction.
 
     slipping : (R,). creep : largest slip speed of a contact that holds, length/time: by less a contact is not known to
     slip; at most COARSEST of the imposed jump, so that contacts which slip plainly are told from the first step on.
@@ -58,9 +58,9 @@ class Saturation:
     ) -> "Saturation":
         """force : one array (T, R, *contacts) an axis. slip : (R, *contacts) an axis."""
         slipping, creep = np.zeros(scene.replicas, dtype=np.int64), 0.0
-        if scene.law == "coulomb":
-            for values, speed, coefficient in zip(force, slip, scene.acting_coefficient, strict=True):
-                limit = scene.normal_force * coefficient
+        for values, speed, of in zip(force, slip, scene.contact, strict=True):
+            limit = scene.law.holding_force(of)
+            if limit is not None:
                 slips = vector_length(values) >= (1 - tolerance) * limit
                 slipping += replica_sum((slips & (limit > 0))[None])
                 creep = max(creep, float(speed[~slips].max(initial=0.0)))
@@ -71,10 +71,10 @@ class Saturation:
 class RestWatch:
     """Counts the checks in a row at which a dynamics has been stationary.
 
-    last_power : (R,), at the last check. last_slipping : slipping contacts then, of all replicas.
+    last_objective : (R,), at the last check. last_slipping : slipping contacts then, of all replicas.
     """
 
-    last_power: np.ndarray
+    last_objective: np.ndarray
     last_slipping: int = -1
     quiet_checks: int = 0
 
@@ -85,21 +85,21 @@ class RestWatch:
     def look(
         self,
         scene: Scene,
-        power: np.ndarray,
+        objective: np.ndarray,
         slipping: int,
         force: tuple[np.ndarray, ...],
         left_over: np.ndarray,
         tolerance: float,
         believed: bool,
     ) -> None:
-        """A check: power (R,), contact forces (T, R, *contacts) an axis, and the largest torque (R,) they leave.
+        """A check: objective (R,), contact forces (T, R, *contacts) an axis, and the largest torque (R,) they leave.
 
-        tolerance : change of the power, relative; a thousand times as much of the typical friction torque may be left.
+        tolerance : change of the objective, relative; a thousand times as much of the typical torque may be left.
         believed : springs that have not loaded yet look stationary too; True once that can be ruled out.
         """
         typical_torque = scene.lattice.radius * max(float(vector_length(f).max(initial=0.0)) for f in force)
-        still = bool((np.abs(power - self.last_power) <= tolerance * np.abs(power)).all())
+        still = bool((np.abs(objective - self.last_objective) <= tolerance * np.abs(objective)).all())
         balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
         quiet = believed and still and balanced and slipping == self.last_slipping
         self.quiet_checks = self.quiet_checks + 1 if quiet else 0
-        self.last_power, self.last_slipping = power, slipping
+        self.last_objective, self.last_slipping = objective, slipping

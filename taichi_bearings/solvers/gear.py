@@ -102,7 +102,7 @@ def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -
 
 
 def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
-    """Upper estimate of the largest eigenvalue of the Laplacian weighted by the coefficients, over all replicas.
+    """Upper estimate of the largest eigenvalue of the Laplacian weighted by the viscosities, over all replicas.
 
     Lanczos to a relative 1e-3, raised by as much.
     """
@@ -116,7 +116,7 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
             for axis in range(lattice.dimension):
                 if slot not in tangential(axis, spin_axes):
                     continue
-                weight = scene.acting_coefficient[axis][replica].ravel()
+                weight = scene.viscosities[axis][replica].ravel()
                 ends = [f(index, axis, lattice.dimension).ravel() for f in (lower, upper)]
                 for i, j, sign in ((0, 0, 1), (1, 1, 1), (0, 1, -1), (1, 0, -1)):
                     inside = (ends[i] >= 0) & (ends[j] >= 0)

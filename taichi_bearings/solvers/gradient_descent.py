@@ -10,6 +10,7 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
   average has a proven gap that falls like 1 / sqrt(k).
 * Coulomb with momentum: contacts with |D| < width resist in proportion to D, which makes the power smooth; the width is
   halved whenever at least half the proven gap is due to it. The proven gap falls like 1 / k.
+* Both together: as with Coulomb friction, with width times viscosity added to the friction in the metric.
 """
 
 from dataclasses import dataclass
@@ -54,10 +55,10 @@ class GradientDescent:
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        self.averages = scene.law == "coulomb" and not self.momentum
+        self.averages = scene.law.holds and not self.momentum
         components, dimension = len(self.spin_axes), scene.lattice.dimension
         spec = [(name, components) for name in ("point", "point_next", "inverse_weight")]
-        spec.append(("coefficient", dimension))
+        spec += [("coefficient", dimension), *([("viscosity", dimension)] if scene.viscosity else [])]
         if self.momentum:
             spec.append(("spin", components))
         if self.averages:
@@ -71,15 +72,15 @@ class GradientDescent:
         self.fields, layout = fields, fields.layout
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        weight = weights(scene.acting_coefficient, scene.lattice, self.spin_axes)
-        weight[..., scene.lattice.is_driven] = 0.0
-        fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
+        self.viscosity = tuple(scene.lattice.radius / scene.strength * values for values in scene.acting_viscosity)
+        if self.viscosity:
+            fields.load("viscosity", layout.at_lower_sphere(self.viscosity))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = np.sort(scene.driven_values(self.spin_axes), axis=0)
         self.box = box.ravel().tolist()
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         self.team = Team(team_size(layout, self.stencil.components))
-        self.sweeps = descent_sweeps(self.spec, self.stencil, scene.law)
+        self.sweeps = descent_sweeps(self.spec, self.stencil, scene.law.name)
         self.sweeps.compile(fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
@@ -87,8 +88,20 @@ class GradientDescent:
         self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
         self.step_length = FIRST_STEP * jump
         self.iteration = self.age = 0
-        self.last_smooth_power = np.full(scene.replicas, np.inf)
+        self.last_smooth = np.full(scene.replicas, np.inf)
+        self._load_weights()
         self._begin_epoch(FIRST_EPOCH)
+
+    def _load_weights(self) -> None:
+        """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
+        scene, lattice = self.scene, self.scene.lattice
+        reach = self.width if self.momentum else 2 * self.step_length
+        bounds = scene.acting_coefficient
+        if self.viscosity:
+            bounds = tuple(c + reach * v for c, v in zip(bounds, self.viscosity, strict=True))
+        weight = weights(bounds, lattice, self.spin_axes)
+        weight[..., lattice.is_driven] = 0.0
+        self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
 
     def _load_spins(self, staggered: np.ndarray) -> None:
         for name in ("point", "point_next", "spin") if self.momentum else ("point", "point_next"):
@@ -118,7 +131,7 @@ class GradientDescent:
             self.averaged += 2 * pairs
 
     def _step_and_sharpness(self) -> tuple[float, float]:
-        if self.scene.law == "viscous":
+        if not self.scene.law.holds:
             return 0.5, 0.0
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
@@ -130,21 +143,23 @@ class GradientDescent:
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self._force_at(staggered)
-        power = scene.power(staggered, self.spin_axes)
+        objective = scene.objective(staggered, self.spin_axes)
         bound = lower_bound(scene, force, self.spin_axes)
         resolution = self._resolution()
         if self.momentum:
-            self._steer(staggered, power, bound)
+            self._steer(staggered, objective, bound)
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
             self._load_spins(staggered)
             self.step_length /= np.sqrt(2)
+            if self.viscosity:
+                self._load_weights()
             self._begin_epoch(2 * self.epoch_length)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
             spin_axes=self.spin_axes,
             force=force,
-            power=power,
+            objective=objective,
             lower_bound=bound,
             resolution=resolution,
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
@@ -154,35 +169,34 @@ class GradientDescent:
         """Contact forces of the law that the sweeps use, (T, R, *contacts) an axis."""
         scene = self.scene
         differences = contact_differences(staggered, scene.lattice, self.spin_axes)
-        if scene.law == "viscous":
-            return tuple(
-                scene.lattice.radius * c * d for c, d in zip(scene.acting_coefficient, differences, strict=True)
-            )
-        return tuple(
-            scene.normal_force * c / np.maximum(vector_length(d), self.width) * d
-            for c, d in zip(scene.acting_coefficient, differences, strict=True)
-        )
+        forces = []
+        for of, d in zip(scene.contact, differences, strict=True):
+            held, viscosity = scene.law.holding_force(of), scene.law.viscosity(of)
+            force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
+            forces.append(force if viscosity is None else force + scene.lattice.radius * viscosity * d)
+        return tuple(forces)
 
     def _averaged_force(self) -> tuple[np.ndarray, ...]:
         mean = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
         return self.stencil.forces_by_axis(mean, self.fields.layout)
 
-    def _steer(self, staggered: np.ndarray, power: np.ndarray, bound: np.ndarray) -> None:
+    def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""
-        if self.scene.law == "viscous":
-            smooth_power, shorten = power, False
-        else:
-            smooth_power = power - self._regularisation_error(staggered)
-            shorten = self.width > self.least_width and bool((power - smooth_power >= 0.5 * (power - bound)).all())
+        shorten, smooth = False, objective
+        if self.scene.law.holds:
+            smooth = objective - self._regularisation_error(staggered)
+            shorten = self.width > self.least_width and bool((objective - smooth >= 0.5 * (objective - bound)).all())
         if shorten:
             self.width = max(self.width / 2, self.least_width)
-            smooth_power = np.full_like(power, np.inf)
-        if shorten or (smooth_power > self.last_smooth_power).any():
+            smooth = np.full_like(objective, np.inf)
+            if self.viscosity:
+                self._load_weights()
+        if shorten or (smooth > self.last_smooth).any():
             self.age = 0
-        self.last_smooth_power = smooth_power
+        self.last_smooth = smooth
 
     def _regularisation_error(self, staggered: np.ndarray) -> np.ndarray:
-        """(R,) power minus the smooth power that the sweeps descend: at most width / 2 a contact and unit of force."""
+        """(R,) objective less the smooth one that the sweeps descend: at most width / 2 a contact and unit of force."""
         scene, total = self.scene, np.zeros(self.scene.replicas)
         for axis, difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
             size = np.minimum(vector_length(difference), self.width)
@@ -192,7 +206,7 @@ class GradientDescent:
 
     def _resolution(self) -> float:
         """Slip speed below which this stage cannot tell slip from rest."""
-        if self.scene.law == "viscous":
+        if not self.scene.law.holds:
             return 0.0
         width = RESOLVED * (self.width if self.momentum else self.step_length)
         return self.scene.lattice.radius * min(width, COARSEST * self.scene.jump)

@@ -67,7 +67,7 @@ class ImplicitCundallStrack:
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         ratio = self.options.static_ratio
-        if scene.law == "coulomb" and ratio > 1:
+        if scene.law.holds and ratio > 1:
             raise InputError(
                 f"static_ratio is {ratio}; it must be 1 with the implicit integrator, use the gear integrator"
             )
@@ -111,7 +111,7 @@ class ImplicitCundallStrack:
         ]
         self.strength = [[values[replica] for values in strength] for replica in range(scene.replicas)]
         strongest = max(float(values.max(initial=0.0)) for values in strength)
-        if scene.law == "viscous":
+        if not scene.law.holds:
             strongest *= scene.lattice.radius * spin_scale
         conserved = _conserved_modes(scene, self.spin_axes)
         self.stage = FrictionStage(self.system, matrix, scene.lattice.radius, conserved, spin_scale, strongest)
@@ -119,7 +119,7 @@ class ImplicitCundallStrack:
     def _friction(self, replica: int, span: float) -> Friction:
         """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
         strength, inertia = self.strength[replica], self.inertia / span if span > 0 else np.inf
-        if self.scene.law == "viscous":
+        if not self.scene.law.holds:
             return Friction([np.full_like(m, np.inf) for m in strength], strength, inertia, replica)
         resistance = self.options.stiffness * span + self.options.damping
         return Friction(strength, [np.full_like(m, resistance) for m in strength], inertia, replica)
@@ -135,7 +135,7 @@ class ImplicitCundallStrack:
     def _first_step(self) -> float:
         """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""
         scene, radius = self.scene, self.scene.lattice.radius
-        if scene.law == "coulomb":
+        if scene.law.holds:
             longest = np.sqrt(self.inertia / self.options.stiffness) / radius
         else:
             longest = self.inertia / (radius**2 * max(float(c.max()) for c in scene.coefficient))
@@ -144,7 +144,7 @@ class ImplicitCundallStrack:
         return min(longest, change / fastest) if fastest > 0 else longest
 
     def _longest_step(self) -> float:
-        if self.scene.law == "viscous":
+        if not self.scene.law.holds:
             return np.inf
         reach = self.options.stiffness * self.scene.lattice.radius * self.stage.spin_scale
         return SPAN * self.stage.force_scale / reach
@@ -213,7 +213,7 @@ class ImplicitCundallStrack:
         self, friction: Friction, base: np.ndarray, elongation: Groups, guess: np.ndarray
     ) -> tuple[StageEnd, Groups] | None:
         """End of a stage, and the elongations there: of a spring that slips, what its force alone stretches it to."""
-        if self.scene.law == "viscous":
+        if not self.scene.law.holds:
             end = self.stage.solve(friction, base, [np.zeros_like(d) for d in elongation], guess)
             return None if end is None else (end, elongation)
         stiffness, damping = self.options.stiffness, self.options.damping * self.scene.lattice.radius
@@ -229,7 +229,7 @@ class ImplicitCundallStrack:
 
     def _bearable(self, friction: Friction, elongation: Groups) -> Groups:
         """Springs pull no harder than friction holds: one that has begun to slip is not stretched any further."""
-        if self.scene.law == "viscous":
+        if not self.scene.law.holds:
             return elongation
         stiffness = self.options.stiffness
         return [f / stiffness for f in friction.limited([stiffness * d for d in elongation])]
@@ -269,8 +269,8 @@ class ImplicitCundallStrack:
                 force[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = pulls
                 springs[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = stiffness * elongation
         scene.impose_driving(staggered, self.spin_axes)
-        power = scene.power(staggered, self.spin_axes)
-        proof = tuple(springs) if scene.law == "coulomb" else force
+        objective = scene.objective(staggered, self.spin_axes)
+        proof = tuple(springs) if scene.law.holds else force
         bound = lower_bound(scene, proof, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
@@ -278,15 +278,15 @@ class ImplicitCundallStrack:
             self.rest_check = self.iteration
             if self.time >= self.rest_check_time * (1 + LATER):
                 self.rest_check_time = self.time
-                believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
+                believed = bool((relative_gap(scene, objective, bound) <= BELIEVED).all())
                 slipping = int(saturation.slipping.sum())
-                self.rest.look(scene, power, slipping, force, left_over, self.options.rest_tolerance, believed)
+                self.rest.look(scene, objective, slipping, force, left_over, self.options.rest_tolerance, believed)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
             spin_axes=self.spin_axes,
             force=force,
-            power=power,
+            objective=objective,
             lower_bound=bound,
             resolution=saturation.creep,
             unbalanced_torque=left_over,
@@ -305,7 +305,7 @@ class ImplicitCundallStrack:
             "energy_at_start": self.energy_at_start,
             "clock": np.array([self.time, self.time_step, self.rest_check_time]),
             "counters": np.array([self.iteration, self.rest_check, self.rest.quiet_checks, self.rest.last_slipping]),
-            "last_power": self.rest.last_power,
+            "last_power": self.rest.last_objective,
             "spin_scale": np.array(self.stage.spin_scale),
         }
         for n, group in enumerate(self.groups):

@@ -93,8 +93,8 @@ class InteriorPoint:
     needs_taichi = True  # fills the fronts of the factorisation
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if scene.law != "coulomb":
-            raise InputError(f"method is 'interior-point' and law is {scene.law!r}; it must be coulomb")
+        if not scene.law.holds:
+            raise InputError(f"method interior-point solves laws with friction only; the law is {scene.law}")
         if runtime.current().is_gpu:
             raise DeviceError("interior-point works in the memory of the CPU; use --arch cpu")
         return ()
@@ -192,7 +192,7 @@ class InteriorPoint:
             rest=rest,
             spin_axes=self.spin_axes,
             force=force,
-            power=scene.power(staggered, self.spin_axes),
+            objective=scene.objective(staggered, self.spin_axes),
             lower_bound=self._lower_bound(force),
             resolution=scene.lattice.radius * scene.jump * creep,
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),

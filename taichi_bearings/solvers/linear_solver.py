@@ -36,8 +36,8 @@ class LinearSolver:
     needs_taichi = False
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if scene.law != "viscous":
-            raise InputError(f"method linear-solver solves the viscous law only; the law is {scene.law!r}")
+        if scene.law.holds:
+            raise InputError(f"method linear-solver solves the viscous law only; the law is {scene.law}")
         return ()
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
@@ -121,7 +121,7 @@ class LinearSolver:
             rest=np.where(staggered == self.spin, self.rest, 0.0),  # none where clipping has moved a spin
             spin_axes=self.spin_axes,
             force=force,
-            power=scene.power(staggered, self.spin_axes),
+            objective=scene.objective(staggered, self.spin_axes),
             lower_bound=lower_bound(scene, force, self.spin_axes),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),

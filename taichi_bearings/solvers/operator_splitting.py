@@ -57,8 +57,8 @@ class OperatorSplitting:
     needs_taichi = True
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if scene.law != "coulomb":
-            raise InputError(f"law is {scene.law!r}; operator-splitting minimises the power of 'coulomb' friction only")
+        if not scene.law.is_rate_independent:
+            raise InputError(f"method operator-splitting solves the coulomb law only; the law is {scene.law}")
         if runtime.current().is_gpu:
             raise DeviceError("operator-splitting works in the memory of the CPU; use --arch cpu")
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
@@ -161,7 +161,7 @@ class OperatorSplitting:
             staggered=staggered,
             spin_axes=axes,
             force=friction,
-            power=power,
+            objective=power,
             lower_bound=bound,
             resolution=self._resolution(slips, trial, push),
             unbalanced_torque=largest_unbalanced_torque(scene, friction, axes),

@@ -26,8 +26,8 @@ class PlanarCut:
     needs_taichi = False
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if scene.law != "coulomb":
-            raise InputError(f"method planar-cut solves the coulomb law only; the law is {scene.law!r}")
+        if not scene.law.is_rate_independent:
+            raise InputError(f"method planar-cut solves the coulomb law only; the law is {scene.law}")
         if len(scene.minimum_spin_axes) > 1:
             raise InputError(
                 "method planar-cut needs imposed spins about x or about y alone on a cubic lattice; "
@@ -106,7 +106,7 @@ class PlanarCut:
             staggered=self.staggered.copy(),
             spin_axes=axes,
             force=tuple(values.copy() for values in self.force),
-            power=scene.power(self.staggered, axes),
+            objective=scene.objective(self.staggered, axes),
             lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
             unbalanced_torque=largest_unbalanced_torque(scene, self.force, axes),

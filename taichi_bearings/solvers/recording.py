@@ -84,16 +84,19 @@ class Recorder:
         return bool(((times > self._last_time * (1 + SAME)) & (times <= reached)).any())
 
     def _append(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
+        scene, minimises_power = self._scene, self._scene.law.minimises == "power"
         row = {
             "iteration": progress.iteration,
             "seconds": seconds,
-            "power": progress.power,
+            "power": progress.objective if minimises_power else scene.power(progress.staggered, progress.spin_axes),
             "lower_bound": bound,
             "unbalanced_torque": progress.unbalanced_torque,
         }
+        if not minimises_power:
+            row["potential"] = progress.objective
         if progress.time is not None:
             row["time"] = progress.time
-        if progress.slipping is not None and self._scene.law == "coulomb":
+        if progress.slipping is not None and self._scene.law.holds:
             row["slipping"] = progress.slipping
         if progress.energy is not None:
             energy = progress.energy

@@ -76,6 +76,8 @@ class RigidLimit:
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         if runtime.current().is_gpu:
             raise DeviceError("rigid-limit works in the memory of the CPU; use --arch cpu")
+        if scene.law.holds and scene.law.flows:
+            raise InputError(f"method rigid-limit does not solve the law {scene.law}; use cundall-strack")
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
         return ()
 
@@ -109,7 +111,7 @@ class RigidLimit:
         """Time in which a typical contact alone stops a sphere from the largest spin."""
         scene = self.scene
         acting = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.coefficient)]
-        speed = scene.lattice.radius * self.largest if scene.law == "viscous" else 1.0
+        speed = scene.lattice.radius * self.largest if not scene.law.holds else 1.0
         force = scene.strength * float(np.mean(np.concatenate(acting))) * speed
         return self.inertia * self.largest / (scene.lattice.radius * force)
 
@@ -117,7 +119,7 @@ class RigidLimit:
         """Forces of the contacts that slip."""
         scene, forces = self.scene, []
         for axis, difference in enumerate(contact_differences(self.staggered, scene.lattice, self.spin_axes)):
-            size = scene.lattice.radius if scene.law == "viscous" else _inverse(vector_length(difference))
+            size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
             forces.append(scene.strength * scene.acting_coefficient[axis] * size * difference)
         return tuple(forces)
 
@@ -227,15 +229,15 @@ class RigidLimit:
 
     def progress(self) -> Progress:
         scene = self.scene
-        power = scene.power(self.staggered, self.spin_axes)
+        objective = scene.objective(self.staggered, self.spin_axes)
         bound = lower_bound(scene, self.force, self.spin_axes)
-        believed = bool((relative_gap(scene, power, bound) <= BELIEVED).all())
+        believed = bool((relative_gap(scene, objective, bound) <= BELIEVED).all())
         return Progress(
             iteration=self.iteration,
             staggered=self.staggered.copy(),
             spin_axes=self.spin_axes,
             force=self.force,
-            power=power,
+            objective=objective,
             lower_bound=bound,
             resolution=scene.lattice.radius * self.creep,
             unbalanced_torque=largest_unbalanced_torque(scene, self.force, self.spin_axes),

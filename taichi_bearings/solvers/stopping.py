@@ -15,7 +15,7 @@ UNLIMITED = 2**62  # iterations
 class StopRule:
     """Stop at a proven relative gap, at rest, or at a limit.
 
-    tolerance : (power - lower bound) / power at which every replica counts as done, in (0, 1).
+    tolerance : (objective - lower bound) / objective at which every replica counts as done, in (0, 1).
     iterations : limit on iterations of the method.
     seconds : limit on wall time, compilation apart, anew for each call that goes on; infinity for none.
     duration : simulated time after which a dynamics ends, whatever it has reached; infinity to go on until it is done.
@@ -42,15 +42,15 @@ class StopRule:
         self,
         scene: Scene,
         progress: Progress,
-        power: np.ndarray,
+        objective: np.ndarray,
         bound: np.ndarray,
         elapsed: float,
         stalled: bool = False,
     ) -> Status | None:
-        """The status if the run should end now, else None. power, bound : (R,), the best known so far."""
-        if not np.isfinite(progress.power).all():
+        """The status if the run should end now, else None. objective, bound : (R,), the best known so far."""
+        if not np.isfinite(progress.objective).all():
             return Status.NOT_FINITE
-        certified = bool((relative_gap(scene, power, bound) <= self.tolerance).all())
+        certified = bool((relative_gap(scene, objective, bound) <= self.tolerance).all())
         ended = progress.iteration >= self.iterations or elapsed >= self.seconds
         in_time = progress.time is not None and self.duration < float("inf")
         finished = progress.time is not None and progress.time >= self.duration * (1 - 1e-9)

@@ -3,7 +3,9 @@
 With g = n x F the torques of a contact are -R g on both its spheres, so what the friction does on any spins that obey
 the driving is R times the sum over contacts of g . (w_i + w_j), and
 
-    Coulomb:  P_min >= that least work, if no |F| exceeds mu F_n        viscous:  P_min >= 2 work - sum |F|^2 / eta
+    least potential >= that least work - sum max(|F| - mu F_n, 0)^2 / (2 eta),
+
+with no friction but viscous contacts for mu = 0, and for Coulomb friction alone, eta = 0, if no |F| exceeds mu F_n.
 
 The work is that of the driven planes where all free spheres are in balance. Where they are not, some minimum has its
 signed spins between those of the planes, component by component: the least that the torque left over can do there
@@ -24,9 +26,9 @@ from taichi_bearings.verifier.samples import Samples
 @dataclass(frozen=True)
 class Work:
     """(R,) each: work of the driven planes against the friction; price, what torques left over on free spheres may take
-    from it; cost, the sum of |F|^2 / eta (viscous); all in the units of `Motion.power`.
+    from it; cost, the sum over viscous contacts; all in the units of `Motion.power`.
 
-    saturation : (R,), largest |F| / (mu F_n), rounded up (Coulomb, else 0).
+    saturation : (R,), largest |F| / (mu F_n), rounded up (Coulomb alone, else 0).
     largest_torque : (R,), left over on a free sphere in the components that are driven, over the radius and in units of
     `force_unit`, rounded up.
     """
@@ -53,25 +55,27 @@ def work_of(samples: Samples) -> Work:
         # the least of torque * spin for a spin from 0 to the jump: 0 where the two have the same sign for sure
         taken = np.where(np.sign(jump.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
         price = price + row_sum(Enclosure.exact(taken)) * spread(abs(jump), count)
-    for axis, (turning, strength) in enumerate(zip(samples.turning, samples.strength, strict=True)):
+    for axis, turning in enumerate(samples.turning):
         acts = ~samples.between_driven(axis)
         size = length([Enclosure.exact(np.where(acts, part, 0.0)) for part in turning.values()])
-        full = (size / strength).reshaped((count, -1))
-        if samples.law == "coulomb":
+        if not samples.flows:
+            full = (size / samples.strength[axis]).reshaped((count, -1))
             saturation = np.maximum(saturation, full.most.max(axis=1, initial=0.0))
-        else:
-            cost = cost + row_sum(size.reshaped((count, -1)) * full)
-    if samples.law == "viscous":  # a force is damping * radius * spin
+            continue
+        if samples.holds:  # no less than what is beyond the friction
+            size = Enclosure.exact(np.where(acts, np.maximum((size - samples.strength[axis]).upper(), 0.0), 0.0))
+        cost = cost + row_sum((size * size / samples.slope[axis]).signed(0.5).reshaped((count, -1)))
+    if not samples.holds:  # a force is damping * radius * spin
         speed = spread(Enclosure.exact([samples.radius * samples.spin_unit]), count)
         work, price, cost = work / speed, price / speed, cost / speed / speed
     return Work(work, price, cost, saturation, largest)
 
 
 def lower_bound(samples: Samples, work: Work) -> np.ndarray:
-    """Of the least power, (R,), in the units of `Motion.power`; not below 0."""
+    """Of the least objective, (R,), in the units of `Motion.power`; not below 0."""
     left = work.work - work.price
-    if samples.law == "viscous":
-        return np.maximum((left + left - work.cost).lower(), 0.0)
+    if samples.flows:
+        return np.maximum((left - work.cost).signed(samples.share).lower(), 0.0)
     return np.maximum((left / Enclosure.exact(np.maximum(work.saturation, 1.0))).lower(), 0.0)
 
 

@@ -92,7 +92,7 @@ class Enclosure:
         return self.signed(np.where(self.high < 0, -1.0, 1.0))
 
     def signed(self, sign: np.ndarray | float) -> Enclosure:
-        """Times +1, -1 or 0."""
+        """Times +1, -1, 0 or a power of two."""
         return Enclosure(sign * self.high, sign * self.low, np.abs(sign) * self.error)
 
     def __getitem__(self, where: Any) -> Enclosure:

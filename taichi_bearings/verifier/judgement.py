@@ -36,11 +36,11 @@ class Judgement:
     def _unit(self) -> float:
         """Of power. Powers of two but for the radius; what multiplying by it rounds is seen to in the bounds."""
         speed = self.samples.radius * self.samples.spin_unit
-        return self.samples.force_unit * (speed if self.samples.law == "coulomb" else speed * speed)
+        return self.samples.force_unit * (speed if self.samples.holds else speed * speed)
 
     @cached_property
-    def _power(self) -> Enclosure:
-        return self.motion.power()
+    def _objective(self) -> Enclosure:
+        return self.motion.objective()
 
     @cached_property
     def _lower_bound(self) -> np.ndarray:
@@ -49,31 +49,37 @@ class Judgement:
     @property
     def power(self) -> np.ndarray:
         """(R,), what these spins dissipate, to the nearest doubles."""
-        return np.asarray(self._power.value * self._unit)
+        power = self.motion.power() if self.samples.holds and self.samples.flows else self._objective
+        return np.asarray(power.value * self._unit)
+
+    @property
+    def objective(self) -> np.ndarray:
+        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
+        return np.asarray(self._objective.value * self._unit)
 
     @property
     def upper_bound(self) -> np.ndarray:
-        """(R,), not below that, and so not below the least power."""
-        return _outwards(self._power.upper() * self._unit, np.inf)
+        """(R,), not below that, and so not below the least one."""
+        return _outwards(self._objective.upper() * self._unit, np.inf)
 
     @property
     def lower_bound(self) -> np.ndarray:
-        """(R,), not above the least power."""
+        """(R,), not above the least objective."""
         return np.maximum(_outwards(self._lower_bound * self._unit, -np.inf), 0.0)
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), what torques left over on free spheres take from the lower bound, over the power; 0 without power."""
-        price, power = self.work.price.upper(), self._power.value
-        return np.divide(price, power, out=np.zeros_like(price), where=power > 0)
+        """(R,), what torques left over on free spheres take from the lower bound, over the objective."""
+        price, objective = self.work.price.upper(), self._objective.value
+        return np.divide(price, objective, out=np.zeros_like(price), where=objective > 0)
 
     @cached_property
     def states(self) -> list[States]:
         """Contact states at every minimum, sample by sample."""
         proven = self._lower_bound
-        if self.samples.law == "coulomb":  # what the friction does as it is: below 0, and beyond its discs, if need be
+        if not self.samples.flows:  # what the friction does as it is: below 0, and beyond its discs, if need be
             proven = (self.work.work - self.work.price).lower()
-        return proven_states(self.motion, (self._power.upper() - proven) * (1 + 2.0**-50))
+        return proven_states(self.motion, (self._objective.upper() - proven) * (1 + 2.0**-50))
 
 
 def _outwards(values: np.ndarray, towards: float) -> np.ndarray:

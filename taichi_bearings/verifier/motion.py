@@ -111,11 +111,21 @@ class Motion:
 
         Infinite where the motion is torn: what is stored then has no jump at all.
         """
-        owner, cost = [], []
-        for strength, still, size in zip(self.samples.strength, self.still, self.size, strict=True):
+        return self._sum_of_slips(1.0)
+
+    def objective(self) -> Enclosure:
+        """(R,), what is least at rest, in the same units: `Samples.share` times the potential."""
+        return self._sum_of_slips(self.samples.share / 2)
+
+    def _sum_of_slips(self, of_slope: float) -> Enclosure:
+        """Friction times slip, plus `of_slope`, a power of two, times viscous force times slip."""
+        samples, owner, cost = self.samples, [], []
+        for axis, (still, size) in enumerate(zip(self.still, self.size, strict=True)):
             owner.append(np.nonzero(~still)[0])
-            cost.append(strength[~still] * size if self.samples.law == "coulomb" else strength[~still] * size * size)
-        total = grouped_sum(joined(cost), np.concatenate(owner), self.samples.count)
+            parts = [samples.strength[axis][~still] * size] if samples.holds else []
+            parts += [samples.slope[axis][~still].signed(of_slope) * size * size] if samples.flows else []
+            cost.append(parts[0] if len(parts) == 1 else parts[0] + parts[1])
+        total = grouped_sum(joined(cost), np.concatenate(owner), samples.count)
         return Enclosure(np.where(self.torn, np.inf, total.high), total.low, total.error)
 
 

@@ -21,15 +21,18 @@ DIGITS = 300
 LEAST, MOST = 1e-60, 1e60  # scales of a sample
 SMALLEST = 1e-140  # component of the jump, of the whole
 Slices = tuple[slice, ...]
+LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
+"""Law -> does a contact bear a force without slipping, and does its force grow with the slip."""
 
 
 @dataclass(frozen=True)
 class Samples:
     """R samples that differ in their coefficients alone.
 
-    shape : N, spheres along each axis, height last. law : "coulomb" or "viscous".
-    coefficient : one array (R, *contacts) an axis. spin, spin_rounding : (R, *N, 3), in 2D (R, *N); the spin is the sum
-    of the two. friction : (R, *contacts, 3) an axis, on the upper sphere; in 2D the component along z x n.
+    shape : N, spheres along each axis, height last. law : a key of LAWS.
+    coefficient : one array (R, *contacts) an axis; viscosity : the same of contacts that have friction and damping,
+    else empty. spin, spin_rounding : (R, *N, 3), in 2D (R, *N); the spin is the sum of the two.
+    friction : (R, *contacts, 3) an axis, on the upper sphere; in 2D the component along z x n.
     """
 
     shape: tuple[int, ...]
@@ -43,6 +46,7 @@ class Samples:
     spin: np.ndarray
     spin_rounding: np.ndarray
     friction: tuple[np.ndarray, ...]
+    viscosity: tuple[np.ndarray, ...] = ()
 
     @property
     def count(self) -> int:
@@ -54,6 +58,7 @@ class Samples:
         return replace(
             self,
             coefficient=tuple(values[pick] for values in self.coefficient),
+            viscosity=tuple(values[pick] for values in self.viscosity),
             spin=self.spin[pick],
             spin_rounding=self.spin_rounding[pick],
             friction=tuple(values[pick] for values in self.friction),
@@ -64,6 +69,7 @@ class Samples:
         """False if a number is not finite, too large or small for products, or not positive where it must be."""
         scales = [self.normal_force, self.radius, abs(self.spin_top - self.spin_bottom) or 1.0]
         strengths = [self.normal_force * c for c in self.coefficient]
+        strengths += [self.radius * self.spin_unit * values for values in self.viscosity]
         arrays = (self.spin, self.spin_rounding, *self.friction, *strengths)
         sizes = [float(np.abs(values).max(initial=0.0)) for values in arrays]
         return (
@@ -126,8 +132,24 @@ class Samples:
         return _power_of_two(max(float(c.max()) for c in self.coefficient) * self._strength)
 
     @property
+    def holds(self) -> bool:
+        """True if a contact bears a force without slipping."""
+        return LAWS[self.law][0]
+
+    @property
+    def flows(self) -> bool:
+        """True if the force grows with the slip."""
+        return LAWS[self.law][1]
+
+    @property
+    def share(self) -> float:
+        """What is least at rest, the objective, over the potential of the forces: the power of viscous contacts is
+        twice theirs; beside friction it is no multiple of it, and the potential itself is least."""
+        return 1.0 if self.holds else 2.0
+
+    @property
     def _strength(self) -> float:
-        return self.normal_force if self.law == "coulomb" else 1.0
+        return self.normal_force if self.holds else 1.0
 
     @cached_property
     def sublattice(self) -> np.ndarray:
@@ -158,6 +180,15 @@ class Samples:
         factor = Enclosure.exact(np.array([self._strength / unit]))
         scale = self.force_unit / unit
         return tuple(Enclosure.exact(values / scale) * factor for values in self.coefficient)
+
+    @cached_property
+    def slope(self) -> tuple[Enclosure, ...]:
+        """Force of a viscous contact over the difference of its signed spins, in units of force and spin, of laws that
+        have it; (R, *contacts) an axis. Without friction the unit of force is that of damping times radius * spin."""
+        if not self.holds:
+            return self.strength
+        factor = Enclosure.exact(np.array([self.radius * (self.spin_unit / self.force_unit)]))
+        return tuple(Enclosure.exact(values) * factor for values in self.viscosity)
 
     @cached_property
     def turning(self) -> tuple[dict[int, np.ndarray], ...]:

@@ -53,10 +53,10 @@ class States:
 
 
 def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
-    """gap : (R,), power of the spins less the work of the friction, price of its torques paid (Coulomb), or less the
-    lower bound (viscous); rounded up, in the units of `Motion.power`."""
+    """gap : (R,), objective of the spins less the work of the friction, price of its torques paid (Coulomb), or less
+    the lower bound (viscous contacts); rounded up, in the units of `Motion.power`."""
     samples = motion.samples
-    if samples.law == "viscous":
+    if samples.flows:
         return _by_distance(motion, gap)
     if not samples.needed:
         return [States(tuple(np.full(c.shape[1:], SLIPLESS) for c in samples.coefficient), True)] * samples.count
@@ -91,13 +91,13 @@ def _rests(motion: Motion, component: int) -> np.ndarray:
 
 
 def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
-    """Viscous: the power exceeds the least one by the sum of eta |z - z*|^2: slips that would cost more do not end."""
+    """Viscous: the objective exceeds the least one by share / 2 times the sum of eta |z - z*|^2, whatever friction
+    there is: slips that would cost more do not end."""
     found = []
-    for axis, (still, size, strength) in enumerate(
-        zip(motion.still, motion.size, motion.samples.strength, strict=True)
-    ):
+    half = motion.samples.share / 2
+    for axis, (still, size, slope) in enumerate(zip(motion.still, motion.size, motion.samples.slope, strict=True)):
         states = np.where(motion.samples.between_driven(axis), SLIPLESS, UNPROVEN)
-        costs = strength[~still].least * size.least**2 / UP
+        costs = half * slope[~still].least * size.least**2 / UP
         states[~still] = np.where(costs > gap[np.nonzero(~still)[0]], SLIPPING, UNPROVEN)
         found.append(states)
     return [States(tuple(states[r] for states in found), True) for r in range(motion.samples.count)]

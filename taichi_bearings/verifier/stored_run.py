@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.samples import LAWS, Samples
 
 AXES = "xyz"
 NEEDED = (
@@ -111,9 +111,12 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     settings = _settings(path, str(attributes["scene"]))
     direction = [float(d) for d in settings.get("direction", (1.0, 1.0, 0.0))]
     spin = get("spin", (*shape, *parts))
+    law = str(attributes["law"])
+    if law not in LAWS:
+        raise FileError(f"{path} has the law {law!r}; {', '.join(LAWS)} can be verified")
     samples = Samples(
         shape=shape,
-        law=str(attributes["law"]),
+        law=law,
         coefficient=by_axis("coefficient/{}"),
         spin_top=float(attributes["spin_top"]),
         spin_bottom=float(attributes["spin_bottom"]),
@@ -123,9 +126,8 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         spin=spin,
         spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
         friction=by_axis("contact/{}/friction", parts),
+        viscosity=by_axis("viscosity/{}") if all(LAWS[law]) else (),
     )
-    if samples.law not in ("coulomb", "viscous"):
-        raise FileError(f"{path} has the law {samples.law!r}; coulomb and viscous can be verified")
     names = [*REPORTED, *(["slip_bound"] if "contact/z/slip_bound" in file or "contact/y/slip_bound" in file else [])]
     reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
     history = {name: np.asarray(values[()]) for name, values in file.get("history", {}).items()}

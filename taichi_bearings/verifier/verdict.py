@@ -25,8 +25,8 @@ DRIVEN = 3  # state of a contact between driven spheres, in the file
 
 @dataclass(frozen=True)
 class Verdict:
-    """Sample by sample: power, rigorous bounds of the least power, their relative gap, and how many contacts are proven
-    to be in which state. contradictions : sentences, empty if the file proves what it claims."""
+    """Sample by sample: power, rigorous bounds of what is least at rest, their relative gap, and how many contacts are
+    proven to be in which state. contradictions : sentences, empty if the file proves what it claims."""
 
     power: list[float | None]
     upper_bound: list[float | None]
@@ -60,7 +60,7 @@ def verdict_of(run: StoredRun) -> Verdict:
     gap = [_gap(p, b, unit) for p, b, unit in zip(upper, bound, _natural_power(samples), strict=True)]
     torque = judgement.work.largest_torque * samples.force_unit * samples.radius
     found = [*_scene(run), *_driving(samples), *_numbers(run, judgement), *_states(run, states)]
-    found += [*_summary(run, power, bound, gap), *_counts(run), *_history(run, upper, bound)]
+    found += [*_summary(run, judgement, gap), *_counts(run), *_history(run, upper, bound)]
     return Verdict(
         power=[_finite(value) for value in power],
         upper_bound=[_finite(value) for value in upper],
@@ -89,10 +89,13 @@ def _gap(power: float, bound: float, natural: float) -> float | None:
 def _natural_power(samples: Samples) -> np.ndarray:
     """(R,), of all contacts with the imposed spin for slip, where there is no jump; else 0."""
     speed = samples.radius * abs(samples.spin_top) if samples.jump_size == 0 else 0.0
+    unit = samples.normal_force * speed if samples.holds else speed**2
     total = np.zeros(samples.count)
-    for axis, coefficient in enumerate(samples.coefficient):
-        total += np.where(samples.between_driven(axis), 0.0, coefficient).reshape(samples.count, -1).sum(axis=1)
-    return total * (samples.normal_force * speed if samples.law == "coulomb" else speed**2)
+    for coefficients, weight in ((samples.coefficient, unit), (samples.viscosity, speed**2 / 2)):
+        for axis, values in enumerate(coefficients):
+            acting = np.where(samples.between_driven(axis), 0.0, values)
+            total += weight * acting.reshape(samples.count, -1).sum(axis=1)
+    return total
 
 
 def _counted(samples: Samples, states: States) -> dict[str, int]:
@@ -158,8 +161,10 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         acts = ~samples.between_driven(axis)
         if (np.abs(slip - np.where(acts, actual, 0.0)) > ROUNDED * actual + rounding).any():
             yield f"slips of contacts along {name} are not those of the spins"
-        strength = samples.coefficient[axis] * (samples.normal_force if samples.law == "coulomb" else 1.0)
-        expected = np.where(acts, strength * slip if samples.law == "coulomb" else strength * slip**2, 0.0)
+        strength = samples.coefficient[axis] * (samples.normal_force if samples.holds else 1.0)
+        expected = np.where(acts, strength * slip if samples.holds else strength * slip**2, 0.0)
+        if samples.viscosity:
+            expected += np.where(acts, samples.viscosity[axis] * slip**2, 0.0)
         if not (np.abs(power - expected) <= ROUNDED * expected).all():
             yield f"powers of contacts along {name} are not friction or damping times slip"
         friction = samples.friction[axis]
@@ -174,7 +179,7 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
         if not (np.isfinite(force) & (force >= 0)).all():
             yield f"forces of contacts along {name} are not finite or negative"
-        if samples.law == "coulomb" and (force > slack * strength).any():
+        if not samples.flows and (force > slack * strength).any():
             yield f"forces of contacts along {name} exceed their friction"
 
 
@@ -199,7 +204,7 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             int(((p == SLIPLESS) & (g == SLIPPING)).sum() + ((p == SLIPPING) & (g == SLIPLESS)).sum())
             for p, g in zip(found.proven, given, strict=True)
         )
-        if wrong and run.samples.law == "coulomb" and _is_minimum(run):
+        if wrong and run.samples.holds and _is_minimum(run):
             yield f"{wrong} contact states{which} are not those of any minimum"
         if proven[number] and not found.agree(given):
             reason = f": {found.reason}" if found.reason else ""
@@ -222,7 +227,7 @@ def _is_minimum(run: StoredRun) -> bool:
 def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str) -> Iterator[str]:
     """At a proven minimum the reported forces are those of the friction."""
     samples = run.samples
-    if samples.law != "coulomb":
+    if samples.flows:
         return
     for axis, state in enumerate(given):
         strength = samples.coefficient[axis][number] * samples.normal_force
@@ -239,8 +244,9 @@ def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str)
             yield f"forces{which} along {'xyz'[axis]} are not those that the friction proves"
 
 
-def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[float | None]) -> Iterator[str]:
-    """Power, bound, gap and status of the summary."""
+def _summary(run: StoredRun, judgement: Judgement, gap: list[float | None]) -> Iterator[str]:
+    """Power, potential, bound, gap and status of the summary."""
+    power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
     tolerance = run.setting("tolerance", 1e-8)
     claimed = {name: run.claimed(name) for name in ("power", "lower_bound", "gap", "status")}
     for number in range(run.samples.count):
@@ -248,6 +254,9 @@ def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[flo
         p, b, g, status = (claimed[name][number] for name in ("power", "lower_bound", "gap", "status"))
         if p is not None and not abs(p - power[number]) <= ROUNDED * abs(p):
             yield f"the power{which} is said to be {p!r}; the spins dissipate {power[number]!r}"
+        potential = run.claimed("potential")[number]
+        if potential is not None and not abs(potential - objective[number]) <= ROUNDED * abs(potential):
+            yield f"the potential{which} is said to be {potential!r}; that of the spins is {objective[number]!r}"
         if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
             yield f"the lower bound{which} is said to be {b!r}; the friction proves {bound[number]!r}"
         proven = gap[number]
@@ -258,8 +267,8 @@ def _summary(run: StoredRun, power: np.ndarray, bound: np.ndarray, gap: list[flo
             yield f"the gap{which} is negative: {g!r}"
         if status == "certified" and (not own <= tolerance * (1 + 1e-9) or None in (p, b, g)):
             yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {own!r}"
-        if bound[number] > power[number] * (1 + 2 * EPS):
-            yield f"the lower bound{which} is above the power: the numbers contradict themselves"
+        if bound[number] > objective[number] * (1 + 2 * EPS):
+            yield f"the lower bound{which} is above the power or potential: the numbers contradict themselves"
 
 
 def _counts(run: StoredRun) -> Iterator[str]:
@@ -277,7 +286,7 @@ def _counts(run: StoredRun) -> Iterator[str]:
         held["largest_slipless_slip"] = float(kinds[0].max()) if len(kinds[0]) else None
         held["smallest_slipping_slip"] = float(kinds[1].min()) if len(kinds[1]) else None
         power = run.claimed("power")[number]
-        if samples.law == "coulomb" and unit > 0 and power is not None:
+        if not samples.flows and unit > 0 and power is not None:
             held["power_normalised"] = power / unit
         for name, value in held.items():
             said = run.claimed(name)[number]

@@ -204,7 +204,7 @@ def judge(solution, summary: dict, replica: int, settings: RunSettings, perturba
     scene, verdict = solution.scene, Verdict(_imposed(settings))
     coefficient = [values[replica] for values in scene.coefficient]
     driving = (settings.radius, settings.spin_top, settings.spin_bottom, settings.direction)
-    if scene.law == "viscous":
+    if not scene.law.holds:
         truth, minimum = None, truths.least_viscous_power(coefficient, *driving)
     else:
         truth = truths.solve(coefficient, settings.normal_force, *driving)

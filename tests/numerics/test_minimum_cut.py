@@ -1,6 +1,7 @@
 """Minimum cuts of lattices against all sides of tiny ones, planar grids and linear programmes; ties; the next cut."""
 
 import sys
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -12,12 +13,12 @@ from scipy.sparse import coo_array, hstack, identity, vstack
 from taichi_bearings.numerics import minimum_cut as module
 from taichi_bearings.numerics.minimum_cut import (
     flow_cut,
-    jump_weights,
     largest_flow,
     minimum_cut,
     next_cut,
     weight_of_cut,
 )
+from taichi_bearings.scene.initial_spins import cut_weights
 from tests.kernels.twins import neighbours
 from tests.scenes import make_scene
 
@@ -249,13 +250,13 @@ def test_paths_and_flows_agree_on_the_next_cut():
 
 def test_weights_of_a_jump():
     scene = make_scene((2, 3, 4))
-    for exponent in (1, 2):
-        weights = jump_weights(scene.coefficient, scene.axis_vector, exponent)
+    for law, exponent in (("coulomb", 1), ("viscous", 2)):
+        weights = cut_weights(replace(scene, law=law))
         for axis, across in enumerate((0.5**0.5, 0.5**0.5, 1.0)):
             assert weights[axis] == pytest.approx(scene.coefficient[axis] * across**exponent, rel=1e-15)
-    about_x = jump_weights(scene.coefficient, np.array([1.0, 0.0, 0.0]))
+    about_x = cut_weights(replace(scene, direction=(1.0, 0.0, 0.0)))
     assert not about_x[0].any()
     assert (about_x[1] == scene.coefficient[1]).all()
     flat = make_scene((3, 4))
-    for ours, theirs in zip(jump_weights(flat.coefficient, flat.axis_vector), flat.coefficient, strict=True):
+    for ours, theirs in zip(cut_weights(flat), flat.coefficient, strict=True):
         assert (ours == theirs).all()

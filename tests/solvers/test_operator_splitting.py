@@ -117,7 +117,7 @@ def test_spring_forces_are_balanced_and_friction_is_admissible():
         assert np.abs(torques(force, scene.lattice, method.spin_axes)[..., 1:-1]).max() < 1e-10
         for friction, coefficient in zip(progress.force, scene.coefficient, strict=True):
             assert (np.sqrt((friction**2).sum(axis=0)) <= scene.normal_force * coefficient * (1 + 1e-14)).all()
-        assert (progress.lower_bound <= np.minimum(work, progress.power)).all()
+        assert (progress.lower_bound <= np.minimum(work, progress.objective)).all()
 
 
 @pytest.mark.usefixtures("needs_f64")

@@ -56,8 +56,8 @@ def test_a_disc_between_unequal_frictions_turns_at_a_constant_rate_until_it_stic
     method.advance(2 * steps)
     assert method.staggered[0, 0, :, 1] == pytest.approx(1.0, abs=1e-10)
     progress = method.progress()
-    assert progress.lower_bound[0] == pytest.approx(progress.power[0], rel=1e-9)
-    assert progress.power[0] == pytest.approx(2 * 0.3 * RADIUS * NORMAL_FORCE, rel=1e-10)
+    assert progress.lower_bound[0] == pytest.approx(progress.objective[0], rel=1e-9)
+    assert progress.objective[0] == pytest.approx(2 * 0.3 * RADIUS * NORMAL_FORCE, rel=1e-10)
     assert progress.slipping[0] == 2
 
 
@@ -295,8 +295,8 @@ def test_neither_rest_nor_a_stall_ends_a_run_of_given_duration():
     method = begun(scene, initial_spin(scene, "minimum-cut"))
     progress = replace(method.progress(), at_rest=True, exhausted=True)
     bound = np.zeros(1)
-    assert StopRule(1e-12).judge(scene, progress, progress.power, bound, 0.0, stalled=True) is Status.STATIONARY
-    assert StopRule(1e-12, duration=1.0).judge(scene, progress, progress.power, bound, 0.0, stalled=True) is None
+    assert StopRule(1e-12).judge(scene, progress, progress.objective, bound, 0.0, stalled=True) is Status.STATIONARY
+    assert StopRule(1e-12, duration=1.0).judge(scene, progress, progress.objective, bound, 0.0, stalled=True) is None
 
 
 @pytest.mark.parametrize("spin_bottom", [0.0, 1.0])

@@ -29,7 +29,7 @@ SCENES = [
 def samples_of(solution):
     scene = solution.scene
     return Samples(
-        scene.lattice.shape, scene.law, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
+        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
         scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding, solution.friction,
     )  # fmt: skip
 

@@ -1,0 +1,141 @@
+"""The physics of one contact: power, force and dissipation potential as functions of slip, and their convex duals.
+
+A law says how large a force F(v) opposes a slip of speed v. Its potential phi(v) is the integral of F. Torques balance
+where the sum of the potentials over all contacts is least, so that is the state in which every dynamics ends. The power
+F v is the potential itself for friction, twice that for viscous contacts, and no multiple of it for both together. The
+dual phi*(f) = max_v (f v - phi(v)) of the forces gives lower bounds: for any forces in balance,
+
+    least potential >= work of the driven planes - sum_e phi*(|f_e|).
+
+A law works on the coefficients of the contacts of one axis, arrays in units of force or of force * time / length as
+`Scene.contact` has them; slips are speeds, length/time, and forces are sizes. Its device twin is in kernels/contact.py.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+
+Coefficients = tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A coefficient of a law. name : in the field's words. unit : of the numbers that users give; "1" for a ratio to
+    the normal force, by which it is multiplied to have a force."""
+
+    name: str
+    unit: str
+
+    @property
+    def is_friction(self) -> bool:
+        return self.unit == "1"
+
+
+FRICTION, DAMPING = Quantity("friction", "1"), Quantity("damping", "force*time/length")
+
+
+@dataclass(frozen=True)
+class Law:
+    """F = holding force + viscosity * v, with either of the two left out, or another law that overrides its functions.
+
+    name : of the option. quantities : its coefficients, in the order of `Coefficients`; those of the first are
+    `Scene.coefficient`, those of the second `Scene.viscosity`. minimises : "power" or "potential", what lower bounds
+    and gaps are of. share : of that in a unit of potential.
+    """
+
+    name: str
+    quantities: tuple[Quantity, ...]
+    minimises: str = "power"
+    share: float = 1.0
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def holds(self) -> bool:
+        """True if a contact can bear a force without slipping."""
+        return any(quantity.is_friction for quantity in self.quantities)
+
+    @property
+    def flows(self) -> bool:
+        """True if the force grows with the slip: the slips of least potential are unique."""
+        return not all(quantity.is_friction for quantity in self.quantities)
+
+    @property
+    def is_rate_independent(self) -> bool:
+        """True if the force does not depend on the speed of the slip, so that contacts rest exactly or slip."""
+        return self.holds and not self.flows
+
+    def holding_force(self, of: Coefficients) -> np.ndarray | None:
+        """Largest force that a contact bears without slipping; None where it bears none."""
+        return of[0] if self.holds else None
+
+    def viscosity(self, of: Coefficients) -> np.ndarray | None:
+        """Slope of the force over the slip; None where there is none."""
+        return of[-1] if self.flows else None
+
+    def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+        """Of a slipping contact."""
+        return self._sum(of, np.ones_like(slip), slip)
+
+    def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+        return self._sum(of, slip, slip**2)
+
+    def potential(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+        """Integral of the force over the slip, energy/time."""
+        return self._sum(of, slip, slip**2 / 2)
+
+    def objective(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+        """What the stationary state minimises, `share` times the potential."""
+        return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
+
+    def conjugate(self, of: Coefficients, force: np.ndarray) -> np.ndarray:
+        """phi*(f), energy/time, for forces of these sizes; infinite beyond what friction alone can bear."""
+        held, viscosity = self.holding_force(of), self.viscosity(of)
+        excess = force if held is None else np.maximum(force - held, 0.0)
+        if viscosity is None:
+            return np.where(excess > 0, np.inf, 0.0)
+        return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
+
+    def largest_slip(self, of: Coefficients, force: np.ndarray, excess: np.ndarray) -> np.ndarray:
+        """Upper end of the slips with phi(v) + phi*(f) - f v <= excess: no faster slips a contact at any minimum.
+
+        excess : share * potential of any spins less the bound that the forces prove, over `share`.
+        """
+        held, viscosity = self.holding_force(of), self.viscosity(of)
+        margin = -force if held is None else held - force
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if viscosity is None:
+                return np.where(margin > 0, excess / margin, np.inf)
+            inside = np.maximum(margin, 0.0)
+            # of viscosity v^2 / 2 + margin v = excess, written so that nothing cancels; beyond the holding force the
+            # slip that belongs to the force comes on top
+            found = 2 * excess / (inside + np.sqrt(inside**2 + 2 * viscosity * excess))
+            found = np.where(excess > 0, found, 0.0) + np.maximum(-margin, 0.0) / viscosity
+        return np.where(viscosity > 0, found, np.inf)
+
+    def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
+        """Each coefficient times its function of the slip."""
+        terms = [
+            values * (friction if quantity.is_friction else viscous)
+            for quantity, values in zip(self.quantities, of, strict=True)
+        ]
+        return terms[0] if len(terms) == 1 else np.sum(terms, axis=0)
+
+
+COULOMB = Law("coulomb", (FRICTION,))
+VISCOUS = Law("viscous", (DAMPING,), share=2.0)
+COULOMB_VISCOUS = Law("coulomb-viscous", (FRICTION, DAMPING), minimises="potential")
+LAWS = {law.name: law for law in (COULOMB, VISCOUS, COULOMB_VISCOUS)}
+"""The laws that scenes can have, by the names of the option."""
+
+
+def law_named(law: "str | Law") -> Law:
+    """The law of this name, or the law itself; InputError if there is none."""
+    if isinstance(law, Law):
+        return law
+    if law not in LAWS:
+        raise InputError(f"law is {law!r}; allowed are {', '.join(LAWS)}")
+    return LAWS[law]
