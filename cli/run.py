@@ -7,6 +7,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import json_option, run_options
 
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.words import counted
 
 
@@ -117,6 +118,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
     if summary["coefficients"]:
         lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
+    least = "its potential proven" if "potential" in summary else "proven"
     keys = ("power", "gap", "slipping", "slipless", "undecided")
     rows = zip(seeds, *(v if isinstance(v, list) else [v] for v in (summary[k] for k in keys)), strict=True)
     for number, (seed, power, gap, slipping, slipless, undecided) in enumerate(rows):
@@ -124,7 +126,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
             lines.append(f"  ... and {len(seeds) - 10} more seeds, in summary.json")
             break
         lines.append(
-            f"  seed {seed}: P = {_number(power, '.12g')}, proven within {_number(gap, '.1e')}; "
+            f"  seed {seed}: P = {_number(power, '.12g')}, {least} within {_number(gap, '.1e')}; "
             f"of {summary['contacts']:,} contacts "
             f"{slipping:,} slip, {slipless:,} do not, {undecided:,} {'is' if undecided == 1 else 'are'} undecided"
         )
@@ -149,7 +151,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
 def _separation(summary: dict[str, Any]) -> list[str]:
     """How far apart the slips of slipping and slipless contacts are, with a warning where they are not."""
     largest, smallest = summary["largest_slipless_slip"], summary["smallest_slipping_slip"]
-    if summary["law"] != "coulomb" or largest is None or smallest is None:
+    if not LAWS[summary["law"]].holds or largest is None or smallest is None:
         return []
     words = f"slipless contacts slip at most {largest:.1e}, slipping ones at least {smallest:.1e}"
     if summary["states_proven"]:

@@ -7,6 +7,8 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import json_option
 
+from taichi_bearings.scene.law import LAWS
+
 
 @click.command()
 @click.argument("run", metavar="RUN")
@@ -41,7 +43,7 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
 
 def describe(report: dict[str, Any], times: str = "") -> str:
     """The verdict for people. times : where the time went."""
-    shape = "x".join(map(str, report["shape"]))
+    shape, law = "x".join(map(str, report["shape"])), LAWS[report["law"]]
     status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
     lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
     names = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
@@ -52,7 +54,7 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         if power is None:
             lines.append(f"  seed {seed}: nothing can be proven")
             continue
-        lines.append(f"  seed {seed}: {bound!r} <= least power <= {power!r}, a relative gap of {gap:.1e}")
+        lines.append(f"  seed {seed}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
         proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]
         if states["unproven"]:
             proven.append(f"{states['unproven']:,} unproven" + (f" ({reason})" if reason else ""))
@@ -64,7 +66,7 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     if isinstance(report["gap"], float):
         balanced = "in balance" if report["balanced"] else "not in balance, which the bound pays for"
         inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"
-        lines.append(f"  friction: {balanced}, {inside}" if report["law"] == "coulomb" else f"  damping: {balanced}")
+        lines.append(f"  friction: {balanced}, {inside}" if law.is_rate_independent else f"  damping: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
     lines.append(
         f"{'verified' if report['verified'] else 'NOT verified'} in {report['seconds']:.1f} s: "

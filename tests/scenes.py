@@ -7,16 +7,28 @@ import numpy as np
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
+from taichi_bearings.scene.law import law_named
 
 MINIMA = json.loads((Path(__file__).parent / "reference" / "minima.json").read_text())["scenes"]
 
 
-def make_scene(shape, law="coulomb", seeds=(4711,), distribution="uniform:0.1,1.0", radius=0.5, **driving):
+def make_scene(
+    shape,
+    law="coulomb",
+    seeds=(4711,),
+    distribution="uniform:0.1,1.0",
+    radius=0.5,
+    viscosity="uniform:0.1,1.0",
+    **driving,
+):
     lattice = Lattice(tuple(shape), radius)
-    drawn = [draw_coefficients(lattice, Distribution.parse(distribution), seed) for seed in seeds]
-    coefficient = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
-    return Scene(lattice, law, coefficient, seeds=tuple(seeds), **driving)
+    given = {"coefficient": (draw_coefficients, distribution), "viscosity": (draw_viscosities, viscosity)}
+    found = {}
+    for _, (name, (draw, text)) in zip(law_named(law).quantities, given.items(), strict=False):
+        drawn = [draw(lattice, Distribution.parse(text), seed) for seed in seeds]
+        found[name] = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
+    return Scene(lattice, law, seeds=tuple(seeds), **found, **driving)
 
 
 def minima(*shapes):
