@@ -1,8 +1,9 @@
 """What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -112,6 +113,29 @@ class Progress:
     geometric: bool = False
     settles_at: float | None = None
     needed: int | None = None
+
+    def where(self, better: np.ndarray, other: "Progress") -> "Progress":
+        """This state in the replicas where `better` (R,) is True, and `other` in the rest."""
+        if better.all():
+            return self
+        mixed = {name: _picked(better, axis, getattr(self, name), getattr(other, name)) for name, axis in OF_REPLICAS}
+        return replace(self, **mixed, resolution=self.resolution if better.any() else other.resolution)
+
+
+OF_REPLICAS = (
+    ("objective", 0), ("unbalanced_torque", 0), ("resolved", 0), ("state", 0), ("slip", 0), ("staggered", 1),
+    ("rest", 1), ("force", 1),
+)  # fmt: skip
+"""What belongs to a replica in the state of a method, and the axis that counts the replicas."""
+
+
+def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
+    """An array, or a tuple of them, of the chosen replicas; None unless both states have it."""
+    if new is None or old is None:
+        return None
+    if isinstance(new, tuple):
+        return tuple(_picked(better, axis, *pair) for pair in zip(new, old, strict=True))
+    return np.where(better.reshape(*(1,) * axis, -1, *(1,) * (new.ndim - axis - 1)), new, old)
 
 
 @dataclass(frozen=True)

@@ -78,14 +78,8 @@ def solve(
         course = _Course(scene, method, stop, recording, checkpoints, interrupt)
         with stage("solving") as solving:
             status, progress, seconds = course.follow([solving.tell, *monitors])
-        best, recorder = course.best, course.recorder
-        final = replace(best.progress, iteration=progress.iteration)
-        proof = best.proof
         with stage("proving contact states"):  # to its end: a first Ctrl-C costs nothing that was reached
-            solution = _collect(
-                scene, method.name, status, stop.tolerance, final, best.bound, proof, recorder, seconds,
-                compiled - began, slip_threshold,
-            )  # fmt: skip
+            solution = course.answer(status, progress.iteration, seconds, compiled - began, slip_threshold)
     return replace(solution, interrupted=interrupt.heard)
 
 
@@ -194,6 +188,58 @@ class _Course:
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
+    def answer(
+        self, status: Status, iteration: int, seconds: float, compiled: float, threshold: float | None
+    ) -> Solution:
+        """What the best state and the best forces amount to.
+
+        iteration, seconds : in all. compiled : seconds before the first. threshold : slip speed up to which a contact
+        counts as slipless, or None for what the method can resolve.
+        """
+        scene, final = self.scene, replace(self.best.progress, iteration=iteration)
+        spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
+        slip, rounding = final.slip, 0.0
+        if slip is None:
+            slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
+        resolves = max(final.resolution, rounding) if threshold is None else threshold
+        state = _states(scene, slip, final, resolves, threshold is not None)
+        friction = laboratory_forces(
+            certifying_forces(scene, self.best.proof, final.spin_axes, self.best.bound), scene.lattice, final.spin_axes
+        )
+        objective, bound, judgement = final.objective, self.best.bound, _judged(scene, spin, spin_rounding, friction)
+        if judgement is not None:  # what the answer proves is what is reported
+            objective, bound = judgement.objective, judgement.lower_bound
+        gap = relative_gap(scene, objective, bound)
+        if status in (Status.CERTIFIED, Status.STALLED):
+            status = Status.CERTIFIED if (gap <= self.stop.tolerance).all() else Status.STALLED
+        per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
+        return Solution(
+            scene=scene,
+            method=self.method.name,
+            status=status,
+            iterations=iteration,
+            spin=spin,
+            spin_rounding=spin_rounding,
+            slip=slip,
+            power_per_contact=per_contact,
+            force=tuple(vector_length(values) for values in final.force),
+            friction=friction,
+            state=state,
+            slip_bound=slip_bound(scene, final.force, final.spin_axes, objective) if scene.law.holds else (),
+            resolved=_proven(scene, final, judgement, state),
+            power=objective if scene.law.minimises == "power" else scene.total(per_contact),
+            objective=objective,
+            lower_bound=bound,
+            gap=gap,
+            slip_threshold=resolves,
+            unbalanced_torque=final.unbalanced_torque,
+            seconds=seconds,
+            seconds_compile=compiled,
+            history=self.recorder.history(),
+            snapshots=self.recorder.snapshots(),
+            findings=final.findings,
+        )
+
 
 class _Interrupt:
     """Hears Ctrl-C or a batch queue's SIGTERM without being torn out of a step.
@@ -276,35 +322,10 @@ class _Best:
         if first or not self.keeps_best:
             self.progress = new
             return
-        old = self.progress
-        better = new.objective <= old.objective  # False for NaN, so a failed step never counts
+        better = new.objective <= self.objective  # False for NaN, so a failed step never counts
         if new.settled is not None:  # settled contact states are worth more than the last digit
-            better |= new.settled & (new.objective <= old.objective * (1 + 1e-11))
-        if better.all():
-            self.progress = new
-            return
-        pick = better.reshape(1, -1, *(1,) * (new.staggered.ndim - 2))
-        state = slip = resolved = rest = None
-        if new.rest is not None and old.rest is not None:
-            rest = np.where(pick, new.rest, old.rest)
-        if new.state is not None and old.state is not None:
-            state = tuple(np.where(pick[0], a, b) for a, b in zip(new.state, old.state, strict=True))
-        if new.slip is not None and old.slip is not None:
-            slip = tuple(np.where(pick[0], a, b) for a, b in zip(new.slip, old.slip, strict=True))
-        if new.resolved is not None and old.resolved is not None:
-            resolved = np.where(better, new.resolved, old.resolved)
-        self.progress = replace(
-            new,
-            state=state,
-            slip=slip,
-            resolved=resolved,
-            rest=rest,
-            staggered=np.where(pick, new.staggered, old.staggered),
-            force=tuple(np.where(pick, a, b) for a, b in zip(new.force, old.force, strict=True)),
-            objective=np.where(better, new.objective, old.objective),
-            unbalanced_torque=np.where(better, new.unbalanced_torque, old.unbalanced_torque),
-            resolution=new.resolution if better.any() else old.resolution,
-        )
+            better |= new.settled & (new.objective <= self.objective * (1 + 1e-11))
+        self.progress = new.where(better, self.progress)
 
     def state(self) -> dict[str, np.ndarray]:
         """The forces that prove the bound, for a checkpoint; the bound itself is not believed."""
@@ -364,60 +385,3 @@ def _proven(scene: Scene, final: Progress, judgement: Judgement | None, state: t
         states = judgement.states[replica] if together else judgement.one(int(replica)).states[0]
         found[replica] = states.agree([values[replica] for values in state])
     return found
-
-
-def _collect(
-    scene: Scene,
-    method: str,
-    status: Status,
-    tolerance: float,
-    final: Progress,
-    bound: np.ndarray,
-    proof: Forces,
-    recorder: Recorder,
-    seconds: float,
-    seconds_compile: float,
-    slip_threshold: float | None,
-) -> Solution:
-    spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
-    slip, rounding = final.slip, 0.0
-    if slip is None:
-        slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
-    threshold = max(final.resolution, rounding) if slip_threshold is None else slip_threshold
-    state = _states(scene, slip, final, threshold, slip_threshold is not None)
-    friction = laboratory_forces(
-        certifying_forces(scene, proof, final.spin_axes, bound), scene.lattice, final.spin_axes
-    )
-    objective, judgement = final.objective, _judged(scene, spin, spin_rounding, friction)
-    if judgement is not None:  # what the answer proves is what is reported
-        objective, bound = judgement.objective, judgement.lower_bound
-    gap = relative_gap(scene, objective, bound)
-    per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
-    if status in (Status.CERTIFIED, Status.STALLED):
-        status = Status.CERTIFIED if (gap <= tolerance).all() else Status.STALLED
-    return Solution(
-        scene=scene,
-        method=method,
-        status=status,
-        iterations=final.iteration,
-        spin=spin,
-        spin_rounding=spin_rounding,
-        slip=slip,
-        power_per_contact=per_contact,
-        force=tuple(vector_length(values) for values in final.force),
-        friction=friction,
-        state=state,
-        slip_bound=slip_bound(scene, final.force, final.spin_axes, objective) if scene.law.holds else (),
-        resolved=_proven(scene, final, judgement, state),
-        power=objective if scene.law.minimises == "power" else scene.total(per_contact),
-        objective=objective,
-        lower_bound=bound,
-        gap=gap,
-        slip_threshold=threshold,
-        unbalanced_torque=final.unbalanced_torque,
-        seconds=seconds,
-        seconds_compile=seconds_compile,
-        history=recorder.history(),
-        snapshots=recorder.snapshots(),
-        findings=final.findings,
-    )
