@@ -58,14 +58,12 @@ from tests.scenes import make_scene
 import taichi_bearings.fields.fields as fields
 fields.LEAST_SHARE = {least_share}
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent
 from taichi_bearings.solvers.stopping import StopRule
 import hashlib
 for law in ("coulomb", "viscous"):
     scene = make_scene((7, 6, 9), law)
-    for method in (GradientDescent(), CundallStrack()):
+    for method in (GradientDescent().build(), CundallStrack().build()):
         solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-14, 700))
         print(hashlib.sha256(solution.spin.tobytes()).hexdigest(), method.team.size)
 """

@@ -26,7 +26,7 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import METHODS, method_class
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 from taichi_bearings.stages import each, stage
@@ -190,13 +190,13 @@ def _measure(
 
 def run_method(scene: Scene, name: str, settings: RunSettings) -> Entry:
     """The history of a method with its default options. Raises InputError for a scene that it cannot solve."""
-    method = method_class(name)()
-    if method.needs_taichi:
+    options = METHODS[name]()
+    if options.needs_taichi:
         runtime.start(settings.arch, settings.precision, settings.threads)
     spin = initial_spin(scene, settings.initial)
-    first = uninterrupted(solve(scene, method, spin, StopRule(TIGHTEST, iterations=1)))
+    first = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, iterations=1)))
     rule = StopRule(TIGHTEST, UNLIMITED, settings.time_limit or np.inf)
-    solution = uninterrupted(solve(scene, method_class(name)(), spin, rule))
+    solution = uninterrupted(solve(scene, options.build(), spin, rule))
     finite = np.isfinite(solution.history["power"][:, 0])
     history = {name: column[finite] for name, column in solution.history.items()}
     setup, power, checks = solution.seconds_compile, history["power"][:, 0], int(finite.sum())
@@ -206,7 +206,7 @@ def run_method(scene: Scene, name: str, settings: RunSettings) -> Entry:
         settings=["default"] * checks,
         seconds=setup + history["seconds"],
         seconds_compile=max(first.seconds_compile - setup, 0.0),
-        power=np.minimum.accumulate(power) if method.keeps_best else power,
+        power=power if options.is_dynamics else np.minimum.accumulate(power),
         lower_bound=history["lower_bound"][:, 0],
         iterations=history["iteration"],
         statuses=[solution.status.value] * checks,

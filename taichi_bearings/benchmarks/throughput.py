@@ -14,6 +14,7 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import CundallStrack, GradientDescent
 
 SHARPNESS = 1e12  # contacts with a smaller difference than its inverse do not slip
 ROUNDS = 7  # each times every candidate once, so that a drift of the machine meets them alike; medians are reported
@@ -107,8 +108,7 @@ def measure(shape: tuple[int, ...], threads: int) -> list[Throughput]:
 def _measure_here(shape: tuple[int, ...], threads: int) -> list[dict[str, Any]]:
     from taichi_bearings import runtime
     from taichi_bearings.fields import Fields, make_layout
-    from taichi_bearings.solvers.cundall_strack import CundallStrack
-    from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
+    from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 
     runtime.start("cpu", "f64", threads)
     rows: list[dict[str, Any]] = []
@@ -119,9 +119,9 @@ def _measure_here(shape: tuple[int, ...], threads: int) -> list[dict[str, Any]]:
         numpy_sweep = NumpySweep(scene, components)
         candidates: dict[str, tuple[Callable[[int], None], int]] = {"NumPy sweep": (numpy_sweep.repeat, 20)}
         layout = make_layout(1, shape)
-        plain = GradientDescent(GradientDescentOptions(momentum=False))
-        fast = GradientDescent()
-        dynamics = CundallStrack()
+        plain = GradientDescentMethod(GradientDescent(momentum=False))
+        fast = GradientDescent().build()
+        dynamics = CundallStrack().build()
         plain.begin(scene, spin, Fields(layout, plain.plan(scene, spin)))
         fast.begin(scene, spin, Fields(layout, fast.plan(scene, spin)))
         dynamics.begin(scene, linear, Fields(layout, dynamics.plan(scene, linear)))

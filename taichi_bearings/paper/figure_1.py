@@ -31,12 +31,9 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights, initial_spin
+from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, PlanarCut
 from taichi_bearings.solvers.drive import solve, uninterrupted
-from taichi_bearings.solvers.gradient_descent import GradientDescent
-from taichi_bearings.solvers.interior_point import InteriorPoint
-from taichi_bearings.solvers.linear_solver import LinearSolver
 from taichi_bearings.solvers.method import Method
-from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted, share
@@ -61,8 +58,8 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write fig1.png, fig1.pdf, fig1.csv and fig1-samples.csv into `folder`; returns the claims with their verdicts."""
     runtime.start("cpu", "f64")
     with stage("viscous states"):
-        viscous = _solved(draw_scene(effort.seed, effort.samples, law="viscous"), LinearSolver())
-        cubes = _solved(draw_scene(effort.seed, min(CUBES, effort.samples), CUBE, "viscous"), LinearSolver())
+        viscous = _solved(draw_scene(effort.seed, effort.samples, law="viscous"), LinearSolver().build())
+        cubes = _solved(draw_scene(effort.seed, min(CUBES, effort.samples), CUBE, "viscous"), LinearSolver().build())
     with stage("minimum cuts"):
         coulomb = Minimum.of(draw_scene(effort.seed, CHEAP * effort.samples))
     with stage("descents"):
@@ -145,7 +142,7 @@ class Minimum:
 
     @classmethod
     def of(cls, scene: Scene) -> "Minimum":
-        return cls(_solved(scene, PlanarCut()), cut_of(scene), flow_cut(cut_weights(scene)))
+        return cls(_solved(scene, PlanarCut().build()), cut_of(scene), flow_cut(cut_weights(scene)))
 
     @cached_property
     def contacts(self) -> tuple[np.ndarray, ...]:
@@ -178,7 +175,7 @@ class Settled:
 
     @classmethod
     def of(cls, scene: Scene) -> "Settled":
-        return cls(_solved(scene, InteriorPoint(), StopRule(1e-10)), cut_of(scene))
+        return cls(_solved(scene, InteriorPoint().build(), StopRule(1e-10)), cut_of(scene))
 
     @property
     def cut_power(self) -> np.ndarray:
@@ -208,7 +205,7 @@ class Descent:
     @classmethod
     def of(cls, minimum: Minimum) -> "Descent":
         scene = minimum.solution.scene
-        ended = _solved(scene, GradientDescent(), StopRule(1e-12, DESCENT), "random")
+        ended = _solved(scene, GradientDescent().build(), StopRule(1e-12, DESCENT), "random")
         visible = tuple(slip > VISIBLE * scene.lattice.radius * scene.jump for slip in ended.slip)
         differing = count([slips != cut for slips, cut in zip(visible, minimum.contacts, strict=True)])
         return cls(visible, ended.power / minimum.solution.power - 1, differing > 0)

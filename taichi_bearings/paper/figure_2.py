@@ -25,7 +25,7 @@ from taichi_bearings.paper.relaxation import (
 from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
 from taichi_bearings.plots.style import save
 from taichi_bearings.scene import Scene
-from taichi_bearings.solvers.cundall_strack import CundallStrackOptions
+from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted
 
@@ -46,7 +46,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     runs_of = min(RUNS, effort.samples)
     scene = draw_scene(SHAPE, effort.seed, runs_of)
     runs = [relax(scene, start) for start in each(tuple(STARTS), "relaxation")]
-    stiff = STIFFER * CundallStrackOptions().damping
+    stiff = STIFFER * CundallStrack().damping
     stiffer = [relax(scene, start, stiff, STIFFER_STEPS) for start in each(list(STARTS), "stiffer relaxation")]
     rigid_scene = draw_scene(SHAPE, effort.seed, min(RIGID_RUNS, effort.samples))
     rigid = [relax_rigidly(rigid_scene, start) for start in each(list(STARTS), "rigid relaxation")]

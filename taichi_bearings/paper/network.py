@@ -25,8 +25,8 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.estimate import seconds_of
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve, uninterrupted
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import counted, with_error
@@ -145,7 +145,7 @@ def _plain(numbers: Sample | View) -> dict[str, Any]:
 def certified(settings: RunSettings) -> Structure:
     """Structure of the sample that the settings name, at its certified minimum."""
     scene = build_scene(settings)
-    solution = uninterrupted(solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-9)))
+    solution = uninterrupted(solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9)))
     return structures_of(solution)[0]
 
 

@@ -13,12 +13,10 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
+from taichi_bearings.solvers import CundallStrack, InteriorPoint, RigidLimit
 from taichi_bearings.solvers.drive import solve, uninterrupted
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recording
-from taichi_bearings.solvers.rigid_limit import RigidLimit
 from taichi_bearings.solvers.stopping import StopRule
 
 STEPS = 1_000_000  # limit; most samples of 3x3x3 are certified within 100 000
@@ -72,13 +70,13 @@ def draw_scene(shape: tuple[int, ...], seed: int, samples: int) -> Scene:
 
 def relax(scene: Scene, start: str, damping: float = 1e3, steps: int = STEPS) -> Run:
     """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps."""
-    method = CundallStrack(CundallStrackOptions(damping=damping))
+    method = CundallStrack(damping=damping).build()
     return _followed(scene, start, method, StopRule(END, steps), Recording(history=TIMES))
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
     """Follow the rigid limit until every sample is certified to RIGID_END; the power is written down at every step."""
-    return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
+    return _followed(scene, start, RigidLimit().build(), StopRule(RIGID_END), Recording())
 
 
 def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recording: Recording) -> Run:
@@ -95,8 +93,8 @@ def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recordin
 
 def minima_of(scene: Scene) -> Minima:
     """Certified minima by the interior-point method, and the minimum cuts."""
-    rule = StopRule(1e-10, settle=False)
-    solution = uninterrupted(solve(scene, InteriorPoint(), initial_spin(scene, "linear"), rule))
+    method = InteriorPoint(settle=False).build()
+    solution = uninterrupted(solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10)))
     cut = cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     return Minima(solution.power, solution.lower_bound, unit * cut.weight, unit * cut.lower_bound, solution.spin)

@@ -10,11 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from taichi_bearings.plots.style import new_figure
-from taichi_bearings.solvers import METHODS
+from taichi_bearings.solvers import METHODS, MethodOptions
 
-# Okabe and Ito's palette, which the colour-blind can tell apart; black and grey are for programs that are not ours
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#7A5230")
-MARKERS = "o^DvP<>*"
 PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
 MOST_MARKERS = 12  # a curve, so that long histories stay lines
 MOST_COLUMNS = 3
@@ -79,8 +76,8 @@ def style_of(method: str) -> tuple[str, str]:
     """Colour and marker of a method, the same in every figure."""
     if method in PEERS:
         return PEERS[method]
-    place = list(METHODS).index(method) if method in METHODS else len(METHODS)
-    return COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
+    row = METHODS.get(method, MethodOptions)
+    return row.colour, row.marker
 
 
 def _draw(axes: Axes, curve: Curve, values: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_f
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
+from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
 from taichi_bearings.runs.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
 from taichi_bearings.runs.settings import RunSettings, parse_toml
@@ -30,6 +31,7 @@ from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
+from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
 from taichi_bearings.stages import stage
 
 
@@ -87,53 +89,22 @@ def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndar
     return values[None] if values.ndim == dimension else values
 
 
-MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
-ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
-
-
-def automatic_method(scene: Scene, settings: RunSettings) -> str:
-    """Name of the fastest method that certifies this scene."""
-    if not scene.law.holds:
-        return "linear-solver"
-    if scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1:
-        return "planar-cut"
-    arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
-    if arch != "cpu":
-        return "gradient-descent"
-    if scene.lattice.sites <= MOST_FACTORISED and (settings.tolerance < ROUGH or scene.law.flows):
-        return "interior-point"
-    return "operator-splitting" if scene.law.is_rate_independent else "gradient-descent"
-
-
-def build_method(settings: RunSettings, scene: Scene) -> Any:
+def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
     """The method that the settings name; auto takes the fastest one that certifies (docs/methods.md)."""
-    from taichi_bearings.solvers import method_class
-
-    name = automatic_method(scene, settings) if settings.method == "auto" else settings.method
-    if name == "gradient-descent":
-        from taichi_bearings.solvers.gradient_descent import GradientDescentOptions
-
-        return method_class(name)(GradientDescentOptions(momentum=settings.momentum))
-    if name == "rigid-limit":
-        from taichi_bearings.solvers.rigid_limit import RigidLimitOptions
-
-        return method_class(name)(RigidLimitOptions(**_given(settings, RigidLimitOptions)))
-    if name != "cundall-strack":
-        return method_class(name)()
-    from taichi_bearings.solvers.cundall_strack import CundallStrackOptions
-
-    options = CundallStrackOptions(**_given(settings, CundallStrackOptions), keep_energy=settings.energy)
-    if settings.integrator == "implicit":
-        from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
-
-        return ImplicitCundallStrack(options)
-    return method_class(name)(options)
+    if settings.method == "auto":
+        arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
+        return fastest(scene, settings.tolerance, on_gpu=arch != "cpu")
+    for row in METHODS.values():
+        if row.also_named and all(getattr(settings, key) == value for key, value in row.also_named.items()):
+            return row
+    return METHODS[settings.method]
 
 
-def _given(settings: RunSettings, options: Any) -> dict[str, Any]:
-    """The settings that these options have too, but for those left to their default."""
-    shared = {item.name for item in fields(options)} & set(RunSettings.keys())
-    return {name: getattr(settings, name) for name in sorted(shared) if getattr(settings, name) is not None}
+def method_options(settings: RunSettings, scene: Scene) -> MethodOptions:
+    """The method with the options that the settings give to it."""
+    row = method_row(settings, scene)
+    given = {key: getattr(settings, key) for key in options_of(row)}
+    return row(**{key: value for key, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True)
@@ -150,19 +121,17 @@ def prepare(settings: RunSettings) -> Job:
     """Build everything the settings describe; every input error is raised here, before anything is computed."""
     with stage("reading"):
         scene = build_scene(settings)
-        method = build_method(settings, scene)
-        _refuse_time_without_dynamics(settings, method)
-        return Job(settings, scene, initial_spin(scene, settings.initial), method)
+        options = method_options(settings, scene)
+        _refuse_time_without_dynamics(settings, options)
+        return Job(settings, scene, initial_spin(scene, settings.initial), options.build())
 
 
-def _refuse_time_without_dynamics(settings: RunSettings, method: Any) -> None:
-    from taichi_bearings.solvers.method import is_dynamics
-
+def _refuse_time_without_dynamics(settings: RunSettings, options: MethodOptions) -> None:
+    dynamics = " or ".join(name for name, row in METHODS.items() if row.is_dynamics)
     for key in ("duration", "record", "snapshots", "checkpoint_every"):
-        if getattr(settings, key) is not None and not is_dynamics(method):
+        if getattr(settings, key) is not None and not options.is_dynamics:
             raise InputError(
-                f"{key} is {getattr(settings, key)}, but {method.name} is not a dynamics; "
-                "it needs --method cundall-strack or rigid-limit"
+                f"{key} is {getattr(settings, key)}, but {options.name} is not a dynamics; it needs --method {dynamics}"
             )
 
 
@@ -187,14 +156,13 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     from taichi_bearings.solvers.stopping import StopRule
 
     settings = job.settings
-    if job.method.needs_taichi:
+    if job.method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
     stop = StopRule(
         settings.tolerance,
         _iteration_limit(settings),
         settings.time_limit or float("inf"),
-        settings.settle,
         settings.duration or float("inf"),
     )
     recording = Recording(
@@ -202,10 +170,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     )
     solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     if settings.method == "auto" and solution.method == "interior-point" and solution.status is Status.STALLED:
-        from taichi_bearings.solvers.operator_splitting import OperatorSplitting
-
         left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
-        other = solve(job.scene, OperatorSplitting(), solution.spin, left, monitors, settings.slip_threshold)
+        other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
         solution = _better(solution, other, settings.tolerance)
     return solution
 
@@ -459,7 +425,7 @@ def write_state(
 
     solution : that of the job, or one of its seeds. stored : settings that solve it again. path : its name for people.
     """
-    running = runtime.current() if job.method.needs_taichi else runtime.HOST
+    running = runtime.current() if job.method.options.needs_taichi else runtime.HOST
     summary = summarise(solution, job.settings.tolerance, job.settings.duration) | {
         "arch": running.arch,
         "precision": running.precision,

@@ -1,75 +1,32 @@
 """Everything a run can be told, once: the command line, the TOML file and the stored scene all read this table."""
 
 import difflib
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.options import (
+    COUNT,
+    FILE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    REAL,
+    SEED,
+    TEXT,
+    TRUTH,
+    Kind,
+    bounded,
+    integer,
+    numbers,
+    one_of,
+    real,
+)
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import METHODS
 
 METHOD_NAMES = ("auto", *METHODS)
-
-
-@dataclass(frozen=True)
-class Kind:
-    """How a value is read and what is allowed, in words that complete "it must be ..."."""
-
-    read: Callable[[Any], Any]
-    allowed: str
-    metavar: str
-    choices: tuple[str, ...] = ()
-
-
-def _numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
-    def read(value: Any) -> tuple:
-        parts = value.replace("x", ",").split(",") if isinstance(value, str) else list(value)
-        if len(parts) not in counts:
-            raise ValueError
-        return tuple(convert(part) for part in parts)
-
-    return read
-
-
-def _integer(value: Any) -> int:
-    if isinstance(value, bool) or (isinstance(value, float) and not value.is_integer()):
-        raise ValueError
-    return int(value)
-
-
-def _real(value: Any) -> float:
-    if isinstance(value, bool):
-        raise ValueError
-    number = float(value)
-    if math.isnan(number):
-        raise ValueError
-    return number
-
-
-def _truth(value: Any) -> bool:
-    if isinstance(value, bool):
-        return value
-    return {"true": True, "false": False}[str(value).lower()]
-
-
-def _bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, open_low: bool = False) -> Callable:
-    def read(value: Any) -> Any:
-        number = convert(value)
-        if not (low < number if open_low else low <= number) or not number <= high:
-            raise ValueError
-        return number
-
-    return read
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError
-    value.encode()  # UnicodeEncodeError, a ValueError, for what is not UTF-8 and so cannot be written down
-    return value
 
 
 def _times(value: Any) -> str:
@@ -83,36 +40,9 @@ def _times(value: Any) -> str:
     return text
 
 
-def _one_of(*choices: str) -> Kind:
-    def read(value: Any) -> str:
-        if value not in choices:
-            raise ValueError
-        return value
-
-    return Kind(read, "one of " + ", ".join(choices), "|".join(choices), choices)
-
-
-SHAPE = Kind(_numbers(_integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
-VECTOR = Kind(_numbers(_real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
-TEXT = Kind(_text, "a text in UTF-8", "TEXT")
-FILE = Kind(_text, "the name of a file, in UTF-8", "FILE")
-LEAST, MOST = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
-
-
-def _signed(value: Any) -> float:
-    number = _real(value)
-    if number and not LEAST <= abs(number) <= MOST:
-        raise ValueError
-    return number
-
-
-REAL = Kind(_signed, "0 or a number of size 1e-15 to 1e15", "NUMBER")
-POSITIVE = Kind(_bounded(_real, LEAST, MOST), "a positive number from 1e-15 to 1e15", "NUMBER")
-NOT_NEGATIVE = Kind(_bounded(_real, 0, MOST), "0 or a positive number up to 1e15", "NUMBER")
-COUNT = Kind(_bounded(_integer, 1, 2**31), "a whole number, 1 or more", "N")
-SEED = Kind(_bounded(_integer, 0, 2**62), "a whole number, 0 or more and below 2^62", "N")
+SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
+VECTOR = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TIMES = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
-TRUTH = Kind(_truth, "true or false", "")
 
 
 def setting(default: Any, kind: Kind, help: str) -> Any:
@@ -124,11 +54,11 @@ class RunSettings:
     """One run, fully described. Values are checked when it is built; InputError names the key and what is allowed."""
 
     shape: tuple[int, ...] = setting((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
-    law: str = setting("coulomb", _one_of(*LAWS), "Contact law.")
-    method: str = setting("auto", _one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
+    law: str = setting("coulomb", one_of(*LAWS), "Contact law.")
+    method: str = setting("auto", one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
     tolerance: float = setting(
         1e-8,
-        Kind(_bounded(_real, 0, 1, True), "above 0 and at most 1", "NUMBER"),
+        Kind(bounded(real, 0, 1, True), "above 0 and at most 1", "NUMBER"),
         "Relative gap (P - lower bound)/P at which the run counts as done.",
     )
     seed: int = setting(0, SEED, "Seed of the disorder.")
@@ -189,22 +119,22 @@ class RunSettings:
         None, POSITIVE, "dynamics: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere)."
     )
     static_ratio: float = setting(
-        1.0, Kind(_bounded(_real, 1), "1 or more", "NUMBER"), "cundall-strack: static over kinetic friction, mu_s/mu_k."
+        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "cundall-strack: static over kinetic friction, mu_s/mu_k."
     )
     slipping_spring: str = setting(
         "reset",
-        _one_of("reset", "relax"),
+        one_of("reset", "relax"),
         "cundall-strack: while a contact slips its spring is reset to carry the friction alone, as in the paper, or "
         "relaxes to that through its damper.",
     )
     integrator: str = setting(
         "gear",
-        _one_of("gear", "implicit"),
+        one_of("gear", "implicit"),
         "cundall-strack: gear is explicit, implicit has no stability limit and chooses its steps.",
     )
     gear_order: int = setting(
         2,
-        Kind(_bounded(_integer, 2, 5), "a whole number from 2 to 5", "N"),
+        Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"),
         "cundall-strack with gear: derivatives kept by the predictor-corrector.",
     )
     time_step: float | None = setting(
@@ -219,10 +149,10 @@ class RunSettings:
     rest_tolerance: float | None = setting(
         None, POSITIVE, "dynamics: change of P that counts as rest. Default: 1e-9, rigid-limit 1e-12."
     )
-    arch: str = setting("cpu", _one_of("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
-    precision: str = setting("f64", _one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
+    arch: str = setting("cpu", one_of("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
+    precision: str = setting("f64", one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
     threads: int = setting(0, SEED, "CPU threads; 0 for all.")
-    figures: str = setting("all", _one_of("all", "none"), "Figures to draw into the run directory.")
+    figures: str = setting("all", one_of("all", "none"), "Figures to draw into the run directory.")
 
     def __post_init__(self) -> None:
         for item in fields(self):

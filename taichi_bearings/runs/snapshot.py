@@ -34,7 +34,7 @@ def draw_snapshot(run: StoredRun, replica: int, time: float) -> Figure:
     spin = run.snapshots["spin"][replica, nearest][None]
     scene = scene_of(run, replica)
     threshold = float(run.attribute("slip_threshold"))
-    if run.attribute("method") == "cundall-strack" and settings_of(run).slip_threshold is None:
+    if str(run.attribute("method")).endswith("cundall-strack") and settings_of(run).slip_threshold is None:
         threshold = max(threshold, ELASTIC * scene.lattice.radius * scene.jump)
     axes = scene.lattice.all_spin_axes
     speeds = scene.slips(scene.staggered_spin(spin, axes), axes)

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-from taichi_bearings.runs.run import automatic_method, build_scene
+from taichi_bearings.runs.run import build_scene, method_row
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 from taichi_bearings.scans.systems import knows
 from taichi_bearings.scene.disorder import Distribution
+from taichi_bearings.solvers.table import METHODS
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
@@ -31,7 +32,7 @@ def method_of(settings: RunSettings) -> str:
 def _method_of(settings: RunSettings) -> str:
     Distribution.parse(settings.distribution)
     scene = build_scene(replace(settings, distribution="constant:1"))
-    return automatic_method(scene, settings) if settings.method == "auto" else settings.method
+    return method_row(settings, scene).name
 
 
 def ignored_keys(plan: ScanPlan) -> dict[str, list[str]]:
@@ -44,30 +45,16 @@ def ignored_keys(plan: ScanPlan) -> dict[str, list[str]]:
 def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:
     """Time to solve one sample; None where it is not known, as for dynamics."""
     sites = math.prod(settings.shape)
-    solve = _solve_seconds(method_of(settings), sites, len(settings.shape), settings.tolerance)
+    solve = METHODS[method_of(settings)].seconds(settings.shape, settings.tolerance)
     if solve is None:
         return None
     return OVERHEAD + min(solve, settings.time_limit or math.inf) + (0.06 + 6e-5 * sites if structure else 0.0)
 
 
-def _solve_seconds(method: str, sites: int, dimension: int, tolerance: float) -> float | None:
-    if method == "planar-cut":
-        return 1e-6 * sites if dimension == 2 else 2e-6 * sites**1.15
-    if method == "linear-solver":
-        return 0.003 + 4e-6 * sites
-    if method == "interior-point":
-        return 0.02 + 1e-5 * sites**1.4
-    if method == "operator-splitting":
-        iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(sites / 4096, 1) ** 0.25
-        return 0.02 + iterations * (2e-4 + 3.6e-8 * sites)
-    return None
-
-
 def bytes_of(settings: RunSettings) -> float:
     """Memory of a worker that solves such samples."""
     sites = math.prod(settings.shape)
-    factor = 480 * sites ** (4 / 3) if method_of(settings) == "interior-point" else 0.0
-    return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + factor
+    return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + METHODS[method_of(settings)].bytes(sites)
 
 
 def units_of(samples: Sequence[Sample], structure: bool = False) -> list[tuple[Sample, ...]]:

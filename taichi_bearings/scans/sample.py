@@ -18,8 +18,8 @@ from taichi_bearings.runs.run import prepare, solve_job, summarise, write_state
 from taichi_bearings.scans.estimate import method_of
 from taichi_bearings.scans.plan import Sample, groups_of
 from taichi_bearings.scene import Solution, Status
+from taichi_bearings.solvers.table import METHODS
 
-ALIKE_IN_A_BLOCK = ("planar-cut",)  # methods that give a seed the same bits alone and beside others
 STATES = "states"  # folder of the full states
 
 
@@ -79,7 +79,9 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
         block: list[Sample] = []
         for sample in sorted(group, key=lambda sample: sample.settings.seed):
             follows = block and sample.settings.seed == block[-1].settings.seed + 1
-            if block and not (follows and settings.coefficients is None and method_of(settings) in ALIKE_IN_A_BLOCK):
+            if block and not (
+                follows and settings.coefficients is None and METHODS[method_of(settings)].alike_in_a_block
+            ):
                 yield block
                 block = []
             block.append(sample)

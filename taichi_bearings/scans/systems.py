@@ -11,7 +11,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import written
 from taichi_bearings.solvers import METHODS
 
-DYNAMICS = ("cundall-strack", "rigid-limit")
+DYNAMICS = tuple(name for name, row in METHODS.items() if row.is_dynamics)
 DRAWN = ("seed", "coefficients")  # what a disorder comes from
 OF_SOLVING = (
     "method", "tolerance", "replicas", "initial", "iterations", "time_limit", "record", "snapshots", "energy",
@@ -27,7 +27,9 @@ MOST_NAMED = 3  # values that a sentence names
 def knows(method: str, key: str) -> bool:
     """False for a setting of other methods alone, which its help names before the colon."""
     whose = HELP[key].partition(":")[0].split(" ")[0]
-    return whose not in ("dynamics", *METHODS) or method in (DYNAMICS if whose == "dynamics" else (whose,))
+    return whose not in ("dynamics", *METHODS) or method in (
+        DYNAMICS if whose == "dynamics" else (whose, f"implicit-{whose}")
+    )
 
 
 def system_columns(columns: Mapping[str, np.ndarray]) -> dict[str, list[Any]]:

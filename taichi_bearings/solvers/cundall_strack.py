@@ -6,7 +6,6 @@ dynamical run proves its own gap.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,78 +34,18 @@ from taichi_bearings.solvers.gear import (
     largest_weighted_eigenvalue,
 )
 from taichi_bearings.solvers.step_error import Modes, StepError, laplacian_spectrum
+from taichi_bearings.solvers.table import CundallStrack
 
 DEFAULT_STEP = 0.8  # of the stability bound
 BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
 SAME_FORCE = 1e-12  # relative: a contact this close to all the friction it can bear slips
-SLIPPING_SPRINGS = ("reset", "relax")
 
 
-@dataclass(frozen=True)
-class CundallStrackOptions:
-    """Material and integration, paper's values as defaults.
-
-    stiffness : K_t, force / length. damping : A_t, force * time / length. mass : of a sphere.
-    inertia : moment of inertia; default m R^2 / 2 (disc) or 2 m R^2 / 5 (sphere).
-    static_ratio : mu_s / mu_k of every contact, 1 or more.
-    slipping_spring : "reset", as in the paper: while a contact slips its spring alone carries the friction; "relax":
-    it comes to that through its damper, so that no spring jumps, and the course has a limit for short time steps.
-    gear_order : derivatives kept by Gear's method, 2 to 5.
-    time_step : default 0.8 of the computed stability bound; larger than the bound is refused.
-    error_tolerance : implicit integrator without a fixed step: local error of a step, root mean square over the spins,
-    relative to the largest spin of the scene.
-    rest_tolerance : the run has come to rest when the power changes by less than this fraction over three checks in a
-    row, no contact changes between sticking and slipping, and no free sphere feels more than this share of the
-    typical friction torque.
-    keep_energy : keep energy books; a step then takes longer.
-    """
-
-    stiffness: float = 1e5
-    damping: float = 1e3
-    mass: float = 1.0
-    inertia: float | None = None
-    static_ratio: float = 1.0
-    slipping_spring: str = "reset"
-    gear_order: int = 2
-    time_step: float | None = None
-    error_tolerance: float = 1e-3
-    rest_tolerance: float = 1e-9
-    keep_energy: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "mass", "inertia", "time_step", "error_tolerance", "rest_tolerance"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value}; it must be a positive number")
-        if not (np.isfinite(self.damping) and self.damping >= 0):
-            raise InputError(f"damping is {self.damping}; it must be 0 or a positive number")
-        if not (np.isfinite(self.static_ratio) and self.static_ratio >= 1):
-            raise InputError(f"static_ratio is {self.static_ratio}; it must be 1 or more")
-        if self.gear_order not in CORRECTORS:
-            raise InputError(f"gear_order is {self.gear_order}; allowed are {', '.join(map(str, CORRECTORS))}")
-        if self.slipping_spring not in SLIPPING_SPRINGS:
-            raise InputError(f"slipping_spring is {self.slipping_spring!r}; allowed are {', '.join(SLIPPING_SPRINGS)}")
-
-    def after_slip(self, span: float) -> tuple[float, float]:
-        """Elongation of a slipping contact after a time `span`: so much of its force, and of the elongation before.
-
-        reset : paper Eq. 9, with a unit vector. relax : A d(delta)/dt = F - K delta, by implicit Euler.
-        """
-        if self.slipping_spring == "reset":
-            return 1 / self.stiffness, 0.0
-        resistance = self.stiffness * span + self.damping
-        return span / resistance, self.damping / resistance
-
-
-class CundallStrack:
+class CundallStrackMethod:
     """See the module docstring. An iteration is one time step."""
 
-    name = "cundall-strack"
-    keeps_best = False
-    needs_taichi = True
-
-    def __init__(self, options: CundallStrackOptions | None = None) -> None:
-        self.options = options or CundallStrackOptions()
+    def __init__(self, options: CundallStrack) -> None:
+        self.options = options
         self.aim = np.inf
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
@@ -119,7 +58,7 @@ class CundallStrack:
             spec += [("integral", components), ("elongation", forces)]
         if scene.viscosity:
             spec.append(("viscosity", dimension))
-        if self.options.keep_energy:
+        if self.options.energy:
             spec += [("work", 1), ("impulse", components)]
         self.spec = tuple(spec)
         return self.spec
@@ -160,7 +99,7 @@ class CundallStrack:
         self.fields.load("predicted", np.sum(derivatives, axis=0))
         if scene.law.holds:
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
-        if options.keep_energy:
+        if options.energy:
             self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
             self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
             self.power_at_start = self._contact_power(forces[0], staggered)
@@ -292,7 +231,7 @@ class CundallStrack:
             unbalanced_torque=left_over,
             proof=springs,
             time=self.time,
-            energy=self._energy(staggered, force) if self.options.keep_energy else None,
+            energy=self._energy(staggered, force) if self.options.energy else None,
             slipping=saturation.slipping,
             at_rest=self.rest.at_rest,
             findings={
@@ -346,7 +285,7 @@ class CundallStrack:
         return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
 
 
-def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrackOptions) -> float:
+def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
     """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
     inertia = options.inertia or default_inertia(scene, options.mass)
     over = scene.lattice.radius**2 / inertia
@@ -358,7 +297,7 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
 
 
 def sticking_modes(
-    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrackOptions, largest_spin: float, stable: float
+    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, largest_spin: float, stable: float
 ) -> Modes:
     """The modes that tell the error of a time step.
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.errors import FileError
+from taichi_bearings import runtime
+from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.proof.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
@@ -66,13 +67,18 @@ def solve(
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
     recording, checkpoints : for a dynamics.
     Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already.
+    Raises InputError for a scene that the method cannot solve.
     """
     stop, recording = stop or StopRule(), recording or Recording()
     began = time.perf_counter()
+    if reason := method.options.refusal(scene):
+        raise InputError(reason)
+    if method.options.cpu_only and runtime.current().is_gpu:
+        raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     spec = method.plan(scene, spin)
     with _Interrupt() as interrupt:
         fields = _fields(scene, method, spec) if spec else None
-        with stage("compiling" if method.needs_taichi else "preparing"):
+        with stage("compiling" if method.options.needs_taichi else "preparing"):
             method.begin(scene, spin, fields)
         compiled = time.perf_counter()
         course = _Course(scene, method, stop, recording, checkpoints, interrupt)
@@ -109,7 +115,7 @@ class _Course:
     ) -> None:
         self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
-        self.best, self.recorder, self.pace = _Best(scene, method.keeps_best), Recorder(scene, recording), _Pace()
+        self.best, self.recorder, self.pace = _Best(scene, not is_dynamics(method)), Recorder(scene, recording), _Pace()
         self.target = 0  # iteration of the next look at the progress
         self.began = self.called = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
@@ -215,7 +221,7 @@ class _Course:
         per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
         return Solution(
             scene=scene,
-            method=self.method.name,
+            method=self.method.options.name,
             status=status,
             iterations=iteration,
             spin=spin,

@@ -13,8 +13,6 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
 * Both together: as with Coulomb friction, with width times viscosity added to the friction in the metric.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from taichi_bearings import runtime
@@ -26,6 +24,7 @@ from taichi_bearings.lattice.grid import contact_differences, weights
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.table import GradientDescent
 
 FIRST_EPOCH = 64
 FIRST_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
@@ -35,23 +34,13 @@ RESOLVED = 100  # widths: regularised contacts that should stick creep by about 
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 
-@dataclass(frozen=True)
-class GradientDescentOptions:
-    """momentum : accelerate (and, for Coulomb, regularise); without it, the plain (sub)gradient method of the paper."""
-
-    momentum: bool = True
-
-
-class GradientDescent:
+class GradientDescentMethod:
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
 
-    name = "gradient-descent"
-    keeps_best = True
-    needs_taichi = True
     block = 32  # sites, on a CPU: its law reads so many rows that finding them costs as much as a few sites
 
-    def __init__(self, options: GradientDescentOptions | None = None) -> None:
-        self.momentum = (options or GradientDescentOptions()).momentum
+    def __init__(self, options: GradientDescent) -> None:
+        self.options, self.momentum = options, options.momentum
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes

@@ -14,22 +14,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage, Groups, StageEnd
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.solvers.cundall_strack import (
-    BELIEVED,
-    CundallStrackOptions,
-)
+from taichi_bearings.solvers.cundall_strack import BELIEVED
 from taichi_bearings.solvers.dynamics import RestWatch, Saturation, default_inertia, moving_spin_axes
+from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
 SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
@@ -54,25 +51,14 @@ class _Sample:
     injected: float = 0.0
 
 
-class ImplicitCundallStrack:
+class ImplicitCundallStrackMethod:
     """See the module docstring. An iteration is one time step, the same for all replicas."""
 
-    name = "cundall-strack"
-    keeps_best = False
-    needs_taichi = True  # fills the fronts of the factorisation
-
-    def __init__(self, options: CundallStrackOptions | None = None) -> None:
-        self.options = options or CundallStrackOptions()
+    def __init__(self, options: ImplicitCundallStrack) -> None:
+        self.options = options
         self.aim = np.inf
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        ratio = self.options.static_ratio
-        if scene.law.holds and ratio > 1:
-            raise InputError(
-                f"static_ratio is {ratio}; it must be 1 with the implicit integrator, use the gear integrator"
-            )
-        if runtime.current().is_gpu:
-            raise DeviceError("the implicit integrator works in the memory of the CPU; use --arch cpu")
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
         return ()
 

@@ -14,13 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.conic.central_path import Iterate, balance, newton_step
 from taichi_bearings.conic.cone import length
 from taichi_bearings.conic.contact_system import free_shape, lattice_system
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
-from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
@@ -28,6 +26,7 @@ from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
@@ -85,18 +84,13 @@ class _Sample:
         ]
 
 
-class InteriorPoint:
+class InteriorPointMethod:
     """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
 
-    name = "interior-point"
-    keeps_best = True
-    needs_taichi = True  # fills the fronts of the factorisation
+    def __init__(self, options: InteriorPoint) -> None:
+        self.options = options
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if not scene.law.holds:
-            raise InputError(f"method interior-point solves laws with friction only; the law is {scene.law}")
-        if runtime.current().is_gpu:
-            raise DeviceError("interior-point works in the memory of the CPU; use --arch cpu")
         return ()
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
@@ -201,7 +195,7 @@ class InteriorPoint:
             slip=slip if self.frustrated else None,
             settled=np.array([sample.resolved is not None for sample in self.samples]),
             resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
-            unsettled=self.frustrated and not all(sample.done for sample in self.samples),
+            unsettled=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
             settles_at=SETTLE,
         )

@@ -13,13 +13,13 @@ balance to the rounding of the forces, however large the contrast.
 
 import numpy as np
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import contact_differences
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.nested_dissection import GridFactor
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.table import LinearSolver
 
 BUNDLE = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
 CHECKS = 4  # looks at the progress in a run of many bundles
@@ -28,16 +28,13 @@ MOST_REFINEMENTS = 50  # two or three do, unless the contrast is near the end of
 Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
 
 
-class LinearSolver:
+class LinearSolverMethod:
     """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
 
-    name = "linear-solver"
-    keeps_best = True
-    needs_taichi = False
+    def __init__(self, options: LinearSolver) -> None:
+        self.options = options
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if scene.law.holds:
-            raise InputError(f"method linear-solver solves the viscous law only; the law is {scene.law}")
         return ()
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.table import MethodOptions
 
 
 class Method(Protocol):
@@ -15,14 +16,15 @@ class Method(Protocol):
     A method never prints, times, opens a file or decides when to stop.
     """
 
-    name: str
-    keeps_best: bool  # True for a minimisation, whose best state counts; False for a dynamics, whose last one does
-    needs_taichi: bool  # False for a method that works in NumPy alone: no runtime is started and `fields` is None
+    @property
+    def options(self) -> MethodOptions:
+        """The row of the table that it was built from."""
+        ...
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried.
 
-        Raises InputError for a scene that the method cannot solve.
+        Without fields the method works in NumPy alone.
         """
         ...
 

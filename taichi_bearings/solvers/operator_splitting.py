@@ -24,7 +24,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.splitting import contact_step
 from taichi_bearings.kernels.stencil import Stencil
@@ -33,6 +32,7 @@ from taichi_bearings.numerics.poisson import PlanePoisson
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
+from taichi_bearings.solvers.table import OperatorSplitting
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
@@ -45,22 +45,17 @@ COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from re
 WORTH_A_THREAD = 20_000  # spheres from which spin components are worth a thread each
 
 
-class OperatorSplitting:
+class OperatorSplittingMethod:
     """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
 
     The fields lie in the memory of the CPU, where kernels and matrix products share them:
     `friction` mu F_n, `trial` v, `push` v - 2 f = rho z - f, `potential` rho Omega, `pull` the pushes on each sphere.
     """
 
-    name = "operator-splitting"
-    keeps_best = True
-    needs_taichi = True
+    def __init__(self, options: OperatorSplitting) -> None:
+        self.options = options
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if not scene.law.is_rate_independent:
-            raise InputError(f"method operator-splitting solves the coulomb law only; the law is {scene.law}")
-        if runtime.current().is_gpu:
-            raise DeviceError("operator-splitting works in the memory of the CPU; use --arch cpu")
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         forces = Stencil(self.spin_axes, dimension, 1).force_components

@@ -10,29 +10,21 @@ slips at all minima if it is in all of these cuts, and at some if it is in some.
 
 import numpy as np
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.table import PlanarCut
 
 
-class PlanarCut:
+class PlanarCutMethod:
     """See the module docstring. The only iteration cuts all grids."""
 
-    name = "planar-cut"
-    keeps_best = True
-    needs_taichi = False
+    def __init__(self, options: PlanarCut) -> None:
+        self.options = options
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if not scene.law.is_rate_independent:
-            raise InputError(f"method planar-cut solves the coulomb law only; the law is {scene.law}")
-        if len(scene.minimum_spin_axes) > 1:
-            raise InputError(
-                "method planar-cut needs imposed spins about x or about y alone on a cubic lattice; "
-                f"direction is {list(scene.direction)}"
-            )
         return ()
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:

@@ -12,13 +12,10 @@ are set to rest and cost nothing from then on; where they have, they never start
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
 from taichi_bearings.numerics.blas import one_thread
@@ -26,6 +23,7 @@ from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_b
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import absolute, default_inertia, kinetic_energy, moving_spin_axes, replica_sum
+from taichi_bearings.solvers.table import RigidLimit
 
 FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
 LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
@@ -39,45 +37,14 @@ BELIEVED = 1e-9  # proven gap from which a state whose power no longer falls is 
 REST, STUCK = 2, 20  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
 
 
-@dataclass(frozen=True)
-class RigidLimitOptions:
-    """Inertia and length of the steps.
-
-    mass : of a sphere. inertia : moment of inertia; default m R^2 / 2 (disc) or 2 m R^2 / 5 (sphere).
-    time_step : length of every step; default None, chosen by error_tolerance.
-    error_tolerance : root mean square error of the spins in one step, relative to the largest spin of the start.
-    rest_tolerance : at rest once the power falls by less than this fraction in a step and the proven gap is below 1e-9.
-    """
-
-    mass: float = 1.0
-    inertia: float | None = None
-    time_step: float | None = None
-    error_tolerance: float = 1e-3
-    rest_tolerance: float = 1e-12
-
-    def __post_init__(self) -> None:
-        for name in ("mass", "inertia", "time_step", "error_tolerance", "rest_tolerance"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value}; it must be a positive number")
-
-
-class RigidLimit:
+class RigidLimitMethod:
     """See the module docstring. An iteration is one time step of all replicas together."""
 
-    name = "rigid-limit"
-    keeps_best = False
-    needs_taichi = True  # fills the fronts of the factorisation
-
-    def __init__(self, options: RigidLimitOptions | None = None) -> None:
-        self.options = options or RigidLimitOptions()
+    def __init__(self, options: RigidLimit) -> None:
+        self.options = options
         self.aim = np.inf
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        if runtime.current().is_gpu:
-            raise DeviceError("rigid-limit works in the memory of the CPU; use --arch cpu")
-        if scene.law.holds and scene.law.flows:
-            raise InputError(f"method rigid-limit does not solve the law {scene.law}; use cundall-strack")
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
         return ()
 

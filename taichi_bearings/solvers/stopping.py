@@ -19,13 +19,11 @@ class StopRule:
     iterations : limit on iterations of the method.
     seconds : limit on wall time, compilation apart, anew for each call that goes on; infinity for none.
     duration : simulated time after which a dynamics ends, whatever it has reached; infinity to go on until it is done.
-    settle : once certified, go on as long as the method can still tell more slipping from slipless contacts.
     """
 
     tolerance: float = 1e-8
     iterations: int = 1_000_000
     seconds: float = float("inf")
-    settle: bool = True
     duration: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -54,7 +52,7 @@ class StopRule:
         ended = progress.iteration >= self.iterations or elapsed >= self.seconds
         in_time = progress.time is not None and self.duration < float("inf")
         finished = progress.time is not None and progress.time >= self.duration * (1 - 1e-9)
-        goes_on = not finished if in_time else self.settle and progress.unsettled and not ended
+        goes_on = not finished if in_time else progress.unsettled and not ended
         if certified and not goes_on:
             return Status.CERTIFIED
         if finished:

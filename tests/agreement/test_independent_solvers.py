@@ -8,9 +8,8 @@ from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
+from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
 from taichi_bearings.solvers.stopping import StopRule
 from tests.kernels.twins import is_driven, neighbours
 from tests.scenes import make_scene
@@ -53,7 +52,7 @@ def viscous_minimum(scene):
 @pytest.mark.parametrize("momentum", [True, False])
 def test_viscous_gradient_descent_equals_a_sparse_solve(shape, momentum):
     scene = make_scene(shape, "viscous")
-    method = GradientDescent(GradientDescentOptions(momentum))
+    method = GradientDescent(momentum=momentum).build()
     solution = solve(scene, method, initial_spin(scene, "random"), StopRule(5e-11))
     assert solution.status is Status.CERTIFIED
     assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
@@ -63,7 +62,7 @@ def test_viscous_gradient_descent_equals_a_sparse_solve(shape, momentum):
 @pytest.mark.parametrize("shape", [(9, 7), (4, 5, 6)])
 def test_viscous_dynamics_comes_to_rest_at_a_sparse_solve(shape):
     scene = make_scene(shape, "viscous")
-    method = CundallStrack(CundallStrackOptions(gear_order=2))
+    method = CundallStrack(gear_order=2).build()
     solution = solve(scene, method, initial_spin(scene, "random"), StopRule(5e-11))
     assert solution.status is Status.CERTIFIED
     assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
@@ -88,7 +87,7 @@ def test_coulomb_discs_equal_a_linear_programme(shape, distribution):
     above = bmat([[matrix, -eye], [-matrix, -eye]])
     programme = linprog(np.concatenate([np.zeros(sites), mu]), A_ub=above, b_ub=np.zeros(2 * contacts), bounds=bounds)
     exact = scene.normal_force * scene.lattice.radius * programme.fun
-    solution = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-5))
+    solution = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-5))
     assert solution.status is Status.CERTIFIED
     assert solution.power[0] == pytest.approx(exact, rel=2e-5)
     assert solution.lower_bound[0] <= exact * (1 + 1e-12)
@@ -98,10 +97,10 @@ def test_coulomb_discs_equal_a_linear_programme(shape, distribution):
 def test_replicas_together_equal_replicas_alone():
     together = make_scene((3, 4, 5), seeds=(5, 6, 7))
     spins = initial_spin(together, "random")
-    batch = solve(together, CundallStrack(), spins, StopRule(1e-4, 3_000))
+    batch = solve(together, CundallStrack().build(), spins, StopRule(1e-4, 3_000))
     for n, seed in enumerate(together.seeds):
         alone = make_scene((3, 4, 5), seeds=(seed,))
-        single = solve(alone, CundallStrack(), initial_spin(alone, "random"), StopRule(1e-12, batch.iterations))
+        single = solve(alone, CundallStrack().build(), initial_spin(alone, "random"), StopRule(1e-12, batch.iterations))
         assert (batch.spin[n] == single.spin[0]).all()
 
 
@@ -113,8 +112,8 @@ def test_other_drivings_are_certified_by_both_methods_alike(driving, precision):
     scene = make_scene((5, 4, 6), **driving)
     start = initial_spin(scene, "random")
     tolerance = 2e-4 if precision == "f64" else 5e-3  # what the rounding of the spins allows, see docs/methods.md
-    descent = solve(scene, GradientDescent(), start, StopRule(tolerance, 200_000))
-    dynamics = solve(scene, CundallStrack(), start, StopRule(2e-3, 200_000))
+    descent = solve(scene, GradientDescent().build(), start, StopRule(tolerance, 200_000))
+    dynamics = solve(scene, CundallStrack().build(), start, StopRule(2e-3, 200_000))
     assert descent.status is dynamics.status is Status.CERTIFIED
     assert max(descent.lower_bound[0], dynamics.lower_bound[0]) <= min(descent.power[0], dynamics.power[0])
 
@@ -122,6 +121,6 @@ def test_other_drivings_are_certified_by_both_methods_alike(driving, precision):
 def test_spins_about_the_height_cost_nothing():
     """Driven about z, every layer is a bearing of its own: the power vanishes and the gap still makes sense."""
     scene = make_scene((4, 3, 5), direction=(0, 0, 1), spin_bottom=-0.5)
-    solution = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-6, 100_000))
+    solution = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-6, 100_000))
     assert solution.status is Status.CERTIFIED
     assert solution.power[0] == pytest.approx(0, abs=1e-9)

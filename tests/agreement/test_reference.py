@@ -4,9 +4,8 @@ import pytest
 
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack
+from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import minima, name_of, scene_of
 
@@ -27,7 +26,7 @@ def check(entry, solution, accuracy):
 @pytest.mark.parametrize("entry", ENTRIES, ids=name_of)
 def test_gradient_descent_with_momentum(entry, start):
     scene = scene_of(entry)
-    solution = solve(scene, GradientDescent(), initial_spin(scene, start), StopRule(2e-5, 400_000))
+    solution = solve(scene, GradientDescent().build(), initial_spin(scene, start), StopRule(2e-5, 400_000))
     assert solution.status is Status.CERTIFIED
     check(entry, solution, 2e-5)
 
@@ -37,7 +36,7 @@ def test_gradient_descent_with_momentum(entry, start):
 @pytest.mark.parametrize("entry", ENTRIES, ids=name_of)
 def test_cundall_strack(entry, start):
     scene = scene_of(entry)
-    solution = solve(scene, CundallStrack(), initial_spin(scene, start), StopRule(5e-5, 400_000))
+    solution = solve(scene, CundallStrack().build(), initial_spin(scene, start), StopRule(5e-5, 400_000))
     assert solution.status is Status.CERTIFIED
     check(entry, solution, 5e-5)
 
@@ -48,7 +47,7 @@ def test_cundall_strack(entry, start):
 def test_plain_subgradient_descent(entry):
     """The paper's method without momentum: within 1e-3, after up to a few million steps as in the paper."""
     scene = scene_of(entry)
-    method = GradientDescent(GradientDescentOptions(momentum=False))
+    method = GradientDescent(momentum=False).build()
     solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-3, 6_000_000))
     check(entry, solution, 1e-3)
 
@@ -57,6 +56,6 @@ def test_plain_subgradient_descent(entry):
 def test_single_precision_proves_a_gap_it_can_reach(entry):
     """The bounds are evaluated in f64 whatever the fields are, so they are true for f32 runs too."""
     scene = scene_of(entry)
-    solution = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-3, 100_000))
+    solution = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-3, 100_000))
     assert solution.status is Status.CERTIFIED
     check(entry, solution, 1e-3)

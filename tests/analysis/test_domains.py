@@ -8,8 +8,8 @@ from taichi_bearings.analysis.domains import Lock, rigid_domains
 from taichi_bearings.analysis.network import network_of
 from taichi_bearings.analysis.thresholds import view
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.analysis.networks import APART, RANDOM, TWO_CHAINS, drawn
 from tests.scenes import make_scene
@@ -134,7 +134,7 @@ def test_domains_of_components_agree_with_networkx(network):
 @pytest.mark.usefixtures("needs_f64")
 def test_spins_within_a_domain_are_equal_at_a_minimum():
     scene = make_scene((4, 5, 6), seeds=(7,), spin_bottom=0.1)
-    solution = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-10))
+    solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
     network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
     staggered = scene.lattice.parity * np.moveaxis(solution.spin[0], -1, 0)[:2]
     found = rigid_domains(network, staggered, (0, 1))

@@ -8,8 +8,8 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -99,7 +99,7 @@ def test_equal_coefficients_tie():
 
 def test_planar_minima_slip_at_the_interface_alone():
     scene = make_scene((9, 8), seeds=range(5))
-    solution = solve(scene, PlanarCut(), initial_spin(scene, "zero"), StopRule(1e-12))
+    solution = solve(scene, PlanarCut().build(), initial_spin(scene, "zero"), StopRule(1e-12))
     for replica in range(5):
         slipping = [state[replica] == ContactState.SLIPPING for state in solution.state]
         found = find_interface(scene, replica)

@@ -10,8 +10,8 @@ from taichi_bearings.analysis.network import network_of, planes_crossed
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.analysis.networks import (
     APART,
@@ -165,7 +165,7 @@ def test_no_path_within_a_plane_joins_the_driven_planes_at_a_minimum():
     spanning = 0
     for seed in range(6):
         scene = make_scene((5, 5, 5), seeds=(seed,), spin_bottom=0.1)
-        solution = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-10))
+        solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
         network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
         assert not network.spans_within_planes(0).any()
         assert not network.spans_within_planes(1).any()

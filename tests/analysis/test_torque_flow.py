@@ -10,7 +10,7 @@ from taichi_bearings.lattice.grid import staggered_forces, tangential, torques
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
@@ -36,7 +36,7 @@ def analysed(scene, solution):
 
 
 def answer(scene, name, tolerance):
-    return solve(scene, method_class(name)(), initial_spin(scene, "linear"), StopRule(tolerance))
+    return solve(scene, METHODS[name]().build(), initial_spin(scene, "linear"), StopRule(tolerance))
 
 
 def test_a_single_path_carries_all_the_torque_of_every_gap():

@@ -14,8 +14,8 @@ from taichi_bearings.analysis.bottlenecks import find_bottlenecks
 from taichi_bearings.analysis.network import SliplessNetwork, network_of, planes_crossed
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -84,7 +84,7 @@ def main():
     samples, undecided, missing = {"minimum": [], "random": []}, 0, []
     for seed in range(given.seeds):
         scene = make_scene(shape, seeds=(seed,), spin_bottom=given.spin_bottom)
-        solution = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-8))
+        solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-8))
         network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
         undecided += sum(int((state == ContactState.UNDECIDED).sum()) for state in solution.state)
         if not network.spans:

@@ -29,9 +29,8 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack
+from taichi_bearings.solvers import CundallStrack, InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -130,7 +129,7 @@ def measure_here(shape, threads, steps, large_bytes, start):
     """Rates of ours and of the peers, and bandwidths, all from this process and its children."""
     runtime.start("cpu", "f64", threads)
     scene = make_scene(shape, seeds=(0,))
-    spin, method, layout = initial_spin(scene, start), CundallStrack(), make_layout(1, shape)
+    spin, method, layout = initial_spin(scene, start), CundallStrack().build(), make_layout(1, shape)
     peers = [Lammps("hooke", threads), Lammps("granular", threads), Yade(threads)]
     contact_updates = scene.lattice.contacts * steps
     rates, bandwidth = {}, {"working set": [], "large": []}
@@ -192,8 +191,8 @@ def compare_physics(duration=20.0):
     """Stationary powers above the certified minimum, in units of it; one friction for all contacts of 3x3x3."""
     scene = make_scene((3, 3, 3), seeds=(0,), distribution=f"constant:{FRICTION}")
     spin = initial_spin(scene, "random")
-    minimum = solve(scene, InteriorPoint(), spin, StopRule(1e-12))
-    ours = solve(scene, CundallStrack(), spin, StopRule(1e-10))
+    minimum = solve(scene, InteriorPoint().build(), spin, StopRule(1e-12))
+    ours = solve(scene, CundallStrack().build(), spin, StopRule(1e-10))
     print(f"minimum {minimum.power[0]:.12g}, proven gap {minimum.gap[0]:.1e}")
     print(f"ours: {ours.power[0] / minimum.power[0] - 1:.1e} above, after time {ours.history['time'][-1]:.3g}")
     if not Lammps("granular", 1).is_installed:
@@ -201,7 +200,7 @@ def compare_physics(duration=20.0):
     everything = scene.lattice.all_spin_axes
     lab = scene.laboratory_spin(scene.staggered_spin(spin, everything), everything)  # the driving imposed
     with tempfile.TemporaryDirectory() as folder:
-        request = peer_request(scene, CundallStrack().options, lab[0], folder, round(duration / PEER_STEP), 0)
+        request = peer_request(scene, CundallStrack().build().options, lab[0], folder, round(duration / PEER_STEP), 0)
         for style in ("hooke", "granular"):
             final = Path(folder) / "final.npy"
             Lammps(style, 1).measure({**request, "final": str(final)})

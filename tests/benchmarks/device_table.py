@@ -16,15 +16,14 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
-from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
+from taichi_bearings.solvers import CundallStrack, GradientDescent
 from tests.scenes import make_scene
 
 METHODS = {
-    "gradient-descent": GradientDescent,
-    "plain descent": lambda: GradientDescent(GradientDescentOptions(momentum=False)),
-    "cundall-strack": CundallStrack,
-    "with energy": lambda: CundallStrack(CundallStrackOptions(keep_energy=True)),
+    "gradient-descent": GradientDescent(),
+    "plain descent": GradientDescent(momentum=False),
+    "cundall-strack": CundallStrack(),
+    "with energy": CundallStrack(energy=True),
 }
 ITERATIONS = 200
 
@@ -32,7 +31,7 @@ ITERATIONS = 200
 def course(method: str, law: str, shape: tuple[int, ...]) -> list[float]:
     """Powers of two samples after 200 iterations, on the device that runs; work and dissipation too, if kept."""
     scene = make_scene(shape, law, seeds=(1, 2))
-    spin, solver = initial_spin(scene, "random"), METHODS[method]()
+    spin, solver = initial_spin(scene, "random"), METHODS[method].build()
     fields = Fields(make_layout(scene.replicas, shape), solver.plan(scene, spin))
     solver.begin(scene, spin, fields)
     solver.advance(ITERATIONS)

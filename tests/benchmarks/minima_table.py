@@ -4,16 +4,15 @@ import sys
 
 from taichi_bearings import runtime
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack
+from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import minima, name_of, scene_of
 
 RUNS = {
-    "gradient-descent": (GradientDescent, StopRule(1e-6, 2_000_000)),
-    "without momentum": (lambda: GradientDescent(GradientDescentOptions(momentum=False)), StopRule(1e-4, 2_000_000)),
-    "cundall-strack": (CundallStrack, StopRule(1e-6, 2_000_000)),
+    "gradient-descent": (GradientDescent(), StopRule(1e-6, 2_000_000)),
+    "without momentum": (GradientDescent(momentum=False), StopRule(1e-4, 2_000_000)),
+    "cundall-strack": (CundallStrack(), StopRule(1e-6, 2_000_000)),
 }
 
 
@@ -22,10 +21,10 @@ def main(shapes: list[tuple[int, ...]]) -> None:
     print("| scene | method | start | status | iterations | P above the minimum | proven gap | seconds |")
     print("|---|---|---|---|---|---|---|---|")
     for entry in minima(*shapes):
-        for name, (make, stop) in RUNS.items():
+        for name, (method, stop) in RUNS.items():
             for start in STARTS:
                 scene = scene_of(entry)
-                solution = solve(scene, make(), initial_spin(scene, start), stop)
+                solution = solve(scene, method.build(), initial_spin(scene, start), stop)
                 above = solution.power[0] / entry["power_minimum"] - 1
                 assert solution.lower_bound[0] <= entry["power_minimum"] * (1 + 1e-12)
                 print(

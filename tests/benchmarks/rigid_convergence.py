@@ -15,10 +15,10 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, stability_bound
+from taichi_bearings.solvers import CundallStrack, RigidLimit
+from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.recording import Recording
-from taichi_bearings.solvers.rigid_limit import RigidLimit, RigidLimitOptions
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -45,7 +45,7 @@ class Comparison:
 
     def __init__(self, scene, start, relative_times=TIMES):
         self.scene, self.spin = scene, initial_spin(scene, start)
-        method = RigidLimit()
+        method = RigidLimit().build()
         method.plan(scene, self.spin)
         method.begin(scene, self.spin, None)
         self.axes, self.largest = method.spin_axes, method.largest
@@ -69,13 +69,10 @@ class Comparison:
         there the step is adapted. With more it is smooth most of the time, and two fixed lengths extrapolate to none.
         """
         if len(self.axes) == 1:
-            fine, coarse = (
-                self.course(RigidLimit(RigidLimitOptions(error_tolerance=e))) for e in (tolerance, 10 * tolerance)
-            )
+            fine, coarse = (self.course(RigidLimit(error_tolerance=e).build()) for e in (tolerance, 10 * tolerance))
             return fine, fine.distance(coarse)
         coarse, middle, fine = (
-            self.course(RigidLimit(RigidLimitOptions(time_step=self.times[0] / n)))
-            for n in (steps // 4, steps // 2, steps)
+            self.course(RigidLimit(time_step=self.times[0] / n).build()) for n in (steps // 4, steps // 2, steps)
         )
         limit = Course(2 * fine.spin - middle.spin, 2 * fine.power - middle.power)
         before = Course(2 * middle.spin - coarse.spin, 2 * middle.power - coarse.power)
@@ -86,10 +83,10 @@ class Comparison:
         stiffness, damping = (
             value * (factor if grows else 1) for value, grows in zip((1e5, 1e3), stiffened, strict=True)
         )
-        bound = stability_bound(self.scene, self.axes, CundallStrackOptions(stiffness, damping))
+        bound = stability_bound(self.scene, self.axes, CundallStrack(stiffness=stiffness, damping=damping))
         # steps divide the first time, so that they end on it
         step = self.times[0] / np.ceil(self.times[0] / (share * bound))
-        return self.course(CundallStrack(CundallStrackOptions(stiffness, damping, time_step=step)))
+        return self.course(CundallStrack(stiffness=stiffness, damping=damping, time_step=step).build())
 
 
 def slope(factors, distances, counts):

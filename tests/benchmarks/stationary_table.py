@@ -10,11 +10,8 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
+from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack, InteriorPoint, RigidLimit
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
-from taichi_bearings.solvers.interior_point import InteriorPoint
-from taichi_bearings.solvers.rigid_limit import RigidLimit, RigidLimitOptions
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 from tests.scenes import make_scene
 
@@ -24,10 +21,11 @@ INTEGRATORS = ("gear", "implicit", "rigid-limit")
 def method_named(name, stiffer, error_tolerance):
     """A new method of this name, with the paper's stiffness and damping times `stiffer`."""
     if name == "rigid-limit":
-        return RigidLimit(RigidLimitOptions(error_tolerance=error_tolerance))
+        return RigidLimit(error_tolerance=error_tolerance).build()
     integrator = CundallStrack if name == "gear" else ImplicitCundallStrack
     options = {"stiffness": 1e5 * stiffer, "damping": 1e3 * stiffer}
-    return integrator(CundallStrackOptions(**options, keep_energy=True, error_tolerance=error_tolerance))
+    chosen = {"energy": True} if name == "gear" else {"error_tolerance": error_tolerance}
+    return integrator(**options, **chosen).build()
 
 
 def main():
@@ -51,7 +49,7 @@ def main():
     print("|---|---|---|---|---|---|---|---|---|---|")
     for seed in range(given.seeds):
         scene = make_scene(shape, seeds=(seed,))
-        exact = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-11))
+        exact = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-11))
         for name in given.integrators.split(","):
             method = method_named(name, given.stiffer, given.error_tolerance)
             found = solve(scene, method, initial_spin(scene, given.start), stop)

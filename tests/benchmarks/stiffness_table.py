@@ -9,10 +9,8 @@ from dataclasses import dataclass, replace
 
 from taichi_bearings import runtime
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
+from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack, InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -41,12 +39,12 @@ def table(shape, stop, start, integrator):
     print("|---|---|---|---|---|---|---|---|---|")
     scene = make_scene(shape, seeds=(0,))
     unit = scene.lattice.radius * scene.jump
-    exact = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-11))
+    exact = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-11))
     least = exact.power[0] / (scene.normal_force * unit)
     for material in materials():
         scene = make_scene(shape, seeds=(0,), normal_force=material.normal_force)
-        options = CundallStrackOptions(stiffness=material.stiffness, damping=material.damping)
-        method = CundallStrack(options) if integrator == "gear" else ImplicitCundallStrack(options)
+        row = CundallStrack if integrator == "gear" else ImplicitCundallStrack
+        method = row(stiffness=material.stiffness, damping=material.damping).build()
         found = solve(scene, method, initial_spin(scene, start), stop)
         above = found.power[0] / (material.normal_force * unit) - least
         print(

@@ -10,9 +10,9 @@ from taichi_bearings.benchmarks.accuracy import Entry, SceneResult, choose_metho
 from taichi_bearings.benchmarks.accuracy_report import COLUMNS, ReportFiles, fastest, panel, summarise, table
 from taichi_bearings.benchmarks.peers import find_peers
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.plots.accuracy import COLOURS, MARKERS, PEERS, Curve, Panel, draw_accuracy, style_of
+from taichi_bearings.plots.accuracy import PEERS, Curve, Panel, draw_accuracy, style_of
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.solvers import METHODS
+from taichi_bearings.solvers import METHODS, PlanarCut
 from tests.scenes import make_scene, minima
 
 FIRST_TWO = ("gradient-descent", "cundall-strack")
@@ -78,15 +78,14 @@ def test_a_bound_above_a_power_is_a_contradiction():
 
 
 def test_a_method_that_cannot_solve_a_scene_is_left_out_with_its_reason(monkeypatch):
-    class OnlyDiscs:
-        needs_taichi = False
-        keeps_best = True
+    class OnlyDiscs(PlanarCut):
         name = "only-discs"
 
-        def plan(self, scene, spin):
-            raise InputError("method is 'only-discs'; it needs two dimensions")
+        @classmethod
+        def refusal(cls, scene):
+            return "method is 'only-discs'; it needs two dimensions"
 
-    monkeypatch.setattr(accuracy, "method_class", lambda name: OnlyDiscs)
+    monkeypatch.setitem(METHODS, "only-discs", OnlyDiscs)
     scenes = choose_scenes(["3,3,3"], [])
     with pytest.raises(InputError, match="needs two dimensions"):
         measure_all(scenes, ["only-discs"], [])
@@ -166,7 +165,6 @@ def test_every_scene_has_two_panels(scenes):
 def test_every_method_has_a_look_of_its_own():
     looks = [style_of(name) for name in (*METHODS, *PEERS)]
     assert len(set(looks)) == len(looks)
-    assert len(METHODS) <= len(COLOURS) == len(MARKERS)
 
 
 def test_scenes_are_chosen_by_shape_and_law():

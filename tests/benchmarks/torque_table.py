@@ -13,9 +13,8 @@ from taichi_bearings.analysis.network import network_of
 from taichi_bearings.analysis.torque_flow import force_distribution, friction_load, self_stress, torque_flow
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers import METHODS, InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -72,10 +71,10 @@ def main():
     for seed in range(given.seeds):
         scene = make_scene(shape, seeds=(seed,))
         start = initial_spin(scene, "linear")
-        exact = solve(scene, InteriorPoint(), start, StopRule(1e-10))
+        exact = solve(scene, InteriorPoint().build(), start, StopRule(1e-10))
         solution = exact
         if given.method != "interior-point":
-            solution = solve(scene, method_class(given.method)(), start, StopRule(given.tolerance))
+            solution = solve(scene, METHODS[given.method]().build(), start, StopRule(given.tolerance))
         samples.append(rows(scene, solution, exact))
     print(f"| {given.shape}, {given.method}, {given.seeds} samples | mean | standard error |\n|---|---|---|")
     for name in samples[0]:

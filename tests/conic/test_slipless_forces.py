@@ -10,8 +10,8 @@ from taichi_bearings.lattice.grid import contact_differences
 from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -94,7 +94,7 @@ def test_a_motion_that_gains_nothing_goes_nowhere():
 
 
 def minimum_of(scene, start="linear"):
-    return solve(scene, InteriorPoint(), initial_spin(scene, start), StopRule(1e-10))
+    return solve(scene, InteriorPoint().build(), initial_spin(scene, start), StopRule(1e-10))
 
 
 HARD = [  # shape, seed, slipping contacts, order of the smallest slip: where the end of the central path tells wrongly
@@ -121,14 +121,14 @@ def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, se
 def test_a_threshold_that_changes_states_leaves_none_proven():
     scene = make_scene((6, 6, 6), seeds=(1, 2))
     start, stop = initial_spin(scene, "linear"), StopRule(1e-10)
-    assert solve(scene, InteriorPoint(), start, stop, slip_threshold=0.0).resolved.all()
-    assert not solve(scene, InteriorPoint(), start, stop, slip_threshold=0.05).resolved.any()
+    assert solve(scene, InteriorPoint().build(), start, stop, slip_threshold=0.0).resolved.all()
+    assert not solve(scene, InteriorPoint().build(), start, stop, slip_threshold=0.05).resolved.any()
 
 
 def test_proven_states_obey_the_law_of_friction_at_every_contact():
     """In the staggered frame, by hand: slipping contacts oppose their slip with mu F_n, others hold with less."""
     scene = make_scene((12, 12, 12), seeds=(29,))
-    method = InteriorPoint()
+    method = InteriorPoint().build()
     solution = solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10))
     progress = method.progress()
     differences = contact_differences(progress.staggered, scene.lattice, progress.spin_axes)

@@ -7,15 +7,15 @@ import pytest
 from taichi_bearings.files.run_file import read_run_file, write_run_file
 from taichi_bearings.runs.run import summarise
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import LinearSolver
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.linear_solver import LinearSolver
 from tests.scenes import make_scene
 
 
 @pytest.mark.parametrize(("shape", "seeds"), [((4, 5), (7,)), ((3, 4, 5), (7,)), ((3, 4, 5), (7, 8))], ids=str)
 def test_friction_vectors_come_back_and_may_be_missing(tmp_path, shape, seeds):
     scene = make_scene(shape, "viscous", seeds=seeds)
-    solution = solve(scene, LinearSolver(), initial_spin(scene, "linear"))
+    solution = solve(scene, LinearSolver().build(), initial_spin(scene, "linear"))
     path = tmp_path / "run.h5"
     write_run_file(path, solution, summarise(solution, 1e-8))
     stored = read_run_file(path)

@@ -5,7 +5,7 @@ import pytest
 
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
+from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.gear import CORRECTORS
 from tests.kernels.test_descent import three_components
 from tests.kernels.twins import cundall_strack_step, neighbours
@@ -19,8 +19,8 @@ from tests.scenes import make_scene
 def test_steps_equal_plain_loops(shape, start, law, order, precision):
     scene = make_scene(shape, law, spin_bottom=0.3)
     spring = "reset" if start == "random" else "relax"
-    options = CundallStrackOptions(gear_order=order, static_ratio=1.25, mass=2.0, slipping_spring=spring)
-    method = CundallStrack(options)
+    options = CundallStrack(gear_order=order, static_ratio=1.25, mass=2.0, slipping_spring=spring)
+    method = options.build()
     spin = initial_spin(scene, start)
     fields = Fields(make_layout(1, shape), method.plan(scene, spin))
     method.begin(scene, spin, fields)

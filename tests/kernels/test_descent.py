@@ -6,7 +6,7 @@ import pytest
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.gradient_descent import GradientDescent, GradientDescentOptions
+from taichi_bearings.solvers import GradientDescent
 from tests.kernels.twins import descent_sweep
 from tests.scenes import make_scene
 
@@ -32,7 +32,7 @@ def three_components(scene: Scene, spin):
 def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
     scene = make_scene(shape, law, direction=direction, spin_bottom=-0.2)
     accuracy = 1e-13 if precision == "f64" else 1e-5
-    method = GradientDescent(GradientDescentOptions(momentum))
+    method = GradientDescent(momentum=momentum).build()
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
@@ -62,7 +62,7 @@ def test_averages_equal_plain_loops(shape, direction, precision):
     """From random spins: contacts near rest would turn rounding of the spins into forces, in any precision."""
     scene = make_scene(shape, direction=direction)
     accuracy = 1e-13 if precision == "f64" else 1e-5
-    method = GradientDescent(GradientDescentOptions(momentum=False))
+    method = GradientDescent(momentum=False).build()
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )

@@ -9,7 +9,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, torques
 from taichi_bearings.numerics.poisson import PlanePoisson
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.operator_splitting import OperatorSplitting
+from taichi_bearings.solvers import OperatorSplitting
 from tests.scenes import make_scene
 
 
@@ -28,7 +28,7 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
         pytest.skip("operator splitting works in the memory of the CPU")
     accuracy = 1e-12 if precision == "f64" else 1e-4
     scene, rng = make_scene(shape, direction=direction, seeds=(11, 12)), np.random.default_rng(77)
-    method, spin = OperatorSplitting(), initial_spin(scene, "random")
+    method, spin = OperatorSplitting().build(), initial_spin(scene, "random")
     fields = Fields(make_layout(scene.replicas, shape), method.plan(scene, spin))
     method.begin(scene, spin, fields)
     lattice, axes, layout = scene.lattice, method.spin_axes, method.layout

@@ -6,7 +6,7 @@ import pytest
 from taichi_bearings.lattice.grid import laboratory_forces, lower, staggered_forces, upper
 from taichi_bearings.proof.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
@@ -26,7 +26,7 @@ RUNS = [
 
 def solved(name, law, shape, tolerance):
     scene = make_scene(shape, law, seeds=(613,), spin_top=1.3, spin_bottom=0.2)
-    return scene, solve(scene, method_class(name)(), initial_spin(scene, "linear"), StopRule(tolerance))
+    return scene, solve(scene, METHODS[name]().build(), initial_spin(scene, "linear"), StopRule(tolerance))
 
 
 def in_three_dimensions(scene, friction, spin):

@@ -6,8 +6,8 @@ import pytest
 from taichi_bearings.lattice.grid import torques
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import GradientDescent
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -37,7 +37,10 @@ def test_swapping_the_horizontal_axes_changes_nothing(needs_f64):
         "coulomb",
         tuple(scene.coefficient[a].swapaxes(1, 2) for a in (1, 0, 2)),
     )
-    powers = [solve(s, GradientDescent(), initial_spin(s, "linear"), StopRule(1e-6)).power[0] for s in (scene, swapped)]
+    powers = [
+        solve(s, GradientDescent().build(), initial_spin(s, "linear"), StopRule(1e-6)).power[0]
+        for s in (scene, swapped)
+    ]
     assert powers[0] == pytest.approx(powers[1], rel=2e-6)
 
 
@@ -49,7 +52,7 @@ def test_at_the_minimum_power_in_is_power_dissipated(law, precision):
     tolerance, accuracy = {"coulomb": (1e-6, 1e-4), "viscous": (1e-12, 1e-5)}[law]
     if precision == "f32":
         tolerance, accuracy = max(tolerance, 1e-4), 1e-2
-    method = GradientDescent()
+    method = GradientDescent().build()
     solution = solve(scene, method, initial_spin(scene, "zero"), StopRule(tolerance))
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(solution.spin, axes)

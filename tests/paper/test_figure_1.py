@@ -14,8 +14,7 @@ from taichi_bearings.paper.relaxation import TIMES, Run
 from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.plots.lattice import COLOURS
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.linear_solver import LinearSolver
-from taichi_bearings.solvers.planar_cut import PlanarCut
+from taichi_bearings.solvers import LinearSolver, PlanarCut
 
 SHAPE = (5, 6)
 
@@ -41,10 +40,10 @@ def moved(cut, replica=0):
 
 
 def test_a_viscous_state_is_continuous_and_a_coulomb_state_is_not():
-    flat = figure_1._solved(draw_scene(1, 3, SHAPE, "viscous"), LinearSolver())
-    cube = figure_1._solved(draw_scene(1, 2, (3, 4, 5), "viscous"), LinearSolver())
+    flat = figure_1._solved(draw_scene(1, 3, SHAPE, "viscous"), LinearSolver().build())
+    cube = figure_1._solved(draw_scene(1, 2, (3, 4, 5), "viscous"), LinearSolver().build())
     assert figure_1._continuous(flat, cube).confirmed
-    domains = figure_1._solved(draw_scene(1, 3, SHAPE), PlanarCut())
+    domains = figure_1._solved(draw_scene(1, 3, SHAPE), PlanarCut().build())
     assert not figure_1._continuous(domains, cube).confirmed
     assert figure_1.slip_range(domains) == (0.0, 1.0)
 
@@ -52,10 +51,10 @@ def test_a_viscous_state_is_continuous_and_a_coulomb_state_is_not():
 def test_the_rise_is_that_of_the_layer_means_whatever_the_driving():
     for shape in (SHAPE, (3, 4, 5)):
         scene = draw_scene(1, 2, shape, spin_bottom=0.25)
-        state = figure_1._solved(scene, PlanarCut()) if len(shape) == 2 else None
+        state = figure_1._solved(scene, PlanarCut().build()) if len(shape) == 2 else None
         spin = initial_spin(scene, "linear")
         if state is None:
-            flat = figure_1._solved(draw_scene(1, 2, SHAPE), PlanarCut())
+            flat = figure_1._solved(draw_scene(1, 2, SHAPE), PlanarCut().build())
             state = replace(flat, scene=scene)
         assert figure_1.least_rise(replace(state, spin=spin)) == pytest.approx(1 / (shape[-1] - 1), rel=1e-13)
 

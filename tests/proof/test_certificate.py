@@ -17,8 +17,8 @@ from taichi_bearings.proof.certificate import (
 )
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
 
@@ -131,7 +131,7 @@ def test_forces_in_balance_to_round_off_prove_a_gap_of_round_off():
 def test_no_minimiser_slips_faster_than_its_bound_whatever_the_forces(entry):
     scene = scene_of(entry)
     axes, rng = scene.minimum_spin_axes, np.random.default_rng(7)
-    solution = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-10))
+    solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
     exact = solution.slip
     for bound, slip, state in zip(solution.slip_bound, exact, solution.state, strict=True):
         assert (slip <= bound * (1 + 1e-9) + 1e-12).all()

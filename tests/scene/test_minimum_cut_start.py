@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
+from taichi_bearings.solvers import InteriorPoint, LinearSolver, PlanarCut
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
-from taichi_bearings.solvers.linear_solver import LinearSolver
-from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
 
@@ -50,7 +48,7 @@ def test_no_other_choice_of_two_domains_dissipates_less(law):
 @pytest.mark.parametrize("shape", [(10, 10), (31, 20), (4, 5, 6)], ids=str)
 def test_one_component_starts_at_its_minimum(shape):
     scene = make_scene(shape, seeds=(1, 2, 3), direction=(1, 0, 0))
-    least = solve(scene, PlanarCut(), initial_spin(scene, "zero"), StopRule(1e-12))
+    least = solve(scene, PlanarCut().build(), initial_spin(scene, "zero"), StopRule(1e-12))
     assert scene.power(*start_of(scene)) == pytest.approx(least.power, rel=1e-13)
 
 
@@ -58,7 +56,7 @@ def test_two_components_start_at_or_above_their_minimum(needs_f64):
     """In 3D two domains are not the best state of most samples (paper, Fig. 2); no proven bound is above theirs."""
     scene = make_scene((4, 3, 5), seeds=range(6))
     power = scene.power(*start_of(scene))
-    least = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-8))
+    least = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-8))
     assert (least.lower_bound <= power).all()
     assert (least.power < 0.999 * power).sum() >= 4
 
@@ -71,7 +69,7 @@ def test_the_cut_of_a_larger_lattice_is_above_the_stored_minimum(entry):
 
 def test_viscous_domains_are_above_the_continuous_minimum():
     scene = make_scene((4, 5), "viscous")
-    least = solve(scene, LinearSolver(), initial_spin(scene, "minimum-cut"), StopRule(1e-12))
+    least = solve(scene, LinearSolver().build(), initial_spin(scene, "minimum-cut"), StopRule(1e-12))
     assert least.power[0] < scene.power(*start_of(scene))[0]
 
 

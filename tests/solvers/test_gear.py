@@ -9,19 +9,15 @@ from scipy.linalg import expm
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import (
-    CundallStrack,
-    CundallStrackOptions,
-    choose_time_step,
-    stability_bound,
-)
+from taichi_bearings.solvers import CundallStrack
+from taichi_bearings.solvers.cundall_strack import choose_time_step, stability_bound
 from taichi_bearings.solvers.gear import CORRECTORS, largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene
 
 
 def state_after(scene, start, options, steps):
-    method = CundallStrack(options)
+    method = options.build()
     fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, start))
     method.begin(scene, start, fields)
     method.advance(steps)
@@ -70,7 +66,7 @@ def test_the_error_falls_with_the_number_of_values_kept(law, shape, order):
     """
     scene = make_scene(shape, law, distribution="uniform:0.1,1.0" if law == "viscous" else "constant:1e9")
     start = without_vertical(initial_spin(scene, "random"))
-    options = CundallStrackOptions(gear_order=order, inertia=0.05, damping=50.0)
+    options = CundallStrack(gear_order=order, inertia=0.05, damping=50.0)
     duration = 0.05 if law == "viscous" else 2e-3  # some decay times of the stiffest mode
     axes = scene.minimum_spin_axes
     exact = exact_spins(scene, start, axes, options, duration)
@@ -94,7 +90,7 @@ def largest_stable_step_found(shape, options):
     """
     scene = make_scene(shape, distribution="constant:1e15", spin_top=0.0)
     spin = without_vertical(1e-3 * np.random.default_rng(3).standard_normal(initial_spin(scene, "zero").shape))
-    method = CundallStrack(options)
+    method = options.build()
     fields = Fields(make_layout(1, shape), method.plan(scene, spin))
     method.begin(scene, spin, fields)
 
@@ -133,7 +129,7 @@ MATERIALS = [(2, stiffness, damping) for stiffness in STIFFNESSES for damping in
 @pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
 def test_the_stability_bound_is_the_largest_stable_step(shape, order, stiffness, damping):
     found, bound = largest_stable_step_found(
-        shape, CundallStrackOptions(gear_order=order, stiffness=stiffness, damping=damping)
+        shape, CundallStrack(gear_order=order, stiffness=stiffness, damping=damping)
     )
     assert found == pytest.approx(bound, rel=0.1)
 
@@ -166,4 +162,4 @@ def test_a_larger_step_than_the_bound_is_refused():
 )
 def test_unphysical_options_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
-        CundallStrackOptions(**wrong)
+        CundallStrack(**wrong)

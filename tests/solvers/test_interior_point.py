@@ -10,17 +10,16 @@ from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import GradientDescent, InteriorPoint
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent
-from taichi_bearings.solvers.interior_point import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
 
-def minimum_of(scene, tolerance=1e-9, start="linear", **stop):
-    return solve(scene, InteriorPoint(), initial_spin(scene, start), StopRule(tolerance, **stop))
+def minimum_of(scene, tolerance=1e-9, start="linear", **options):
+    return solve(scene, InteriorPoint(**options).build(), initial_spin(scene, start), StopRule(tolerance))
 
 
 @pytest.mark.parametrize("entry", minima((3, 3, 3), (5, 5, 5), (10, 10, 10)), ids=name_of)
@@ -80,7 +79,7 @@ def test_replicas_give_what_they_give_alone():
 
 def test_it_agrees_with_gradient_descent():
     scene = make_scene((6, 5, 7), spin_bottom=0.2)
-    descent = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(1e-6))
+    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-6))
     solution = minimum_of(scene)
     assert solution.lower_bound[0] <= descent.power[0]
     assert descent.lower_bound[0] <= solution.power[0]
@@ -89,7 +88,7 @@ def test_it_agrees_with_gradient_descent():
 
 def test_reported_forces_hold_the_spheres_and_prove_the_bound():
     scene = make_scene((6, 6, 6))
-    method = InteriorPoint()
+    method = InteriorPoint().build()
     solution = solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10))
     progress = method.progress()
     bound = lower_bound(scene, progress.force, progress.spin_axes)
@@ -148,7 +147,9 @@ def test_a_threshold_of_the_user_only_turns_slipping_contacts_into_slipless_ones
     scene = make_scene((5, 5, 5), seeds=(1,))
     plain = minimum_of(scene)
     threshold = 0.02
-    coarse = solve(scene, InteriorPoint(), initial_spin(scene, "linear"), StopRule(1e-9), slip_threshold=threshold)
+    coarse = solve(
+        scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9), slip_threshold=threshold
+    )
     for before, after, slip in zip(plain.state, coarse.state, coarse.slip, strict=True):
         assert (after[slip <= threshold] != ContactState.SLIPPING).all()
         assert (after[slip > threshold] == before[slip > threshold]).all()

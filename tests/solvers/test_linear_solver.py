@@ -9,10 +9,8 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import linear_solver
+from taichi_bearings.solvers import GradientDescent, LinearSolver, linear_solver
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent
-from taichi_bearings.solvers.linear_solver import LinearSolver
 from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.test_independent_solvers import viscous_minimum
 from tests.kernels.twins import is_driven, neighbours
@@ -23,7 +21,7 @@ SIX_DECADES = ["power-law:1e-3,1e3,-1", "bimodal:1e-3,1e3,0.5", "lognormal:1,2.3
 
 
 def solved(scene, start="random", tolerance=1e-12):
-    solution = solve(scene, LinearSolver(), initial_spin(scene, start), StopRule(tolerance))
+    solution = solve(scene, LinearSolver().build(), initial_spin(scene, start), StopRule(tolerance))
     assert solution.status is Status.CERTIFIED
     assert (solution.lower_bound <= solution.power).all()
     return solution
@@ -137,7 +135,7 @@ def test_six_decades_balance_to_round_off(shape, distribution):
 @pytest.mark.parametrize("shape", [(7, 8), (4, 3, 5)], ids=str)
 def test_it_agrees_with_gradient_descent(shape):
     scene = make_scene(shape, "viscous", spin_bottom=-0.1)
-    descent = solve(scene, GradientDescent(), initial_spin(scene, "zero"), StopRule(1e-11))
+    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "zero"), StopRule(1e-11))
     solution = solved(scene)
     assert solution.power[0] == pytest.approx(descent.power[0], rel=2e-11)
     for ours, theirs in zip(solution.slip, descent.slip, strict=True):
@@ -184,12 +182,12 @@ def test_equal_planes_turn_everything_alike():
 def test_coulomb_friction_is_refused():
     scene = make_scene((4, 5))
     with pytest.raises(InputError, match="'coulomb'"):
-        solve(scene, LinearSolver(), initial_spin(scene, "zero"))
+        solve(scene, LinearSolver().build(), initial_spin(scene, "zero"))
 
 
 def test_a_contrast_beyond_float64_ends_stalled_and_still_bounded():
     scene = make_scene((20, 20), "viscous", distribution="bimodal:1e-15,1e15,0.5")
-    solution = solve(scene, LinearSolver(), initial_spin(scene, "linear"), StopRule(1e-9))
+    solution = solve(scene, LinearSolver().build(), initial_spin(scene, "linear"), StopRule(1e-9))
     assert solution.status is Status.STALLED
     assert np.isfinite(solution.power).all()
     assert 0 <= solution.lower_bound[0] <= solution.power[0]

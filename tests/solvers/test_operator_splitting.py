@@ -14,16 +14,15 @@ from taichi_bearings.lattice.grid import torques
 from taichi_bearings.proof.certificate import dual_value
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.solvers import GradientDescent, OperatorSplitting
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.gradient_descent import GradientDescent
-from taichi_bearings.solvers.operator_splitting import OperatorSplitting
 from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 
 def split(scene, tolerance, start="linear", iterations=30_000):
-    return solve(scene, OperatorSplitting(), initial_spin(scene, start), StopRule(tolerance, iterations))
+    return solve(scene, OperatorSplitting().build(), initial_spin(scene, start), StopRule(tolerance, iterations))
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -79,7 +78,7 @@ def test_one_component_equals_a_linear_programme(shape, direction, distribution)
 def test_intervals_of_splitting_and_descent_overlap(shape, driving):
     scene = make_scene(shape, **driving)
     ours = split(scene, 1e-5)
-    descent = solve(scene, GradientDescent(), initial_spin(scene, "linear"), StopRule(2e-4, 200_000))
+    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(2e-4, 200_000))
     assert ours.status is descent.status is Status.CERTIFIED
     assert max(ours.lower_bound[0], descent.lower_bound[0]) <= min(ours.power[0], descent.power[0])
 
@@ -107,7 +106,7 @@ def test_replicas_together_equal_replicas_alone(shape, direction):
 @pytest.mark.usefixtures("needs_f64")
 def test_spring_forces_are_balanced_and_friction_is_admissible():
     scene = make_scene((4, 6, 5), direction=(1, 2, 3), seeds=(8, 9))
-    method = OperatorSplitting()
+    method = OperatorSplitting().build()
     spin = initial_spin(scene, "random")
     method.begin(scene, spin, Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin)))
     for _ in range(3):  # the stiffness changes in between
@@ -150,12 +149,12 @@ import sys
 from taichi_bearings import runtime
 runtime.start(threads=int(sys.argv[1]))
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import OperatorSplitting
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.operator_splitting import OperatorSplitting
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 scene = make_scene((28, 27, 29))
-solution = solve(scene, OperatorSplitting(), initial_spin(scene, "linear"), StopRule(1e-9, 60))
+solution = solve(scene, OperatorSplitting().build(), initial_spin(scene, "linear"), StopRule(1e-9, 60))
 print(solution.power[0].hex(), solution.lower_bound[0].hex(), float(solution.spin.sum()).hex())
 """
 

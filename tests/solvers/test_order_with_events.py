@@ -10,8 +10,7 @@ import pytest
 from taichi_bearings.conic.contact_system import free_shape
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions
-from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrack
+from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
 from tests.scenes import make_scene
 
 DURATION = 0.01
@@ -19,7 +18,7 @@ DURATION = 0.01
 
 def explicit(scene, spin, steps):
     """Free staggered spins (C, R, *free) after DURATION in so many steps of Gear's method."""
-    method = CundallStrack(CundallStrackOptions(time_step=DURATION / steps, slipping_spring="relax"))
+    method = CundallStrack(time_step=DURATION / steps, slipping_spring="relax").build()
     fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin))
     method.begin(scene, spin, fields)
     method.advance(steps)
@@ -28,7 +27,7 @@ def explicit(scene, spin, steps):
 
 def implicit(scene, spin, steps):
     """The same by the implicit integrator."""
-    method = ImplicitCundallStrack(CundallStrackOptions(time_step=DURATION / steps, slipping_spring="relax"))
+    method = ImplicitCundallStrack(time_step=DURATION / steps, slipping_spring="relax").build()
     method.plan(scene, spin)
     method.begin(scene, spin, None)
     method.advance(steps)

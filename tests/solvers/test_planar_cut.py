@@ -10,8 +10,8 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import summarise
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.planar_cut import PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from tests.kernels.twins import is_driven, neighbours
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -20,7 +20,7 @@ SIX_DECADES = ["lognormal:1,2.3", "bimodal:1e-3,1e3,0.5", "power-law:1e-3,1e3,-1
 
 
 def solved(scene, start="random", tolerance=1e-12):
-    solution = solve(scene, PlanarCut(), initial_spin(scene, start), StopRule(tolerance))
+    solution = solve(scene, PlanarCut().build(), initial_spin(scene, start), StopRule(tolerance))
     assert solution.status is Status.CERTIFIED
     assert solution.iterations == 1
     assert (solution.lower_bound <= solution.power).all()
@@ -191,4 +191,4 @@ def test_nothing_to_cut(driving):
 def test_refused_scenes():
     for scene, reason in [(make_scene((4, 5), "viscous"), "'viscous'"), (make_scene((3, 3, 4)), "direction")]:
         with pytest.raises(InputError, match=reason):
-            solve(scene, PlanarCut(), initial_spin(scene, "zero"))
+            solve(scene, PlanarCut().build(), initial_spin(scene, "zero"))

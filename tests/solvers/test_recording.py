@@ -9,8 +9,8 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.runs.run import summarise
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import drive
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, stability_bound
+from taichi_bearings.solvers import CundallStrack, drive
+from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording, parse_times
 from taichi_bearings.solvers.stopping import StopRule
@@ -20,7 +20,7 @@ UNRECORDED = ("seconds",)  # columns that differ from run to run
 
 
 def run(scene, options=None, start="random", stop=None, recording=None, checkpoints=None):
-    method = CundallStrack(options or CundallStrackOptions(keep_energy=True))
+    method = (options or CundallStrack(energy=True)).build()
     spin = initial_spin(scene, start)
     return solve(scene, method, spin, stop or StopRule(1e-6), (), None, recording, checkpoints)
 
@@ -105,10 +105,10 @@ def test_a_time_limit_counts_anew_for_a_run_that_goes_on():
 def test_energy_books_close_as_the_step_falls(shape, law, order):
     """Injected, dissipated, kinetic and spring energy come from data of their own; what is missing is of order h^2."""
     scene = make_scene(shape, law, spin_bottom=0.4, seeds=(1, 2))
-    bound = stability_bound(scene, scene.lattice.all_spin_axes, CundallStrackOptions(gear_order=order))
+    bound = stability_bound(scene, scene.lattice.all_spin_axes, CundallStrack(gear_order=order))
     missing = []
     for step in (bound / 2, bound / 8):
-        options = CundallStrackOptions(gear_order=order, keep_energy=True, time_step=step)
+        options = CundallStrack(gear_order=order, energy=True, time_step=step)
         solution = run(scene, options, stop=StopRule(duration=300 * bound))
         missing.append(np.abs(solution.history["energy_residual"]).max(axis=0))
     assert (missing[0] < 1e-3).all()
@@ -143,7 +143,7 @@ def test_at_rest_the_drive_does_the_work_that_friction_takes():
 def test_viscous_dissipation_is_the_integral_of_the_power():
     """Paper Eq. 4 integrated by Simpson's rule over recorded times: nothing of the books goes into it."""
     scene = make_scene((4, 5), "viscous")
-    options = CundallStrackOptions(time_step=1e-4, keep_energy=True, gear_order=3)
+    options = CundallStrack(time_step=1e-4, energy=True, gear_order=3)
     solution = run(scene, options, "linear", StopRule(duration=0.1), Recording(parse_times("linear:0,0.1,1001")))
     power, time = solution.history["power"][:, 0], solution.history["time"]
     h = time[1] - time[0]
@@ -157,7 +157,7 @@ def test_viscous_dissipation_is_the_integral_of_the_power():
 )
 def test_any_checkpoint_leads_to_the_same_bits(shape, law, order):
     scene = make_scene(shape, law)
-    options = CundallStrackOptions(gear_order=order, keep_energy=True)
+    options = CundallStrack(gear_order=order, energy=True)
     recording = Recording(snapshots=parse_times("log:1e-3,1,10"))
     stop = StopRule(1e-5, 60_000)
     written = []
@@ -180,6 +180,6 @@ def test_a_checkpoint_of_another_time_step_is_refused():
     scene = make_scene((3, 4))
     written = []
     run(scene, stop=StopRule(1e-5, 500), checkpoints=Checkpoints(0.0, written.append))
-    other = CundallStrackOptions(keep_energy=True, time_step=1e-6)
+    other = CundallStrack(energy=True, time_step=1e-6)
     with pytest.raises(InputError, match="time_step"):
         run(scene, other, checkpoints=Checkpoints(1.0, written.append, written[0]))

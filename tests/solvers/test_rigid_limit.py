@@ -14,10 +14,8 @@ from taichi_bearings.lattice.grid import contact_differences, tangential, torque
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers import InteriorPoint, PlanarCut, RigidLimit
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.interior_point import InteriorPoint
-from taichi_bearings.solvers.planar_cut import PlanarCut
-from taichi_bearings.solvers.rigid_limit import RigidLimit, RigidLimitOptions
 from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene
@@ -28,7 +26,7 @@ RADIUS, NORMAL_FORCE, INERTIA = 0.5, 50.0, 0.4
 
 
 def begun(scene, spin, **options):
-    method = RigidLimit(RigidLimitOptions(**options))
+    method = RigidLimit(**options).build()
     method.plan(scene, spin)
     method.begin(scene, spin, None)
     return method
@@ -75,7 +73,7 @@ def test_two_discs_meet_and_go_on_together():
 
 def test_rest_is_reached_in_finite_time_where_the_power_is_piecewise_linear():
     scene, spin = two_discs(0.2, 0.4)
-    method = RigidLimit(RigidLimitOptions(inertia=INERTIA))
+    method = RigidLimit(inertia=INERTIA).build()
     solution = solve(scene, method, spin, StopRule(1e-12))
     assert solution.status is Status.CERTIFIED
     exact = 0.7 / 0.4 * INERTIA / (RADIUS * NORMAL_FORCE)
@@ -241,17 +239,17 @@ def test_a_smaller_tolerance_makes_a_smaller_error():
 )
 def test_the_stationary_power_is_the_certified_minimum(shape, tolerance, other):
     scene = make_scene(shape, seeds=(3,))
-    method = RigidLimit(RigidLimitOptions(error_tolerance=tolerance))
+    method = RigidLimit(error_tolerance=tolerance).build()
     solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-13))
     assert solution.status in (Status.STATIONARY, Status.CERTIFIED)
     assert solution.gap[0] < 1e-10
-    minimum = solve(scene, other(), initial_spin(scene, "linear"), StopRule(1e-11))
+    minimum = solve(scene, other().build(), initial_spin(scene, "linear"), StopRule(1e-11))
     assert solution.power == pytest.approx(minimum.power, rel=1e-10)
 
 
 def test_a_viscous_scene_comes_to_rest_at_its_minimum():
     scene = make_scene((4, 5, 6), "viscous")
-    method = RigidLimit(RigidLimitOptions(error_tolerance=0.1))
+    method = RigidLimit(error_tolerance=0.1).build()
     solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-12))
     assert solution.status.reached
     assert solution.gap[0] < 1e-10
@@ -305,7 +303,7 @@ def test_without_a_jump_everything_comes_to_turn_like_the_planes(shape, spin_bot
     scene = make_scene(shape, spin_top=spin_bottom, spin_bottom=spin_bottom, seeds=(11,))
     rng = np.random.default_rng(4)
     spin = rng.uniform(-1, 1, initial_spin(scene, "zero").shape)
-    method = RigidLimit(RigidLimitOptions(error_tolerance=0.1))
+    method = RigidLimit(error_tolerance=0.1).build()
     solution = solve(scene, method, spin, StopRule(1e-12))
     assert solution.status.reached
     natural = scene.normal_force * sum(c.sum() for c in scene.acting_coefficient) * scene.lattice.radius * spin_bottom
@@ -319,4 +317,4 @@ def test_without_a_jump_everything_comes_to_turn_like_the_planes(shape, spin_bot
 @pytest.mark.parametrize("wrong", [{"mass": 0}, {"inertia": -1.0}, {"time_step": np.nan}, {"error_tolerance": 0.0}])
 def test_unphysical_options_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
-        RigidLimitOptions(**wrong)
+        RigidLimit(**wrong)

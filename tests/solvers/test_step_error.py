@@ -7,7 +7,8 @@ import pytest
 
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers.cundall_strack import CundallStrack, CundallStrackOptions, sticking_modes
+from taichi_bearings.solvers import CundallStrack
+from taichi_bearings.solvers.cundall_strack import sticking_modes
 from taichi_bearings.solvers.step_error import ACCURATE, MODES, Modes, StepError, laplacian_spectrum
 from tests.scenes import make_scene
 from tests.solvers.test_gear import laplacian, without_vertical
@@ -17,7 +18,7 @@ COURSE = np.unique(np.round(np.geomspace(1, 2000, 40)).astype(int))  # steps aft
 
 def course(scene, start, options, parts=1):
     """Spins (times, C, R, *N) after COURSE steps, each of as many `parts` of the options' length; the method."""
-    method, spins = CundallStrack(options), []
+    method, spins = options.build(), []
     fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
     method.begin(scene, start, fields)
     for steps in np.diff(np.concatenate([[0], COURSE])):
@@ -44,7 +45,7 @@ MATERIALS = [(2, 1e5, 1e3), (2, 1e3, 0.5), (2, 1e3, 50.0), (2, 1e5, 10.0), (4, 1
 @pytest.mark.parametrize(("order", "stiffness", "damping"), MATERIALS)
 def test_the_error_is_about_that_of_a_course_without_slip(order, stiffness, damping, shape):
     """Spins drawn evenly up to the largest have 0.58 of it root mean square, and damping leaves less: 0.2 to 0.8."""
-    options = CundallStrackOptions(gear_order=order, stiffness=stiffness, damping=damping)
+    options = CundallStrack(gear_order=order, stiffness=stiffness, damping=damping)
     mean, largest, method = measured(make_scene(shape, normal_force=1e7), options)
     said = method.step_error.within(int(COURSE[-1]))
     assert 0.15 * said < mean < said
@@ -54,7 +55,7 @@ def test_the_error_is_about_that_of_a_course_without_slip(order, stiffness, damp
 @pytest.mark.usefixtures("needs_f64")
 @pytest.mark.parametrize(("order", "stiffness", "damping"), MATERIALS[:4])
 def test_contacts_that_slip_make_less_of_it(order, stiffness, damping):
-    options = CundallStrackOptions(
+    options = CundallStrack(
         gear_order=order, stiffness=stiffness, damping=damping, slipping_spring="relax"
     )  # with "reset" a contact that barely slips may go either way, whatever the step
     mean, _, method = measured(make_scene((8, 7)), options)
@@ -63,14 +64,14 @@ def test_contacts_that_slip_make_less_of_it(order, stiffness, damping):
 
 @pytest.mark.usefixtures("needs_f64")
 def test_the_error_of_viscous_contacts():
-    mean, _, method = measured(make_scene((8, 7), "viscous"), CundallStrackOptions())
+    mean, _, method = measured(make_scene((8, 7), "viscous"), CundallStrack())
     said = method.step_error.within(int(COURSE[-1]))
     assert 0.05 * said < mean < said
 
 
 @pytest.mark.usefixtures("needs_f64")
 def test_the_step_that_is_advised_is_accurate():
-    scene, options = make_scene((8, 7), normal_force=1e7), CundallStrackOptions(stiffness=1e3, damping=0.5)
+    scene, options = make_scene((8, 7), normal_force=1e7), CundallStrack(stiffness=1e3, damping=0.5)
     mean, _, method = measured(scene, options)
     assert mean > ACCURATE
     advised = method.step_error.accurate_step(int(COURSE[-1]))
@@ -105,6 +106,6 @@ def test_the_spectrum_is_that_of_the_lattice(shape):
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (2,)])
 def test_layers_that_turn_about_the_height_make_no_error(axes):
-    options = CundallStrackOptions()
+    options = CundallStrack()
     modes = sticking_modes(make_scene((3, 4, 5)), axes, options, 1.0, 3e-5)
     assert np.isfinite(modes.errors(2, 2e-5)).all()

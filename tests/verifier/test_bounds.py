@@ -6,7 +6,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.judgement import Judgement
@@ -38,7 +38,7 @@ def solved(shape, options, method):
     from taichi_bearings.scene.initial_spins import initial_spin
 
     scene = make_scene(shape, **options)
-    return solve(scene, method_class(method)(), initial_spin(scene, "linear"), StopRule(1e-10))
+    return solve(scene, METHODS[method]().build(), initial_spin(scene, "linear"), StopRule(1e-10))
 
 
 @pytest.mark.parametrize(("shape", "options", "method"), SCENES, ids=str)
@@ -82,7 +82,7 @@ def test_samples_in_one_judgement_are_judged_as_alone():
     from taichi_bearings.scene.initial_spins import initial_spin
 
     scene = make_scene((3, 3, 4), seeds=(3, 4, 5))
-    solution = solve(scene, method_class("interior-point")(), initial_spin(scene, "linear"), StopRule(1e-10))
+    solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-10))
     together = Judgement(samples_of(solution))
     for r in range(3):
         alone = together.one(r)

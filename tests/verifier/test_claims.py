@@ -11,7 +11,7 @@ from taichi_bearings.runs.run import prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.truth import oracle_or_skip
@@ -100,7 +100,7 @@ def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():
     x, y, z = (np.full((1, *n), v) for n, v in (((1, 2, 3), 1e12), ((2, 1, 3), 1e12), ((2, 2, 2), 0.5)))
     z[0, 0, 0, 1] += 1e-3
     scene = Scene(Lattice((2, 2, 3)), "coulomb", (x, y, z))
-    solution = solve(scene, method_class("interior-point")(), initial_spin(scene, "linear"), StopRule(1e-8))
+    solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-8))
     truth = oracle_or_skip()
     exact = truth.solve([c[0] for c in scene.coefficient], 50.0, 0.5, 1.0, 0.0, (1, 1, 0))
     assert_true(solution, exact.power, 1e-8)

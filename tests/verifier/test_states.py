@@ -7,7 +7,7 @@ import pytest
 
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import method_class
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.judgement import Judgement
@@ -51,7 +51,7 @@ SCENES = [
 
 def minimum(shape, options, method):
     scene = make_scene(shape, **options)
-    return solve(scene, method_class(method)(), initial_spin(scene, "linear"), StopRule(1e-10))
+    return solve(scene, METHODS[method]().build(), initial_spin(scene, "linear"), StopRule(1e-10))
 
 
 @pytest.mark.parametrize(("shape", "options", "method", "wanted"), SCENES, ids=str)

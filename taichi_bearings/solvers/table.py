@@ -1,0 +1,359 @@
+"""The one table of methods: what each is called and solves, and the options that it owns.
+
+A method is named by a small frozen object that holds its options, such as ``CundallStrack(stiffness=1e6)``; `build`
+loads what does the work. Nothing here loads Taichi or SciPy.
+"""
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import TYPE_CHECKING, ClassVar, TypeVar
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.options import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    TRUTH,
+    Kind,
+    bounded,
+    integer,
+    one_of,
+    option,
+    options_of,
+    real,
+)
+from taichi_bearings.scene.law import LAWS, Law
+
+if TYPE_CHECKING:
+    from taichi_bearings.scene import Scene
+    from taichi_bearings.solvers.method import Method
+
+MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
+ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodOptions:
+    """A method and its options. The facts of a method are class variables, its options the fields.
+
+    name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
+    time. cpu_only : it works in the memory of the CPU. alike_in_a_block : it gives a seed the same bits alone and
+    beside others. colour, marker : in every figure. also_named : settings that name it too.
+    """
+
+    name: ClassVar[str]
+    implementation: ClassVar[str]
+    is_dynamics: ClassVar[bool] = False
+    needs_taichi: ClassVar[bool] = True
+    cpu_only: ClassVar[bool] = False
+    alike_in_a_block: ClassVar[bool] = False
+    colour: ClassVar[str] = "0.4"  # Okabe and Ito's palette, which the colour-blind can tell apart
+    marker: ClassVar[str] = "h"
+    also_named: ClassVar[dict[str, str]] = {}
+
+    def __post_init__(self) -> None:
+        for name, item in options_of(self).items():
+            object.__setattr__(self, name, item.read(name, getattr(self, name)))
+
+    def build(self) -> "Method":
+        """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
+        module, _, attribute = self.implementation.partition(":")
+        return getattr(importlib.import_module(module), attribute)(self)
+
+    @staticmethod
+    def solves(law: Law) -> bool:
+        """True for a law that the method can solve."""
+        return True
+
+    @classmethod
+    def refusal(cls, scene: "Scene") -> str:
+        """Why the method cannot solve this scene, as a sentence; empty if it can."""
+        if cls.solves(scene.law):
+            return ""
+        laws = " or ".join(name for name, law in LAWS.items() if cls.solves(law))
+        return f"method is {cls.name!r} and law is {scene.law.name!r}; it must be {laws}"
+
+    @classmethod
+    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        """True if `auto` should take it, unless it comes to another method earlier in the table."""
+        return False
+
+    @classmethod
+    def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        """Time to solve one sample on one core of a common server, within a factor of three; None if unknown."""
+        return None
+
+    @classmethod
+    def bytes(cls, sites: int) -> float:
+        """Memory beside the fields of the scene."""
+        return 0.0
+
+
+METHODS: dict[str, type[MethodOptions]] = {}
+"""The methods by name, in the order in which `auto` asks them and tables list them."""
+Row = TypeVar("Row", bound=type[MethodOptions])
+
+
+def register(row: Row) -> Row:
+    """Add a method to the table; also a decorator."""
+    if row.name in METHODS or row.name == "auto":
+        raise InputError(f"method is {row.name!r}; there is one of that name already")
+    METHODS[row.name] = row
+    return row
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class PlanarCut(MethodOptions):
+    """Exact minimum cuts of planes: Coulomb discs, and spheres driven about x or y alone."""
+
+    name = "planar-cut"
+    implementation = "taichi_bearings.solvers.planar_cut:PlanarCutMethod"
+    needs_taichi = False
+    alike_in_a_block = True
+    colour, marker = "#0072B2", "o"
+
+    @staticmethod
+    def solves(law: Law) -> bool:
+        return law.is_rate_independent
+
+    @classmethod
+    def refusal(cls, scene: "Scene") -> str:
+        if reason := super().refusal(scene):
+            return reason
+        if len(scene.minimum_spin_axes) == 1:
+            return ""
+        return (
+            f"method {cls.name} needs imposed spins about x or about y alone on a cubic lattice; "
+            f"direction is {list(scene.direction)}"
+        )
+
+    @classmethod
+    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        return not cls.refusal(scene)
+
+    @classmethod
+    def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        return 1e-6 * prod(shape) if len(shape) == 2 else 2e-6 * prod(shape) ** 1.15
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class InteriorPoint(MethodOptions):
+    """Primal-dual central path: a proven minimum to round-off in about twenty Newton steps."""
+
+    name = "interior-point"
+    implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
+    cpu_only = True
+    colour, marker = "#D55E00", "^"
+
+    settle: bool = option(
+        True, TRUTH, "Once certified, go on until every contact is known to slip or not.", of_solving=True
+    )
+
+    @staticmethod
+    def solves(law: Law) -> bool:
+        return law.holds
+
+    @classmethod
+    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        pays = (tolerance < ROUGH or scene.law.flows) and scene.lattice.sites <= MOST_FACTORISED
+        return pays and not on_gpu and not cls.refusal(scene)
+
+    @classmethod
+    def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        return 0.02 + 1e-5 * prod(shape) ** 1.4
+
+    @classmethod
+    def bytes(cls, sites: int) -> float:
+        return 480 * sites ** (4 / 3)
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class OperatorSplitting(MethodOptions):
+    """Operator splitting with fast Poisson solves: rough answers of large scenes."""
+
+    name = "operator-splitting"
+    implementation = "taichi_bearings.solvers.operator_splitting:OperatorSplittingMethod"
+    cpu_only = True
+    colour, marker = "#009E73", "D"
+
+    @staticmethod
+    def solves(law: Law) -> bool:
+        return law.is_rate_independent
+
+    @classmethod
+    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        return not on_gpu and not cls.refusal(scene)
+
+    @classmethod
+    def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
+        return 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class LinearSolver(MethodOptions):
+    """Nested dissection of the viscous law: exact to round-off."""
+
+    name = "linear-solver"
+    implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
+    needs_taichi = False
+    colour, marker = "#CC79A7", "v"
+
+    @staticmethod
+    def solves(law: Law) -> bool:
+        return not law.holds
+
+    @classmethod
+    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        return not cls.refusal(scene)
+
+    @classmethod
+    def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        return 0.003 + 4e-6 * prod(shape)
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class GradientDescent(MethodOptions):
+    """The paper's first method, with step lengths that provably converge."""
+
+    name = "gradient-descent"
+    implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
+    colour, marker = "#E69F00", "P"
+
+    momentum: bool = option(
+        True, TRUTH, "Accelerate (and, for Coulomb, regularise); without it the paper's plain method.", of_solving=True
+    )
+
+    @classmethod
+    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        return not cls.refusal(scene)
+
+
+def holding(law: Law) -> bool:
+    """Of laws under which a contact bears a force without slipping."""
+    return law.holds
+
+
+def _rest_tolerance(default: float) -> float:
+    return option(default, POSITIVE, "Relative change of P that counts as rest.", of_solving=True, unset=True)
+
+
+def _error_tolerance() -> float:
+    help = "Steps chosen by error: root mean square error of the spins in a step, relative to the largest spin."
+    return option(1e-3, POSITIVE, help, of_solving=True, unset=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Dynamics(MethodOptions):
+    """What all dynamics have."""
+
+    is_dynamics = True
+
+    mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass")
+    inertia: float | None = option(
+        None, POSITIVE, "Moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).", unit="mass*length^2"
+    )
+    time_step: float | None = option(
+        None,
+        POSITIVE,
+        "Fixed step. Default: 0.8 of the computed stability bound with gear, which is the most allowed, else by error.",
+        unit="time",
+        of_solving=True,
+    )
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class RigidLimit(_Dynamics):
+    """Dynamics without springs, in implicit steps of any length.
+
+    At rest once the power falls by less than rest_tolerance in a step and the proven gap is below 1e-9.
+    """
+
+    name = "rigid-limit"
+    implementation = "taichi_bearings.solvers.rigid_limit:RigidLimitMethod"
+    cpu_only = True
+    colour, marker = "#56B4E9", "<"
+
+    error_tolerance: float = _error_tolerance()
+    rest_tolerance: float = _rest_tolerance(1e-12)
+
+    @staticmethod
+    def solves(law: Law) -> bool:
+        return not (law.holds and law.flows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Springs(_Dynamics):
+    """Springs and dampers of Cundall and Strack, the paper's values as defaults.
+
+    At rest once the power changes by less than rest_tolerance over three checks in a row, no contact changes between
+    sticking and slipping, and no free sphere feels more than this share of the typical friction torque.
+    """
+
+    stiffness: float = option(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length", laws=holding)
+    damping: float = option(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length", laws=holding)
+    slipping_spring: str = option(
+        "reset",
+        one_of("reset", "relax"),
+        "While a contact slips its spring is reset to carry the friction alone, as in the paper, or relaxes to that "
+        "through its damper, so that no spring jumps and the course has a limit for short time steps.",
+        laws=holding,
+    )
+    rest_tolerance: float = _rest_tolerance(1e-9)
+
+    def after_slip(self, span: float) -> tuple[float, float]:
+        """Elongation of a slipping contact after a time `span`: so much of its force, and of the elongation before.
+
+        reset : paper Eq. 9, with a unit vector. relax : A d(delta)/dt = F - K delta, by implicit Euler.
+        """
+        if self.slipping_spring == "reset":
+            return 1 / self.stiffness, 0.0
+        resistance = self.stiffness * span + self.damping
+        return span / resistance, self.damping / resistance
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class CundallStrack(Springs):
+    """The paper's second method: explicit steps by Gear's method."""
+
+    name = "cundall-strack"
+    implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
+    colour, marker = "#8C6BB1", ">"
+
+    static_ratio: float = option(
+        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", laws=holding
+    )
+    gear_order: int = option(
+        2,
+        Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"),
+        "Derivatives kept by the predictor-corrector.",
+        of_solving=True,
+    )
+    energy: bool = option(False, TRUTH, "Keep energy books; a step takes a third longer.", of_solving=True)
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class ImplicitCundallStrack(Springs):
+    """Cundall-Strack dynamics without a stability limit; it chooses its steps."""
+
+    name = "implicit-cundall-strack"
+    implementation = "taichi_bearings.solvers.implicit_cundall_strack:ImplicitCundallStrackMethod"
+    cpu_only = True
+    colour, marker = "#7A5230", "*"
+    also_named = {"method": "cundall-strack", "integrator": "implicit"}
+
+    error_tolerance: float = _error_tolerance()
+
+
+def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOptions]:
+    """The fastest method that certifies a scene: what `auto` stands for."""
+    return next(row for row in METHODS.values() if row.suits(scene, tolerance, on_gpu))
