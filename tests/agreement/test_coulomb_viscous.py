@@ -7,9 +7,9 @@ from scipy import sparse
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import method_class
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import METHODS
 from tests.scenes import make_scene
 
 clarabel = pytest.importorskip("clarabel")
@@ -126,7 +126,7 @@ def test_methods_end_at_the_least_potential(method, shape):
         scene = make_scene(shape, "coulomb-viscous", (seed,), viscosity="uniform:5,60", spin_bottom=0.2)
         least = least_potential(scene)
         stop = StopRule(2e-5, 400_000)
-        solution = solve(scene, method_class(method)(), initial_spin(scene, "random"), stop)
+        solution = solve(scene, METHODS[method]().build(), initial_spin(scene, "random"), stop)
         assert solution.status is Status.CERTIFIED
         assert solution.lower_bound[0] <= least * (1 + 1e-9)
         assert least * (1 - 1e-9) <= solution.objective[0] <= least * (1 + 2e-5)
