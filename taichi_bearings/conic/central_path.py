@@ -3,15 +3,20 @@
 At a point of the path every contact has the same product of slip bound and friction margin. Mehrotra's predictor and
 corrector (1992) and Gondzio's further correctors (1996), in the Nesterov-Todd scaling, bring that product down by a
 factor of about five a step, with one factorisation and a few solves.
+
+Contacts can have a viscosity besides: the cost is the sum of mu b + eta |v|^2 / 2 over bounds b >= |v|, and a contact
+bears the force of its cone and eta v. Nothing else changes: eta adds to the stiffness of the Newton matrix, eta v to
+the torques that the forces leave, and cost less dual cost stays friction times slip less force times slip in the cones.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taichi_bearings.conic.cone import Point, Scaling, clipped_towards, inner, jordan_product, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic, power, where
+from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
 
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
 LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
@@ -21,6 +26,9 @@ TINY = np.finfo(np.float64).tiny
 WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
 REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the mean friction, that needs no second one
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
+
+Points = Grouped[Point]
+Blocks = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -35,78 +43,75 @@ class Inertia:
         return self.weight * (spins - self.origin)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Iterate:
     """A point inside all cones: spins (unknowns,); a group each: friction and bound (n,), difference and dual (d, n).
 
-    The dual is minus the contact force. smooth : (n,) masks, contacts that are in no cone but obey the law of friction
-    exactly: dual = - friction * direction of slip. inertia : what resists a change of the spins, None at the minimum.
+    The dual is minus the contact force, without its viscous part. viscosity : (n,) a group, None for Coulomb friction.
+    smooth : (n,) masks, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
+    direction of slip; None for none. inertia : what resists a change of the spins, None at the minimum.
     load : torques (unknowns,) that the forces have to balance, beside those of the inertia.
     """
 
     system: ContactSystem
     spins: np.ndarray
-    friction: list[np.ndarray]
-    bound: list[np.ndarray]
-    difference: list[np.ndarray]
-    dual: list[np.ndarray]
-    smooth: list[np.ndarray] = field(default_factory=list)
+    friction: Arrays
+    bound: Arrays
+    difference: Arrays
+    dual: Arrays
+    smooth: Arrays | None = None
+    viscosity: Arrays | None = None
     inertia: Inertia | None = None
     load: np.ndarray | float = 0.0
 
-    def __post_init__(self) -> None:
-        self.smooth = self.smooth or [np.zeros(len(mu), dtype=bool) for mu in self.friction]
-
-    def copy(self) -> "Iterate":
-        """A copy that a Newton step can change: the system and the friction are shared."""
-        lists = ([array.copy() for array in arrays] for arrays in (self.bound, self.difference, self.dual, self.smooth))
-        bound, difference, dual, smooth = lists
-        return replace(self, bound=bound, difference=difference, dual=dual, smooth=smooth)
-
     @classmethod
-    def start(cls, system: ContactSystem, spins: np.ndarray, friction: list[np.ndarray], slack: float) -> "Iterate":
+    def start(cls, system: ContactSystem, spins: np.ndarray, friction: Arrays, slack: float) -> "Iterate":
         """Bounds above the slips by about `slack`, and no forces."""
-        difference = [g.differences(spins) for g in system.groups]
-        bound = [np.hypot(length(z), slack) for z in difference]
-        return cls(system, spins, friction, bound, difference, [np.zeros_like(z) for z in difference])
+        difference = system.differences(spins)
+        bound = each(np.hypot, difference.length(), slack)
+        return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference))
 
     @classmethod
     def near(
-        cls,
-        system: ContactSystem,
-        spins: np.ndarray,
-        friction: list[np.ndarray],
-        difference: list[np.ndarray],
-        product: float,
+        cls, system: ContactSystem, spins: np.ndarray, friction: Arrays, difference: Arrays, product: float
     ) -> "Iterate":
         """With these slips, bounds and forces as the path has them at this product of slip bound and margin."""
-        central = [_central(mu, z, product) for mu, z in zip(friction, difference, strict=True)]
-        return cls(system, spins, friction, [b for b, _ in central], difference, [y for _, y in central])
+        bound, dual = _central(friction, difference, product)
+        return cls(system, spins, friction, bound, difference, dual)
 
     @property
-    def cones(self) -> list[slice | np.ndarray]:
+    def cones(self) -> Grouped[slice | np.ndarray]:
         """Selection of the contacts in cones, one a group."""
-        return [np.flatnonzero(~s) if s.any() else slice(None) for s in self.smooth]
+        if self.smooth is None:
+            return Grouped([slice(None)] * len(self.friction))
+        return each(lambda smooth: np.flatnonzero(~smooth) if smooth.any() else slice(None), self.smooth)
 
-    def let_slip(self, limit: float) -> None:
+    def let_slip(self, limit: float) -> "Iterate":
         """Contacts that slip more than `limit` leave their cones, others come back into them."""
-        mean = self.complementarity
-        for mu, z, y, b, smooth in zip(self.friction, self.difference, self.dual, self.bound, self.smooth, strict=True):
-            size = length(z)
-            back = smooth & (size <= limit)
-            b[back], y[:, back] = _central(mu[back], z[:, back], mean)
-            smooth[:] = size > limit
-            y[:, smooth] = -mu[smooth] * z[:, smooth] / size[smooth]
+        slips = self.difference.length() > limit
+        bound, dual = self.bound, self.dual
+        if self.smooth is not None:
+            back, central = self.smooth & ~slips, _central(self.friction, self.difference, self.complementarity)
+            bound, dual = where(back, central[0], bound), where(back, central[1], dual)
+        return replace(self, bound=bound, dual=dual, smooth=slips).obeying()
+
+    def obeying(self) -> "Iterate":
+        """The same with the forces of the law of friction at the contacts that are in no cone."""
+        if self.smooth is None or not self.smooth.any():
+            return self
+        slip = self.difference.length()
+        dual = where(self.smooth, -self.friction * self.difference / slip, self.dual)
+        return replace(self, bound=where(self.smooth, slip, self.bound), dual=dual)
 
     @property
-    def primal(self) -> list[Point]:
+    def primal(self) -> Points:
         """The points (bound, difference) of the contacts in cones."""
-        return [(b[c], z[:, c]) for b, z, c in zip(self.bound, self.difference, self.cones, strict=True)]
+        return each(_point, self.bound, self.difference, self.cones)
 
     @property
-    def opposite(self) -> list[Point]:
+    def opposite(self) -> Points:
         """The dual points (friction, minus force) of the contacts in cones."""
-        return [(mu[c], y[:, c]) for mu, y, c in zip(self.friction, self.dual, self.cones, strict=True)]
+        return each(_point, self.friction, self.dual, self.cones)
 
     @property
     def complementarity(self) -> float:
@@ -114,46 +119,76 @@ class Iterate:
         return mean_product(self.primal, self.opposite)
 
     @property
-    def power(self) -> float:
-        """Friction times slip, summed over the contacts."""
-        return sum(float(mu @ length(z)) for mu, z in zip(self.friction, self.difference, strict=True))
+    def slip_over_margin(self) -> Arrays:
+        """Slip over the share of the friction that is left, (n,): along the path it goes to 0 or to infinity."""
+        return self.difference.length() / each(np.maximum, 1 - self.dual.length() / self.friction, TINY)
 
-    def imbalance(self, spins: np.ndarray, dual: list[np.ndarray]) -> np.ndarray:
+    @property
+    def whole_dual(self) -> Arrays:
+        """Minus the force of every contact, (d, n) a group, with its viscous part."""
+        return self._with_viscosity(self.dual, self.difference)
+
+    def _with_viscosity(self, dual: Arrays, difference: Arrays) -> Arrays:
+        return dual if self.viscosity is None else dual - self.viscosity * difference
+
+    def imbalance(self, spins: np.ndarray, dual: Arrays, difference: Arrays) -> np.ndarray:
         """Torques (unknowns,) that forces leave on the spheres, less what they are to balance there."""
-        return self.system.torques(dual) - self.to_balance(spins)
+        return self.system.torques(self._with_viscosity(dual, difference)) - self.to_balance(spins)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
         """Torques (unknowns,) of the load and of the inertia."""
         return self.load if self.inertia is None else self.load + self.inertia.torques(spins)
 
     @property
+    def unbalanced(self) -> float:
+        """Largest torque that the forces leave on a sphere beside those that they are to balance."""
+        return float(np.abs(self.imbalance(self.spins, self.dual, self.difference)).max(initial=0.0))
+
+    @property
+    def power(self) -> float:
+        """Friction times slip, summed over the contacts."""
+        return power(self.friction, self.difference)
+
+    @property
+    def cost(self) -> float:
+        """What is minimised, apart from inertia and load: the power, and half that of the viscous forces."""
+        if self.viscosity is None:
+            return self.power
+        return self.power + (self.viscosity * self.difference**2).sum() / 2
+
+    @property
     def price_of_torques(self) -> float:
-        """What the torques left on the spheres take from the lower bound, at most, relative to the power."""
-        return float(np.abs(self.system.torques(self.dual)).sum()) / self.power
+        """What the torques left on the spheres take from the lower bound, at most, relative to the cost."""
+        return float(np.abs(self.system.torques(self.whole_dual)).sum()) / self.cost
 
     @property
     def excess(self) -> float:
-        """Cost less dual cost for balanced forces, summed without cancellation, with inertia or without."""
-        return sum(
-            float((mu * length(z) + inner(z, y)).sum())
-            for mu, z, y in zip(self.friction, self.difference, self.dual, strict=True)
-        )
+        """Cost less dual cost for balanced forces, summed without cancellation, with inertia or viscosity or without.
+
+        With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity), which is never more than
+        that of the present slip, viscosity * slip^2 / 2: that is what is counted here.
+        """
+        return (self.friction * self.difference.length() + each(inner, self.difference, self.dual)).sum()
 
     @property
     def gap(self) -> float:
-        """(power - work of the driven planes) / power for balanced forces."""
-        return self.excess / self.power
+        """(cost - lower bound) / cost for balanced forces."""
+        return self.excess / self.cost
 
 
-def _central(friction: np.ndarray, difference: np.ndarray, product: float) -> tuple[np.ndarray, np.ndarray]:
+def _point(head: np.ndarray, tail: np.ndarray, cone: slice | np.ndarray) -> Point:
+    return head[cone], tail[:, cone]
+
+
+def _central(friction: Arrays, difference: Arrays, product: float) -> tuple[Arrays, Arrays]:
     """Bound (n,) and dual (d, n) along the slip whose product is as given."""
-    bound = (product / friction + np.hypot(product / friction, 2 * length(difference))) / 2
+    bound = (product / friction + each(np.hypot, product / friction, 2 * difference.length())) / 2
     return bound, -friction * difference / bound
 
 
-def mean_product(primal: list[Point], dual: list[Point]) -> float:
-    total = sum(float((p[0] * d[0] + inner(p[1], d[1])).sum()) for p, d in zip(primal, dual, strict=True))
-    return total / max(1, sum(len(p[0]) for p in primal))
+def mean_product(primal: Points, dual: Points) -> float:
+    total = sum(each(lambda p, d: float((p[0] * d[0] + inner(p[1], d[1])).sum()), primal, dual))
+    return total / max(1, sum(len(head) for head, _ in primal))
 
 
 def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
@@ -169,181 +204,189 @@ def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: floa
     return stiffness
 
 
-def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> float:
-    """Move `iterate` along the path, in place; returns the shorter of the two step lengths.
+def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
+    """The next point along the path.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
-    direction = _Direction(iterate, matrix)
-    direction.predict()
-    direction.correct()
+    directions = _Directions(iterate, matrix)
+    step = directions.predicted()
+    target = directions.target(step)
+    step = directions.corrected(step, target)
     for _ in range(CORRECTORS):
-        if not direction.recentre():
+        if min(step.along, step.dual_along) > LONG_ENOUGH:
             break
-    return direction.take()
+        further = directions.recentred(step, target)
+        if further.reach < step.reach + WORTHWHILE:
+            break
+        step = further
+    return directions.taken(directions.refined(step))
 
 
-def balance(iterate: Iterate, matrix: NewtonMatrix) -> None:
+def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     """Take away the torques that rounding has left, from contacts in cones in proportion to the square of their margin.
 
     Stiff contacts feel the rounding of the spins: over six decades of friction a Newton step leaves torques of 1e-8.
     Raises NotPositiveDefinite if the forces cannot be balanced.
     """
-    stiffness = [
-        np.eye(len(y))[:, :, None] * np.maximum(mu - length(y), TINY) ** 2
-        for mu, y in zip(iterate.friction, iterate.dual, strict=True)
-    ]
-    balanced = matrix.balanced(iterate.dual, stiffness, iterate.to_balance(iterate.spins))
-    changes = [new - y for new, y in zip(balanced, iterate.dual, strict=True)]
-    along = min(
-        longest_step((mu, y), (np.zeros_like(mu), dy))
-        for mu, y, dy in zip(iterate.friction, iterate.dual, changes, strict=True)
-    )
-    for y, dy in zip(iterate.dual, changes, strict=True):
-        y += min(1.0, STEP_SHARE * along) * dy
+    friction, dual = iterate.friction, iterate.dual
+    load = iterate.to_balance(iterate.spins)
+    if iterate.viscosity is not None:
+        load = load + iterate.system.torques(iterate.viscosity * iterate.difference)
+    stiffness = isotropic(dual, each(np.maximum, friction - dual.length(), TINY) ** 2)
+    change = matrix.balanced(dual, stiffness, load) - dual
+    along = min(each(lambda mu, y, dy: longest_step((mu, y), (np.zeros_like(mu), dy)), friction, dual, change))
+    return replace(iterate, dual=dual + min(1.0, STEP_SHARE * along) * change)
 
 
-class _Direction:
-    """Search direction, improved by right-hand sides that share one factorisation."""
+@dataclass(frozen=True)
+class _Step:
+    """A step of the spins (unknowns,) with those of differences and duals (d, n) and of the points in cones, a group.
+
+    right, pull : what it solves. along, dual_along : how far primal and dual points may go.
+    """
+
+    right: Points
+    pull: Arrays
+    spins: np.ndarray
+    difference: Arrays
+    dual: Arrays
+    primal: Points
+    opposite: Points
+    along: float
+    dual_along: float
+
+    @property
+    def reach(self) -> float:
+        return min(1.0, self.along) + min(1.0, self.dual_along)
+
+
+class _Directions:
+    """Search directions from one iterate, of right-hand sides that share one factorisation."""
 
     def __init__(self, iterate: Iterate, matrix: NewtonMatrix) -> None:
-        self.iterate, self.matrix = iterate, matrix
-        self.groups, self.cones = iterate.system.groups, iterate.cones
+        self.iterate, self.matrix, self.cones = iterate, matrix, iterate.cones
         self.primal, self.opposite = iterate.primal, iterate.opposite
-        self.scalings = [Scaling.of(p, d) for p, d in zip(self.primal, self.opposite, strict=True)]
-        self.blocks = [s.newton_blocks() for s in self.scalings]
-        self.stiffness = []
-        for mu, z, smooth, cone, (_, _, in_cone) in zip(
-            iterate.friction, iterate.difference, iterate.smooth, self.cones, self.blocks, strict=True
-        ):
-            stiffness = in_cone
-            if smooth.any():
-                stiffness = np.empty((len(z), *z.shape))
-                stiffness[:, :, cone] = in_cone
-                stiffness[:, :, smooth] = friction_stiffness(mu[smooth], z[:, smooth])
-            self.stiffness.append(stiffness)
-        matrix.factorise(self.stiffness, iterate.inertia.weight if iterate.inertia else 0.0)
-        self.mean = iterate.complementarity
-        self.target = 0.0
-        self.right: list[Point] = []
-        self.spins = np.zeros(iterate.system.unknowns)
-        self.steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        self.pull: list[np.ndarray] = []
-        self.along = self.dual_along = 0.0
+        self.scalings = each(Scaling.of, self.primal, self.opposite)
+        self.blocks = each(Scaling.newton_blocks, self.scalings)
+        self.stiffness = each(lambda block: block[2], self.blocks)
+        if iterate.smooth is not None:
+            self.stiffness = each(_outside, self.stiffness, iterate.friction, iterate.difference, iterate.smooth)
+        whole = self.stiffness
+        if iterate.viscosity is not None:
+            whole = whole + isotropic(iterate.difference, iterate.viscosity)
+        matrix.factorise(whole, iterate.inertia.weight if iterate.inertia else 0.0)
 
-    def predict(self) -> None:
+    def predicted(self) -> _Step:
         """Straight at the solution: all products zero."""
-        self._solve([(-mu, -y) for mu, y in self.opposite])
+        return self._solved(each(lambda point: (-point[0], -point[1]), self.opposite))
 
-    def correct(self) -> None:
-        """Mehrotra: aim at a product that the predictor makes credible, and mend its second-order error."""
-        primal, dual = self._after(min(1.0, self.along), min(1.0, self.dual_along))
-        remaining = max(mean_product(primal, dual), 0.0) / max(self.mean, TINY)
-        self.target = min(1.0, remaining**2) * self.mean / 4
-        right = []
-        for s, (dbound, ddifference, ddual), (mu, y), c in zip(
-            self.scalings, self.steps, self.opposite, self.cones, strict=True
-        ):
-            scaled_dual = s.apply((np.zeros_like(mu), ddual[:, c]))
-            second = jordan_product(scaled_dual, s.apply_inverse((dbound, ddifference[:, c])))
-            head, tail = s.apply_inverse(s.divide((second[0] - self.target, second[1])))
-            right.append((-mu - head, -y - tail))
-        self._solve(right)
+    def target(self, step: _Step) -> float:
+        """Mehrotra: a product that the predictor makes credible."""
+        mean = mean_product(self.primal, self.opposite)
+        after = mean_product(*self._after(step, min(1.0, step.along), min(1.0, step.dual_along)))
+        remaining = max(after, 0.0) / max(mean, TINY)
+        return min(1.0, remaining**2) * mean / 4
 
-    def recentre(self) -> bool:
-        """Gondzio: bring outlying products of a longer step closer to the target. True if that pays."""
-        if min(self.along, self.dual_along) > LONG_ENOUGH:
-            return False
-        before = self.along, self.dual_along, self.steps, self.spins, self.right, self.pull
-        primal, dual = self._after(min(1.0, 1.5 * self.along + 0.1), min(1.0, 1.5 * self.dual_along + 0.1))
-        right = []
-        for s, p, d, (head, tail) in zip(self.scalings, primal, dual, self.right, strict=True):
-            product = jordan_product(s.apply(d), s.apply_inverse(p))
-            change = clipped_towards(product, self.target / SPREAD, self.target * SPREAD)
-            more = s.apply_inverse(s.divide(change))
-            right.append((head + more[0], tail + more[1]))
-        self._solve(right)
-        if min(1.0, self.along) + min(1.0, self.dual_along) < min(1.0, before[0]) + min(1.0, before[1]) + WORTHWHILE:
-            self.along, self.dual_along, self.steps, self.spins, self.right, self.pull = before
-            return False
-        return True
+    def corrected(self, step: _Step, target: float) -> _Step:
+        """Aim at the target, and mend the second-order error of the predictor."""
 
-    def take(self) -> float:
-        """Balance the forces to round-off and go most of the way to the boundary."""
-        iterate = self.iterate
-        self._refine()
-        along, dual_along = min(1.0, STEP_SHARE * self.along), min(1.0, STEP_SHARE * self.dual_along)
-        iterate.spins = iterate.spins + along * self.spins
-        # not from the spins anew: their rounding is coarser than the last distances from the cones
-        iterate.difference = [z + along * step[1] for z, step in zip(iterate.difference, self.steps, strict=True)]
-        for mu, z, y, b, smooth, c, (dbound, _, ddual) in zip(
-            iterate.friction,
-            iterate.difference,
-            iterate.dual,
-            iterate.bound,
-            iterate.smooth,
-            self.cones,
-            self.steps,
-            strict=True,
-        ):
-            b[c] += along * dbound
-            y[:, c] += dual_along * ddual[:, c]
-            b[smooth] = length(z[:, smooth])
-            y[:, smooth] = -mu[smooth] * z[:, smooth] / b[smooth]
-        return min(along, dual_along)
+        def right(scaling: Scaling, primal: Point, opposite: Point, point: Point) -> Point:
+            head, tail = jordan_product(scaling.apply(opposite), scaling.apply_inverse(primal))
+            head, tail = scaling.apply_inverse(scaling.divide((head - target, tail)))
+            return -point[0] - head, -point[1] - tail
 
-    def _refine(self) -> None:
+        return self._solved(each(right, self.scalings, step.primal, step.opposite, self.opposite))
+
+    def recentred(self, step: _Step, target: float) -> _Step:
+        """Gondzio: bring outlying products of a longer step closer to the target."""
+
+        def right(scaling: Scaling, primal: Point, opposite: Point, before: Point) -> Point:
+            product = jordan_product(scaling.apply(opposite), scaling.apply_inverse(primal))
+            change = clipped_towards(product, target / SPREAD, target * SPREAD)
+            head, tail = scaling.apply_inverse(scaling.divide(change))
+            return before[0] + head, before[1] + tail
+
+        after = self._after(step, min(1.0, 1.5 * step.along + 0.1), min(1.0, 1.5 * step.dual_along + 0.1))
+        return self._solved(each(right, self.scalings, *after, step.right))
+
+    def refined(self, step: _Step) -> _Step:
         """Solve for the torques that rounding left, as long as that helps."""
-        last = np.inf
+        at, last = self.iterate, np.inf
         for trial in range(REFINEMENTS):
-            duals = [y + step[2] for y, step in zip(self.iterate.dual, self.steps, strict=True)]
-            imbalance = self.iterate.imbalance(self.iterate.spins + self.spins, duals)
+            imbalance = at.imbalance(at.spins + step.spins, at.dual + step.dual, at.difference + step.difference)
             size = float(np.abs(imbalance).max(initial=0.0))
             if trial > 0 and not BALANCED < size < last / 2:
                 break
             last = size
-            self.spins = self.spins + self.matrix.solve(imbalance)
-            self._expand()
+            step = self._expanded(step.right, step.pull, step.spins + self.matrix.solve(imbalance))
+        return step
 
-    def _solve(self, right: list[Point]) -> None:
-        """Steps for W^-2 d(primal) + d(dual) = right that leave the forces balanced; `right` (n,), (d, n) a group."""
-        self.right = right
-        self.pull = [y.copy() for y in self.iterate.dual]
-        for pull, (head, tail), (diagonal, off, _), c in zip(self.pull, right, self.blocks, self.cones, strict=True):
-            pull[:, c] += tail - off * (head / diagonal)
-        self.spins = self.matrix.solve(self.iterate.imbalance(self.iterate.spins, self.pull))
-        self._expand()
-
-    def _expand(self) -> None:
-        """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
+    def taken(self, step: _Step) -> Iterate:
+        """The iterate most of the way to the boundary."""
         iterate = self.iterate
-        self.steps, self.along, self.dual_along = [], np.inf, np.inf
-        for number, (group, (head, _), (diagonal, off, _), c) in enumerate(
-            zip(self.groups, self.right, self.blocks, self.cones, strict=True)
-        ):
-            difference = group.change(self.spins)
-            bound = (head - inner(off, difference[:, c])) / diagonal
-            new = self.pull[number] - np.einsum("ijn,jn->in", self.stiffness[number], difference)
-            dual = new - iterate.dual[number]
-            self.steps.append((bound, difference, dual))
-            self.along = min(self.along, longest_step(self.primal[number], (bound, difference[:, c])))
-            mu = self.opposite[number][0]
-            self.dual_along = min(self.dual_along, longest_step(self.opposite[number], (np.zeros_like(mu), dual[:, c])))
-            smooth = iterate.smooth[number]
-            if smooth.any():  # the law of friction is far from linear once a slip changes by as much as itself
-                share = length(iterate.difference[number][:, smooth]) / np.maximum(length(difference[:, smooth]), TINY)
-                self.along = min(self.along, 0.5 * float(share.min()))
-        if iterate.inertia is not None:  # spins and forces that balance each other go on together
-            self.along = self.dual_along = min(self.along, self.dual_along)
+        along, dual_along = min(1.0, STEP_SHARE * step.along), min(1.0, STEP_SHARE * step.dual_along)
+        primal, opposite = self._after(step, along, dual_along)
+        return replace(
+            iterate,
+            spins=iterate.spins + along * step.spins,
+            # not from the spins anew: their rounding is coarser than the last distances from the cones
+            difference=iterate.difference + along * step.difference,
+            bound=iterate.bound.placed(self.cones, each(lambda point: point[0], primal)),
+            dual=iterate.dual.placed(self.cones, each(lambda point: point[1], opposite)),
+        ).obeying()
 
-    def _after(self, along: float, dual_along: float) -> tuple[list[Point], list[Point]]:
+    def _solved(self, right: Points) -> _Step:
+        """Steps for W^-2 d(primal) + d(dual) = right that leave the forces balanced; `right` (n,), (d, n) a group."""
+
+        def pull(dual: np.ndarray, right: Point, blocks: Blocks, cone: slice | np.ndarray) -> np.ndarray:
+            (head, tail), (diagonal, off, _) = right, blocks
+            changed = dual.copy()
+            changed[:, cone] += tail - off * (head / diagonal)
+            return changed
+
+        at, pulls = self.iterate, each(pull, self.iterate.dual, right, self.blocks, self.cones)
+        return self._expanded(right, pulls, self.matrix.solve(at.imbalance(at.spins, pulls, at.difference)))
+
+    def _expanded(self, right: Points, pull: Arrays, spins: np.ndarray) -> _Step:
+        """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
+
+        def point(right: Point, blocks: Blocks, change: np.ndarray, cone: slice | np.ndarray) -> Point:
+            (head, _), (diagonal, off, _) = right, blocks
+            tail = change[:, cone]
+            return (head - inner(off, tail)) / diagonal, tail
+
+        iterate, difference = self.iterate, self.iterate.system.change(spins)
+        dual = pull - resisted(self.stiffness, difference) - iterate.dual
+        primal = each(point, right, self.blocks, difference, self.cones)
+        opposite = each(
+            lambda at, change, cone: (np.zeros_like(at[0]), change[:, cone]), self.opposite, dual, self.cones
+        )
+        along = min(np.inf, *each(longest_step, self.primal, primal))
+        dual_along = min(np.inf, *each(longest_step, self.opposite, opposite))
+        if (
+            iterate.smooth is not None
+        ):  # the law of friction is far from linear once a slip changes by as much as itself
+            share = iterate.difference.length() / each(np.maximum, difference.length(), TINY)
+            along = min(along, *each(lambda s: 0.5 * float(s.min(initial=np.inf)), share[iterate.smooth]))
+        if iterate.inertia is not None or iterate.viscosity is not None:
+            along = dual_along = min(along, dual_along)  # spins and forces that balance each other go on together
+        return _Step(right, pull, spins, difference, dual, primal, opposite, along, dual_along)
+
+    def _after(self, step: _Step, along: float, dual_along: float) -> tuple[Points, Points]:
         """Primal and dual points after steps of these lengths."""
-        primal = [
-            (b + along * dbound, z + along * ddifference[:, c])
-            for (b, z), (dbound, ddifference, _), c in zip(self.primal, self.steps, self.cones, strict=True)
-        ]
-        dual = [
-            (mu, y + dual_along * ddual[:, c])
-            for (mu, y), (_, _, ddual), c in zip(self.opposite, self.steps, self.cones, strict=True)
-        ]
-        return primal, dual
+
+        def moved(point: Point, change: Point, share: float) -> Point:
+            return point[0] + share * change[0], point[1] + share * change[1]
+
+        return each(moved, self.primal, step.primal, along), each(moved, self.opposite, step.opposite, dual_along)
+
+
+def _outside(stiffness: np.ndarray, friction: np.ndarray, difference: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """Stiffness (d, d, n) of all contacts; stiffness : of those in cones only."""
+    if not smooth.any():
+        return stiffness
+    whole = np.empty((len(difference), *difference.shape))
+    whole[:, :, ~smooth] = stiffness
+    whole[:, :, smooth] = friction_stiffness(friction[smooth], difference[:, smooth])
+    return whole

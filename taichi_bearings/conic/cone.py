@@ -28,11 +28,6 @@ def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.einsum("dn,dn->n", tail, other)
 
 
-def slip_over_margin(friction: np.ndarray, difference: np.ndarray, dual: np.ndarray) -> np.ndarray:
-    """Slip over the share of the friction that is left, (n,): along the central path it goes to 0 or to infinity."""
-    return length(difference) / np.maximum(1 - length(dual) / friction, np.finfo(float).tiny)
-
-
 def longest_step(point: Point, step: Point) -> float:
     """Largest a for which point + a * step stays in the cone; infinity if it never leaves."""
     (head, tail), (dhead, dtail) = point, step

@@ -5,13 +5,15 @@ coefficient times the normal force, so that every number is of order one whateve
 lattice axis form a group: the vectors (d, n) across its n contacts have d components (PHYSICS 3).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
+from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import lower, tangential, upper
 
@@ -51,9 +53,23 @@ class ContactGroup:
         """Change of the differences (d, n) that a change of the spins (unknowns,) makes."""
         return (self.operator @ step).reshape(self.offset.shape)
 
-    def differences(self, spins: np.ndarray) -> np.ndarray:
-        """Difference of the spins across each contact, (d, n)."""
-        return self.change(spins) + self.offset
+    def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
+        """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
+
+        offset : (d, n), new. Components with both ends in one unknown never slip.
+        """
+        below, above = (np.append(number, -1)[end[:, keep]] for end in (self.below, self.above))
+        same = below == above
+        below, above = (np.where(same, -1, end) for end in (below, above))
+        return ContactGroup(self.axis, self.acting[keep], below, above, offset, unknowns)
+
+    def among(self, fields: Sequence[np.ndarray], replica: int) -> tuple[np.ndarray, tuple]:
+        """Values (..., *contacts) of a sample on the contacts of the axis, and where among them those of the group are.
+
+        fields : one array (..., R, *contacts) a lattice axis.
+        """
+        values = np.moveaxis(fields[self.axis], -1 - len(fields), 0)[replica]
+        return values, (..., *np.unravel_index(self.acting, values.shape[-len(fields) :]))
 
 
 @dataclass(frozen=True)
@@ -63,12 +79,44 @@ class ContactSystem:
     unknowns: int
     groups: tuple[ContactGroup, ...]
 
-    def torques(self, forces: list[np.ndarray]) -> np.ndarray:
-        """Transpose of the differences: (unknowns,) from one array (d, n) a group."""
+    @property
+    def offset(self) -> Arrays:
+        """What the imposed spins add to the differences, (d, n) a group."""
+        return Grouped(group.offset for group in self.groups)
+
+    def change(self, step: np.ndarray) -> Arrays:
+        """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes."""
+        return Grouped(group.change(step) for group in self.groups)
+
+    def differences(self, spins: np.ndarray) -> Arrays:
+        """Difference of the spins across each contact, (d, n) a group."""
+        return self.change(spins) + self.offset
+
+    def torques(self, forces: Arrays) -> np.ndarray:
+        """Transpose of the differences: (unknowns,) from (d, n) a group."""
         total = np.zeros(self.unknowns)
         for group, force in zip(self.groups, forces, strict=True):
             total += group.transposed @ force.ravel()
         return total
+
+    def gather(self, fields: Sequence[np.ndarray], replica: int) -> Arrays:
+        """Values (..., n) a group of one sample; fields : one array (..., R, *contacts) a lattice axis."""
+        return Grouped(values[places] for values, places in (g.among(fields, replica) for g in self.groups))
+
+    def scatter(self, values: Arrays, fields: Sequence[np.ndarray], replica: int) -> None:
+        """Inverse of :meth:`gather`: write the values into the fields."""
+        for group, new in zip(self.groups, values, strict=True):
+            into, places = group.among(fields, replica)
+            into[places] = new
+
+    def pieces(self, chosen: Arrays) -> tuple[int, np.ndarray]:
+        """Number of the pieces that the chosen contacts, (n,) masks a group, join the spins to, and that of each."""
+        below, above = (
+            np.concatenate([values.ravel() for values in Grouped(ends)[chosen]])
+            for ends in ([g.below for g in self.groups], [g.above for g in self.groups])
+        )
+        both = (below >= 0) & (above >= 0)
+        return joined(below[both], above[both], self.unknowns)
 
     def _blocks(self) -> Iterator[tuple[ContactGroup, int, int, int]]:
         """(group, i, j, start) for each entry i <= j of the d x d stiffness of a group, stacked in this order."""
@@ -108,16 +156,27 @@ class ContactSystem:
         return sparse.csr_matrix((signs, (places, sources)), shape=(entries, columns))
 
 
-def placed(values: np.ndarray, places: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """A copy of `values` (..., n) with `new` ones in some places."""
-    changed = values.copy()
-    changed[..., places] = new
-    return changed
+def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.ndarray]:
+    """Number of the pieces of a graph with these edges, and the piece (nodes,) of each node."""
+    graph = sparse.coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
+    count, piece = connected_components(graph, directed=False)
+    return count, piece
 
 
-def stacked(stiffness: list[np.ndarray]) -> np.ndarray:
-    """Upper triangles of the stiffnesses, one array (d, d, n) a group, in the order that `laplacian_map` expects."""
+def stacked(stiffness: Arrays) -> np.ndarray:
+    """Upper triangles of the stiffnesses, (d, d, n) a group, in the order that `laplacian_map` expects."""
     return np.concatenate([k[i, j] for k in stiffness for i in range(len(k)) for j in range(i, len(k))])
+
+
+def free_spins(staggered: np.ndarray) -> np.ndarray:
+    """Spins (R, unknowns) of the free spheres; staggered : (C, R, *N)."""
+    return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
+
+
+def place_free_spins(staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+    """Inverse of :func:`free_spins`: write the spins (unknowns,) of one sample."""
+    free = staggered[:, replica, ..., 1:-1]
+    free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
 def free_shape(lattice: Lattice) -> tuple[int, ...]:

@@ -8,9 +8,9 @@ be brought down by another ten decades, until nobody is in doubt, as slipping on
 import numpy as np
 
 from taichi_bearings.conic.central_path import Iterate, newton_step
-from taichi_bearings.conic.cone import length, slip_over_margin
-from taichi_bearings.conic.contact_system import ContactGroup
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part
 
@@ -28,16 +28,11 @@ EPS = np.finfo(np.float64).eps
 class ContractedPath:
     """A point of the path over the contacts that are left.
 
-    kept : per group, these contacts among those of the whole system. slipping : (n,) masks over them, once decided.
+    kept : these contacts among those of the whole system, (n,) places a group.
     """
 
     def __init__(
-        self,
-        whole: Iterate,
-        parts: list[Part],
-        tied: list[np.ndarray],
-        untied: list[np.ndarray] | None = None,
-        unit: float = 1.0,
+        self, whole: Iterate, parts: list[Part], tied: Arrays, untied: Arrays | None = None, unit: float = 1.0
     ) -> None:
         """Begin at the point `whole`, which is not changed; `parts` : elimination tree over its unknowns.
 
@@ -45,33 +40,28 @@ class ContractedPath:
         unit : of slip, in which those of the contacts in doubt are of order one.
         """
         self.point, self.parts, self.unit = whole, parts, unit
-        self.untied = untied or [np.zeros_like(mask) for mask in tied]
-        self.kept = [np.arange(len(mu)) for mu in whole.friction]
-        self.slipping: list[np.ndarray] = []
+        self.untied = each(np.zeros_like, tied) if untied is None else untied
+        self.kept = each(lambda mask: np.arange(len(mask)), tied)
         self._chain: list[Contraction] = []
         self._tie(tied)
 
-    def _tie(self, tied: list[np.ndarray]) -> None:
+    def _tie(self, tied: Arrays) -> None:
         """Go on without the contacts `tied`, (n,) masks over those that are left."""
         point, contraction = self.point, Contraction(self.point.system, self.parts, tied)
         self._chain.append(contraction)
-        spins = contraction.contracted(point.spins)
-        difference, bound = [], []
-        for group, z, b, keep in zip(
-            contraction.system.groups, point.difference, point.bound, contraction.kept, strict=True
-        ):
-            difference.append(precise(group, spins, z[:, keep]))
-            bound.append(b[keep] - length(z[:, keep]) + length(difference[-1]))
+        spins, keep = contraction.contracted(point.spins), contraction.kept
+        tracked = point.difference[keep]
+        difference = precise(contraction.system, spins, tracked)
         self.point = Iterate(
             contraction.system,
             spins,
-            [mu[keep] for mu, keep in zip(point.friction, contraction.kept, strict=True)],
-            bound,
+            point.friction[keep],
+            point.bound[keep] - tracked.length() + difference.length(),
             difference,
-            [y[:, keep] for y, keep in zip(point.dual, contraction.kept, strict=True)],
-            [smooth[keep] for smooth, keep in zip(point.smooth, contraction.kept, strict=True)],
+            point.dual[keep],
+            None if point.smooth is None else point.smooth[keep],
         )
-        self.kept = [kept[keep] for kept, keep in zip(self.kept, contraction.kept, strict=True)]
+        self.kept = self.kept[keep]
         self.parts = contraction.parts
         self._matrix = NewtonMatrix(contraction.system, contraction.parts)
 
@@ -83,40 +73,33 @@ class ContractedPath:
             spins = contraction.expanded(spins)
         return spins
 
-    def decide(self) -> bool:
-        """Follow the path until slip and margin differ by DECIDED everywhere, or to its end; False if that fails."""
+    def decide(self) -> Arrays | None:
+        """Follow the path until slip and margin differ by DECIDED everywhere, or to its end: masks (n,) a group, the
+        contacts left that slip; None if that fails."""
         for _ in range(STEPS):
-            ratios = self._ratios()
+            ratios = self.point.slip_over_margin / self.unit
             if self._decided(ratios):
-                self.slipping = [r > 1 for r in ratios]
-                return True
-            held = [np.where(u[kept], 1.0, r) for r, u, kept in zip(ratios, self.untied, self.kept, strict=True)]
-            if min(float(r.min(initial=1.0)) for r in held) < STIFF**2:
-                self._tie([r < STIFF for r in held])
+                return ratios > 1
+            held = where(self.untied[self.kept], 1.0, ratios)
+            if (held < STIFF**2).any():
+                self._tie(held < STIFF)
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
             product = self.point.complementarity
-            self.point.let_slip(min(max(product / (1000 * EPS), 100 * np.sqrt(product)), FAST * self.unit))
-            newton_step(self.point, self._matrix)
-        return False
+            point = self.point.let_slip(min(max(product / (1000 * EPS), 100 * np.sqrt(product)), FAST * self.unit))
+            self.point = newton_step(point, self._matrix)
+        return None
 
-    def _ratios(self) -> list[np.ndarray]:
-        """Slip, in its unit, over margin of the contacts that are left."""
-        point = self.point
-        return [
-            slip_over_margin(mu, z, y) / self.unit
-            for mu, z, y in zip(point.friction, point.difference, point.dual, strict=True)
-        ]
-
-    def _decided(self, ratios: list[np.ndarray]) -> bool:
-        point = self.point
-        if not np.abs(point.imbalance(point.spins, point.dual)).max(initial=0.0) < BALANCED:
+    def _decided(self, ratios: Arrays) -> bool:
+        """ratios : slip, in its unit, over margin of the contacts that are left."""
+        if not self.point.unbalanced < BALANCED:
             return False
-        if point.complementarity < max(FARTHEST * self.unit, LEAST):
+        if self.point.complementarity < max(FARTHEST * self.unit, LEAST):
             return True
-        return all(((r > DECIDED) | (r < 1 / DECIDED)).all() for r in ratios)
+        return ((ratios > DECIDED) | (ratios < 1 / DECIDED)).all()
 
 
-def precise(group: ContactGroup, spins: np.ndarray, tracked: np.ndarray) -> np.ndarray:
-    """Differences (d, n): the tracked ones where those of the spins are the same but for rounding."""
-    new, free = group.differences(spins), (group.below >= 0) | (group.above >= 0)
-    return np.where(free & (np.abs(new - tracked) < ROUNDING), tracked, new)
+def precise(system: ContactSystem, spins: np.ndarray, tracked: Arrays) -> Arrays:
+    """Differences (d, n) a group: the tracked ones where those of the spins are the same but for rounding."""
+    new = system.differences(spins)
+    free = Grouped((g.below >= 0) | (g.above >= 0) for g in system.groups)
+    return where(free & (np.abs(new - tracked) < ROUNDING), tracked, new)

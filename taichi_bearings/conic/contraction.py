@@ -5,10 +5,9 @@ A slipless contact makes the spin components across it equal. Near the minimum t
 """
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
+from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.numerics.cholesky import Part
 
 
@@ -19,39 +18,34 @@ class Contradiction(Exception):
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
-    whole : the system before. system : contacts that are not tied, over the new unknowns; kept : per group, their
-    positions in the old system.
+    whole : the system before. system : contacts that are not tied, over the new unknowns; kept : (n,) a group, their
+    places in the old system.
     parts : elimination tree over the new unknowns.
     """
 
-    def __init__(self, whole: ContactSystem, parts: list[Part], tied: list[np.ndarray]) -> None:
+    def __init__(self, whole: ContactSystem, parts: list[Part], tied: Arrays) -> None:
         """whole : contacts before; parts : elimination tree over their unknowns; tied : (n,) mask a group.
 
         Raises Contradiction if the tied contacts cannot all rest.
         """
         self.whole = whole
         self._label(whole, tied)
-        self.kept = [np.flatnonzero(~mask) for mask in tied]
+        self.kept = each(np.flatnonzero, ~tied)
         groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]
         self.system = ContactSystem(self.unknowns, tuple(groups))
         self.parts = self._contracted_parts(parts)
 
-    def _label(self, whole: ContactSystem, tied: list[np.ndarray]) -> None:
+    def _label(self, whole: ContactSystem, tied: Arrays) -> None:
         """Number of the set that each spin belongs to, or its imposed value if the set is tied to a driven plane."""
-        first, second, imposed, value = [], [], [], []
+        imposed, value = [], []
         for group, mask in zip(whole.groups, tied, strict=True):
             below, above, offset = group.below[:, mask].ravel(), group.above[:, mask].ravel(), group.offset[:, mask]
-            both = (below >= 0) & (above >= 0)
-            first.append(below[both])
-            second.append(above[both])
             # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
             for end, other, sign in ((below, above, 1.0), (above, below, -1.0)):
                 only = (end >= 0) & (other < 0)
                 imposed.append(end[only])
                 value.append(sign * offset.ravel()[only])
-        a, b = np.concatenate(first), np.concatenate(second)
-        graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(whole.unknowns,) * 2)
-        count, label = connected_components(graph, directed=False)
+        count, label = whole.pieces(tied)
         imposed_value = np.full(count, np.nan)
         held, held_at = label[np.concatenate(imposed)], np.concatenate(value)
         imposed_value[held] = held_at
@@ -63,15 +57,11 @@ class Contraction:
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
-        """The contacts `keep` with the ends renamed; components with both ends in one set never slip."""
-        below, above, offset = group.below[:, keep], group.above[:, keep], group.offset[:, keep].copy()
-        ends = []
-        for end, sign in ((below, -1.0), (above, 1.0)):
-            offset += sign * np.append(self.imposed, 0.0)[end]  # end is -1 where a spin was imposed before
-            ends.append(np.append(self.number, -1)[end])
-        same = ends[0] == ends[1]
-        below, above = (np.where(same, -1, end) for end in ends)
-        return ContactGroup(group.axis, group.acting[keep], below, above, offset, self.unknowns)
+        """The contacts `keep` over the sets of tied spins."""
+        offset, imposed = group.offset[:, keep].copy(), np.append(self.imposed, 0.0)
+        for end, sign in ((group.below, -1.0), (group.above, 1.0)):
+            offset += sign * imposed[end[:, keep]]  # the end is -1 where a spin was imposed before
+        return group.renamed(keep, self.number, self.unknowns, offset)
 
     def _contracted_parts(self, parts: list[Part]) -> list[Part]:
         """A set goes to the part nearest the root that holds one of its spins; being connected, it has just one."""

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.grouped import Arrays, each
+from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
 
-Groups = list[np.ndarray]
 MOST_ITERATIONS = 60  # of Newton's method
 SETTLED, BALANCED = 1e-10, 1e-15  # torque left, relative to friction and inertia: Newton ends; linear corrections end
 CORRECTIONS = 3  # linear ones with the last factorisation, at most
@@ -37,8 +37,8 @@ class StageEnd:
     """spins : (unknowns,). force : (d, n) a group. slips : (n,) a group."""
 
     spins: np.ndarray
-    force: Groups
-    slips: Groups
+    force: Arrays
+    slips: Arrays
 
 
 @dataclass(frozen=True)
@@ -49,30 +49,29 @@ class Friction:
     inertia : moment of inertia / time of the stage. number : of the sample; with the inertia it tells the resistance.
     """
 
-    limit: Groups
-    resistance: Groups
+    limit: Arrays
+    resistance: Arrays
     inertia: float
     number: int
 
-    def limited(self, trial: Groups) -> Groups:
+    def limited(self, trial: Arrays) -> Arrays:
         """Forces (d, n) a group that friction allows."""
-        return [
-            f * np.minimum(1.0, m / np.maximum(vector_length(f), TINY)) for f, m in zip(trial, self.limit, strict=True)
-        ]
+        return each(lambda f, m: f * np.minimum(1.0, m / np.maximum(vector_length(f), TINY)), trial, self.limit)
 
-    def slips(self, trial: Groups) -> Groups:
-        return [vector_length(f) > m for f, m in zip(trial, self.limit, strict=True)]
+    def slips(self, trial: Arrays) -> Arrays:
+        return each(vector_length, trial) > self.limit
 
-    def stiffness(self, trial: Groups) -> Groups:
+    def stiffness(self, trial: Arrays) -> Arrays:
         """Derivative of the limited force by the slip, (d, d, n) a group."""
-        found = []
-        for f, m, c in zip(trial, self.limit, self.resistance, strict=True):
-            size = np.maximum(vector_length(f), TINY)
-            slips, along = size > m, f / size
-            across = np.where(slips, m / size, 1.0)
+
+        def derivative(force: np.ndarray, limit: np.ndarray, resistance: np.ndarray) -> np.ndarray:
+            size = np.maximum(vector_length(force), TINY)
+            slips, along = size > limit, force / size
+            across = np.where(slips, limit / size, 1.0)
             lost = np.where(slips, across, 0.0) * along[:, None] * along[None, :]
-            found.append(c * (across * np.eye(len(f))[:, :, None] - lost))
-        return found
+            return resistance * (across * np.eye(len(force))[:, :, None] - lost)
+
+        return each(derivative, trial, self.limit, self.resistance)
 
 
 class FrictionStage:
@@ -96,7 +95,7 @@ class FrictionStage:
         self.factorisations = 0
         self._held: tuple[float, int] | None = None  # inertia and number of what is factorised if nothing slips in it
 
-    def solve(self, friction: Friction, base: np.ndarray, start: Groups, guess: np.ndarray) -> StageEnd | None:
+    def solve(self, friction: Friction, base: np.ndarray, start: Arrays, guess: np.ndarray) -> StageEnd | None:
         """Spins and forces at the end of the stage; None if Newton's method gets nowhere.
 
         base, guess : (unknowns,). start : (d, n) a group, force.
@@ -105,44 +104,41 @@ class FrictionStage:
         spins = guess + self._conserving(np.zeros_like(guess), base - guess)
         trial = self._trial(start, resistance, spins)
         scale = inertia * self.spin_scale + self.radius * self.force_scale
-        stiffest = max(float(c.max(initial=0.0)) for c in resistance)
+        stiffest = resistance.max()
         noise = 8 * EPSILON * stiffest * self.radius**2 * self.spin_scale  # of torques, from rounding the spins
-        stiffness: Groups = []
+        stiffness: Arrays | None = None
         for _ in range(MOST_ITERATIONS):
             force = friction.limited(trial)
             torque = self._torque(force, inertia, spins - base)
-            if stiffness and np.abs(torque).max(initial=0.0) <= SETTLED * scale + noise:
+            if stiffness is not None and np.abs(torque).max(initial=0.0) <= SETTLED * scale + noise:
                 return self._corrected(friction, base, spins, trial, force, stiffness, scale)
             stiffness = friction.stiffness(trial)
             if not self._prepare(friction, trial, stiffness):
                 return None
             step = self._conserving(self._solved(-torque), base - spins)
-            change = [c * self.radius * g.change(step) for c, g in zip(resistance, self.system.groups, strict=True)]
+            change = resistance * self.radius * self.system.change(step)
             length = self._step_length(friction, trial, change, spins - base, step, float(torque @ step))
             spins = spins + length * step
             trial = self._trial(start, resistance, spins)
         return None
 
-    def _trial(self, start: Groups, resistance: Groups, spins: np.ndarray) -> Groups:
-        return [
-            f + c * self.radius * g.differences(spins)
-            for f, c, g in zip(start, resistance, self.system.groups, strict=True)
-        ]
+    def _trial(self, start: Arrays, resistance: Arrays, spins: np.ndarray) -> Arrays:
+        return start + resistance * self.radius * self.system.differences(spins)
 
-    def _torque(self, force: Groups, inertia: float, gained: np.ndarray) -> np.ndarray:
+    def _torque(self, force: Arrays, inertia: float, gained: np.ndarray) -> np.ndarray:
         """What is to become zero, (unknowns,)."""
         return inertia * gained + self.radius * self.system.torques(force)
 
-    def _prepare(self, friction: Friction, trial: Groups, stiffness: Groups) -> bool:
+    def _prepare(self, friction: Friction, trial: Arrays, stiffness: Arrays) -> bool:
         """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
 
         Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
         slips and nothing else changes.
         """
-        linear = not any(slips.any() for slips in friction.slips(trial))
-        coupling = COUPLED * self.radius**2 * max(float(c.max(initial=0.0)) for c in friction.resistance)
+        linear = not friction.slips(trial).any()
+        coupling = COUPLED * self.radius**2 * friction.resistance.max()
         self._iterates = not linear and coupling <= RULED_BY_INERTIA * friction.inertia
-        self._inertia, self._stiffness = friction.inertia, [self.radius**2 * k for k in stiffness]
+        self._inertia, self._stiffness = friction.inertia, self.radius**2 * stiffness
         if self._iterates:
             return True
         held = (friction.inertia, friction.number) if linear else None
@@ -173,20 +169,15 @@ class FrictionStage:
 
     def _resisted(self, spins: np.ndarray) -> np.ndarray:
         """Derivative of the torques times a change of the spins."""
-        forces = [
-            np.einsum("ijn,jn->in", k, g.change(spins))
-            for k, g in zip(self._stiffness, self.system.groups, strict=True)
-        ]
-        return self._inertia * spins + self.system.torques(forces)
+        return self._inertia * spins + self.system.torques(resisted(self._stiffness, self.system.change(spins)))
 
     def _step_length(
-        self, friction: Friction, trial: Groups, change: Groups, gained: np.ndarray, step: np.ndarray, first: float
+        self, friction: Friction, trial: Arrays, change: Arrays, gained: np.ndarray, step: np.ndarray, first: float
     ) -> float:
         """Length in (0, 1] at which the function is nearly flat along the step, or 1 if it still falls there."""
 
         def slope(length: float) -> float:
-            forces = friction.limited([f + length * df for f, df in zip(trial, change, strict=True)])
-            work = sum(float((f * df / c).sum()) for f, df, c in zip(forces, change, friction.resistance, strict=True))
+            work = (friction.limited(trial + length * change) * change / friction.resistance).sum()
             return friction.inertia * float((gained + length * step) @ step) + work
 
         low, high, at_low, at_high = 0.0, 1.0, first, slope(1.0)
@@ -210,9 +201,9 @@ class FrictionStage:
         friction: Friction,
         base: np.ndarray,
         spins: np.ndarray,
-        trial: Groups,
-        force: Groups,
-        stiffness: Groups,
+        trial: Arrays,
+        force: Arrays,
+        stiffness: Arrays,
         scale: float,
     ) -> StageEnd:
         """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
@@ -221,10 +212,7 @@ class FrictionStage:
             if np.abs(torque).max(initial=0.0) <= BALANCED * scale:
                 break
             step = self._conserving(self._solved(-torque), base - spins)
-            force = [
-                f + self.radius * np.einsum("ijn,jn->in", k, g.change(step))
-                for f, k, g in zip(force, stiffness, self.system.groups, strict=True)
-            ]
+            force = force + self.radius * resisted(stiffness, self.system.change(step))
             spins = spins + step
         return StageEnd(spins, force, friction.slips(trial))
 

@@ -7,11 +7,10 @@ up to 1e-14.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.cone import inner, length
-from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contact_system import ContactSystem, joined
+from taichi_bearings.conic.grouped import Arrays, Grouped, each
 
 STILL = 1e-4  # of the fastest spin, below which one does not move
 SHORTEST, CLOSELY = 1e-20, 1.01  # least way along a motion, and factor to which the best is found
@@ -26,11 +25,11 @@ class Motion:
     """
 
     spins: np.ndarray
-    slipping: list[np.ndarray]
+    slipping: Arrays
 
 
 def largest_parts(
-    motion: Motion, system: ContactSystem, friction: list[np.ndarray], difference: list[np.ndarray], share: float
+    motion: Motion, system: ContactSystem, friction: Arrays, difference: Arrays, share: float
 ) -> tuple[Motion, float]:
     """The parts that move farthest, each brought to where the power is least on its way, and the slip of the farthest.
 
@@ -38,7 +37,7 @@ def largest_parts(
     the farthest are left out.
     """
     part, of_contact = _parts(motion.spins, system)
-    steps = [g.change(np.where(part >= 0, motion.spins, 0.0)) for g in system.groups]
+    steps = system.change(np.where(part >= 0, motion.spins, 0.0))
     longest = 1 / max(float(np.abs(motion.spins).max(initial=0.0)), TINY)
     along = _lowest(friction, difference, steps, of_contact, int(part.max(initial=-1)) + 1, longest)
     reach = np.zeros(len(along))
@@ -47,11 +46,10 @@ def largest_parts(
     reach *= np.where(along > SHORTEST, along, 0.0)
     far = np.append(reach > share * reach.max(initial=0.0), False)
     spins = np.where(far[part], np.append(along, 0.0)[part] * motion.spins, 0.0)
-    slipping = [slips & far[home] for slips, home in zip(motion.slipping, of_contact, strict=True)]
-    return Motion(spins, slipping), float(reach.max(initial=0.0))
+    return Motion(spins, motion.slipping & each(far.take, of_contact)), float(reach.max(initial=0.0))
 
 
-def _parts(spins: np.ndarray, system: ContactSystem) -> tuple[np.ndarray, list[np.ndarray]]:
+def _parts(spins: np.ndarray, system: ContactSystem) -> tuple[np.ndarray, Arrays]:
     """Number of the part of each spin, (unknowns,), and of each contact, (n,) a group; -1 for what does not move."""
     moves = np.append(np.abs(spins) > STILL * np.abs(spins).max(initial=0.0), False)
     first, second = [], []
@@ -62,21 +60,16 @@ def _parts(spins: np.ndarray, system: ContactSystem) -> tuple[np.ndarray, list[n
             both = moves[end] & moves[some]
             first.append(end[both])
             second.append(some[both])
-    a, b = np.concatenate(first), np.concatenate(second)
-    graph = sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(spins),) * 2)
-    label = connected_components(graph, directed=False)[1]
+    label = joined(np.concatenate(first), np.concatenate(second), len(spins))[1]
     part = np.full(len(spins) + 1, -1)
     part[:-1][moves[:-1]] = np.unique(label[moves[:-1]], return_inverse=True)[1]
-    return part[:-1], [np.concatenate([part[g.below], part[g.above]]).max(axis=0, initial=-1) for g in system.groups]
+    return part[:-1], Grouped(
+        part[np.concatenate([group.below, group.above])].max(axis=0, initial=-1) for group in system.groups
+    )
 
 
 def _lowest(
-    friction: list[np.ndarray],
-    difference: list[np.ndarray],
-    steps: list[np.ndarray],
-    part: list[np.ndarray],
-    parts: int,
-    longest: float,
+    friction: Arrays, difference: Arrays, steps: Arrays, part: Arrays, parts: int, longest: float
 ) -> np.ndarray:
     """How far along its steps the power of each part is least, (parts,), by bisection of the logarithm."""
     low, high = np.full(parts, SHORTEST), np.full(parts, longest)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
+from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, Part
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
@@ -23,8 +24,8 @@ class NewtonMatrix:
         self._map = system.laplacian_map(pattern.entry, len(pattern.row))
         self._diagonal = np.flatnonzero(pattern.row == pattern.column)
 
-    def factorise(self, stiffness: list[np.ndarray], inertia: float = 0.0) -> None:
-        """Factorise for symmetric positive stiffnesses, one array (d, d, n) a group, and a spring at every spin.
+    def factorise(self, stiffness: Arrays, inertia: float = 0.0) -> None:
+        """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin.
 
         Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by
         as little as helps, and iterative refinement has to mend the rest.
@@ -47,21 +48,18 @@ class NewtonMatrix:
         """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)
 
-    def balanced(
-        self, dual: list[np.ndarray], stiffness: list[np.ndarray], load: np.ndarray | float = 0.0
-    ) -> list[np.ndarray]:
+    def balanced(self, dual: Arrays, stiffness: Arrays, load: np.ndarray | float = 0.0) -> Arrays:
         """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
 
         load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
         for _ in range(REFINEMENTS):  # each from the forces of the last: what a stretch rounds falls with the stretch
-            dual = self._relaxed(dual, stiffness, self.solve(self._system.torques(dual) - load))
+            spins = self.solve(self._system.torques(dual) - load)
+            dual = dual - resisted(stiffness, self._system.change(spins))
         return dual
 
-    def _relaxed(self, dual: list[np.ndarray], stiffness: list[np.ndarray], spins: np.ndarray) -> list[np.ndarray]:
-        """The dual less the forces of springs stretched by a change of the spins."""
-        return [
-            y - np.einsum("ijn,jn->in", k, g.change(spins))
-            for y, k, g in zip(dual, stiffness, self._system.groups, strict=True)
-        ]
+
+def resisted(stiffness: Arrays, change: Arrays) -> Arrays:
+    """Forces (d, n) a group that stiffnesses (d, d, n) put up against a change (d, n) of the differences."""
+    return each(lambda k, dz: np.einsum("ijn,jn->in", k, dz), stiffness, change)

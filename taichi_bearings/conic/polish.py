@@ -9,8 +9,9 @@ in balance to some 1e-30 of the friction.
 import numpy as np
 
 from taichi_bearings.conic.central_path import friction_stiffness
-from taichi_bearings.conic.cone import length
+from taichi_bearings.conic.contact_system import ContactGroup
 from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square_root, subtract
@@ -24,13 +25,8 @@ SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without round
 
 
 def polished(
-    tied: Contraction,
-    matrix: NewtonMatrix,
-    friction: list[np.ndarray],
-    spins: np.ndarray,
-    difference: list[np.ndarray],
-    top: Pair,
-) -> tuple[Pair, list[np.ndarray], list[np.ndarray]] | None:
+    tied: Contraction, matrix: NewtonMatrix, friction: Arrays, spins: np.ndarray, difference: Arrays, top: Pair
+) -> tuple[Pair, Arrays, Arrays] | None:
     """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance.
 
     matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
@@ -38,7 +34,7 @@ def polished(
     """
     system, unknown = _PreciseSystem(tied, top), exactly(spins)
     try:
-        if min((float(length(z).min(initial=1.0)) for z in difference), default=1.0) < VISIBLE:
+        if (difference.length() < VISIBLE).any():
             unknown = _fitted(system, matrix, unknown, difference)
         balanced = _balanced(system, matrix, friction, unknown)
     except NotPositiveDefinite:
@@ -46,19 +42,19 @@ def polished(
     if balanced is None:
         return None
     slips = system.differences(balanced)
-    forces = [_along(mu, z)[0] for mu, z in zip(friction, slips, strict=True)]
-    return system.expanded(balanced), [z[0] for z in slips], [-f for f in forces]
+    return system.expanded(balanced), _high(slips), -_high(each(_along, friction, slips))
 
 
-def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.ndarray], unknown: Pair) -> Pair | None:
+def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: Arrays, unknown: Pair) -> Pair | None:
     """Newton's method until the torques do not fall any more."""
-    strongest = max((float(mu.max(initial=0.0)) for mu in friction), default=0.0)
+    strongest = friction.max()
     best, least, factorised = None, np.inf, False
     for _ in range(STEPS):
-        difference = system.differences(unknown)
-        if any((length(z[0]) == 0).any() for z in difference):
+        precise = system.differences(unknown)
+        difference = _high(precise)
+        if (difference.length() == 0).any():
             return best
-        torques = system.torques([_along(mu, z) for mu, z in zip(friction, difference, strict=True)])
+        torques = system.torques(each(_along, friction, precise))
         size = float(np.abs(torques).max(initial=0.0))
         if not size < least:
             return best
@@ -66,12 +62,9 @@ def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.
             return unknown
         best, least = unknown, size
         if not factorised:
-            matrix.factorise([friction_stiffness(mu, z[0], FAINT) for mu, z in zip(friction, difference, strict=True)])
+            matrix.factorise(each(friction_stiffness, friction, difference, FAINT))
         step = matrix.solve(-torques)
-        change = max(
-            float((length(g.change(step)) / length(z[0])).max(initial=0.0))
-            for g, z in zip(system.groups, difference, strict=True)
-        )
+        change = (system.contracted.change(step).length() / difference.length()).max()
         if not change <= LONGEST:
             return None
         factorised = change < FAITHFUL
@@ -79,15 +72,13 @@ def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: list[np.
     return best
 
 
-def _fitted(system: "_PreciseSystem", matrix: NewtonMatrix, unknown: Pair, tracked: list[np.ndarray]) -> Pair:
+def _fitted(system: "_PreciseSystem", matrix: NewtonMatrix, unknown: Pair, tracked: Arrays) -> Pair:
     """The spins corrected so that they have the tracked differences, relative to the size of these."""
-    weight = [1 / length(z) ** 2 for z in tracked]
-    matrix.factorise([np.eye(len(z))[:, :, None] * w for z, w in zip(tracked, weight, strict=True)])
+    weight = 1 / tracked.length() ** 2
+    matrix.factorise(isotropic(tracked, weight))
     for _ in range(2):
-        missing = [
-            (w * (z - now[0] - now[1]), np.zeros_like(z))
-            for w, z, now in zip(weight, tracked, system.differences(unknown), strict=True)
-        ]
+        now = system.differences(unknown)
+        missing = each(lambda w, z, pair: exactly(w * (z - pair[0] - pair[1])), weight, tracked, now)
         unknown = add(unknown, exactly(matrix.solve(system.torques(missing))))
     return unknown
 
@@ -95,48 +86,53 @@ def _fitted(system: "_PreciseSystem", matrix: NewtonMatrix, unknown: Pair, track
 class _PreciseSystem:
     """Differences and torques of a contracted system, in twice the precision.
 
-    multiple : (d, n) a group, what the imposed spins add to the differences, in units of the jump: -1, 0 or 1.
+    imposed : (d, n) a group, what the imposed spins add to the differences: -1, 0 or 1 times the jump.
     """
 
     def __init__(self, tied: Contraction, top: Pair) -> None:
-        self.groups, self.top, self._tied, self._system = tied.system.groups, top, tied, tied.system
+        self.contracted, self.top, self._tied = tied.system, top, tied
         self.slot = np.arange(len(tied.number)) % len(top[0])
-        self.multiple, self.jump = [], []
-        for before, group, kept in zip(tied.whole.groups, self.groups, tied.kept, strict=True):
-            slot = np.maximum(before.below, before.above)[:, kept] % len(top[0])
-            jump = (top[0][slot], top[1][slot])
-            self.jump.append(jump)
-            self.multiple.append(_multiples(group.offset, jump[0]))
+        self.imposed = Grouped(map(self._imposed, tied.whole.groups, tied.system.groups, tied.kept))
 
-    def differences(self, unknown: Pair) -> list[Pair]:
+    def _imposed(self, before: ContactGroup, group: ContactGroup, kept: np.ndarray) -> Pair:
+        slot = np.maximum(before.below, before.above)[:, kept] % len(self.top[0])
+        times = _multiples(group.offset, self.top[0][slot])
+        return times * self.top[0][slot], times * self.top[1][slot]
+
+    def differences(self, unknown: Pair) -> Grouped[Pair]:
         """Across each contact, (d, n) a group."""
         high, low = (np.append(part, 0.0) for part in unknown)
-        found = []
-        for group, times, jump in zip(self.groups, self.multiple, self.jump, strict=True):
-            above, below = (high[group.above], low[group.above]), (high[group.below], low[group.below])
-            found.append(add(subtract(above, below), (times * jump[0], times * jump[1])))
-        return found
 
-    def torques(self, pulls: list[Pair]) -> np.ndarray:
+        def difference(group: ContactGroup, imposed: Pair) -> Pair:
+            above, below = (high[group.above], low[group.above]), (high[group.below], low[group.below])
+            return add(subtract(above, below), imposed)
+
+        return each(difference, Grouped(self.contracted.groups), self.imposed)
+
+    def torques(self, pulls: Grouped[Pair]) -> np.ndarray:
         """Sums (unknowns,) of the pulls (d, n) a group on the spins, rounded only once they have cancelled.
 
         The leading bits of all numbers, multiples of one unit, are summed without any rounding, then those that follow.
         """
-        largest = max((float(np.abs(p[0]).max(initial=0.0)) for p in pulls), default=0.0)
-        total, rest = np.zeros(self._system.unknowns), [p[0] for p in pulls]
+        total, rest = np.zeros(self.contracted.unknowns), _high(pulls)
+        largest = np.abs(rest).max()
         for _ in range(2):
             grain = np.ldexp(1.5, int(np.frexp(largest)[1]) + SPARE)
-            leading = [(r + grain) - grain for r in rest]
-            total = total + self._system.torques(leading)
-            rest = [r - a for r, a in zip(rest, leading, strict=True)]
+            leading = (rest + grain) - grain
+            total = total + self.contracted.torques(leading)
+            rest = rest - leading
             largest *= 2.0 ** (SPARE - 52)
-        return total + self._system.torques([r + p[1] for r, p in zip(rest, pulls, strict=True)])
+        return total + self.contracted.torques(rest + each(lambda pair: pair[1], pulls))
 
     def expanded(self, unknown: Pair) -> Pair:
         """Spins of the whole system: equal within each tied set, and just those imposed where it is tied to a plane."""
         times = _multiples(self._tied.imposed, self.top[0][self.slot])
         high, low = (np.append(part, 0.0)[self._tied.number] for part in unknown)
         return high + times * self.top[0][self.slot], low + times * self.top[1][self.slot]
+
+
+def _high(pairs: Grouped[Pair]) -> Arrays:
+    return each(lambda pair: pair[0], pairs)
 
 
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:

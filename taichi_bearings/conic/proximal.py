@@ -11,13 +11,13 @@ coefficient (times the normal force, or times radius and unit of spin for dampin
 and length of the step, q = I / (h R) in units of force over spin.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import Inertia, Iterate, balance, newton_step
-from taichi_bearings.conic.cone import length
-from taichi_bearings.conic.contact_system import free_shape, lattice_system
+from taichi_bearings.conic.contact_system import free_shape, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
@@ -52,8 +52,8 @@ class _Answer:
     """A step of one sample in its own units: spins (unknowns,), difference and dual (d, n) a group."""
 
     spins: np.ndarray
-    difference: list[np.ndarray]
-    dual: list[np.ndarray]
+    difference: Arrays
+    dual: Arrays
     newton_steps: int = 0
     solved: bool = True
 
@@ -68,10 +68,9 @@ class ProximalSteps:
         self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
         self._system = lattice_system(scene.lattice, spin_axes, scene.driven_values(spin_axes)[1] / unit)
         self._matrix = NewtonMatrix(self._system, dissect(free_shape(scene.lattice), spin_axes))
-        groups = self._system.groups
-        acting = [scene.coefficient[g.axis].reshape(scene.replicas, -1)[:, g.acting] for g in groups]
-        mean = np.concatenate(acting, axis=1).mean(axis=1)
-        self._coefficient = [[c[r] / mean[r] for c in acting] for r in range(scene.replicas)]
+        acting = [self._system.gather(scene.coefficient, replica) for replica in range(scene.replicas)]
+        mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])
+        self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]
         damping = scene.lattice.radius * unit if not scene.law.holds else 1.0
         self._force_unit = scene.strength * damping * mean
         self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)
@@ -84,72 +83,62 @@ class ProximalSteps:
         slipping, creep, newton_steps, solved = np.zeros(scene.replicas, dtype=int), 0.0, 0, True
         solve = self._damped if not scene.law.holds else self._rubbed
         for replica in range(scene.replicas):
-            before = self._own_spins(staggered, replica)
-            answer = solve(self._coefficient[replica], before, self._slowness[replica] / duration)
+            coefficient, before = self._coefficient[replica], free_spins(staggered / self.unit)[replica]
+            answer = solve(coefficient, before, self._slowness[replica] / duration)
             self._put_spins(after, replica, answer.spins)
-            for group, dual in zip(self._system.groups, answer.dual, strict=True):
-                values = force[group.axis][:, replica].reshape(len(dual), -1)
-                values[:, group.acting] = -dual * self._force_unit[replica]
-            for coefficient, z, y in zip(self._coefficient[replica], answer.difference, answer.dual, strict=True):
-                slip = length(z)
-                slips = slip > (0.0 if not scene.law.holds else 1 - length(y) / coefficient)
-                slipping[replica] += int(slips.sum())
-                creep = max(creep, self.unit * float(slip[~slips].max(initial=0.0)))
+            self._system.scatter(-answer.dual * self._force_unit[replica], force, replica)
+            slip = answer.difference.length()
+            slips = slip > (0.0 if not scene.law.holds else 1 - answer.dual.length() / coefficient)
+            slipping[replica] = int(slips.sum())
+            creep = max(creep, self.unit * slip[~slips].max())
             newton_steps += answer.newton_steps
             solved &= answer.solved
         return Step(after, force, slipping, creep, newton_steps, solved)
 
-    def _own_spins(self, staggered: np.ndarray, replica: int) -> np.ndarray:
-        """Free spins (unknowns,) of a sample in units of `unit`."""
-        return np.moveaxis(staggered[:, replica, ..., 1:-1] / self.unit, 0, -1).ravel()
-
     def _put_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Inverse of `_own_spins`. No contact moves the mean about the height of a layer: nor does rounding."""
+        """Write the spins of a sample. No contact moves the mean about the height of a layer: nor does rounding."""
         lattice = self.scene.lattice
-        new = self.unit * np.moveaxis(spins.reshape(*free_shape(lattice), -1), -1, 0)
-        if lattice.dimension == 3 and lattice.height_axis in self.spin_axes:
-            slot, old = self.spin_axes.index(lattice.height_axis), staggered[:, replica, ..., 1:-1]
-            new[slot] -= (new[slot] - old[slot]).mean(axis=(0, 1))
-        staggered[:, replica, ..., 1:-1] = new
+        before = staggered[:, replica, ..., 1:-1].copy()
+        place_free_spins(staggered, replica, self.unit * spins)
+        if lattice.height_axis in self.spin_axes:
+            slot = self.spin_axes.index(lattice.height_axis)
+            new = staggered[slot, replica, ..., 1:-1]
+            new -= (new - before[slot]).mean(axis=(0, 1))
 
-    def _rubbed(self, friction: list[np.ndarray], before: np.ndarray, q: float) -> _Answer:
+    def _rubbed(self, friction: Arrays, before: np.ndarray, q: float) -> _Answer:
         """A step with friction: Newton steps from bounds well above the slips and no forces."""
-        slip = np.concatenate([length(g.differences(before)) for g in self._system.groups])
-        no_force = [np.zeros_like(g.offset) for g in self._system.groups]
-        if not slip.any():
-            return _Answer(before, no_force, no_force)
+        difference = self._system.differences(before)
+        if not difference.any():
+            return _Answer(before, difference, difference)
+        slip = np.concatenate([*difference.length()])
         slack = float(np.sqrt(np.mean(slip**2)))
-        iterate = Iterate.start(self._system, before, friction, slack)
-        iterate.inertia = Inertia(q, before)
-        best, steps, patience = iterate.copy(), 0, PATIENCE
+        iterate = replace(Iterate.start(self._system, before, friction, slack), inertia=Inertia(q, before))
+        best, steps, patience = iterate, 0, PATIENCE
         with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
             try:
                 while steps < MOST_STEPS and patience and not _excess(best) <= 1.0:
-                    newton_step(iterate, self._matrix)
+                    iterate = newton_step(iterate, self._matrix)
                     steps += 1
                     if iterate.excess < best.excess:
-                        best, patience = iterate.copy(), PATIENCE
+                        best, patience = iterate, PATIENCE
                     else:
                         patience -= 1
-                if _left_over(best) > BALANCED:
-                    balanced = best.copy()
-                    balance(balanced, self._matrix)
-                    best = balanced if _left_over(balanced) < _left_over(best) else best
+                if best.unbalanced > BALANCED:
+                    balanced = balance(best, self._matrix)
+                    best = balanced if balanced.unbalanced < best.unbalanced else best
             except NotPositiveDefinite:
                 pass
         solved = _excess(best, ENOUGH, LAST_RESORT) <= 1.0
         return _Answer(best.spins, best.difference, best.dual, steps, solved)
 
-    def _damped(self, damping: list[np.ndarray], before: np.ndarray, q: float) -> _Answer:
+    def _damped(self, damping: Arrays, before: np.ndarray, q: float) -> _Answer:
         """A step with damping: one linear system, refined as long as that helps."""
-        inertia = Inertia(q, before)
-        self._matrix.factorise(
-            [np.eye(len(g.offset))[:, :, None] * c for g, c in zip(self._system.groups, damping, strict=True)], q
-        )
-        spins, answer, last = before, _Answer(before, [], []), np.inf
+        inertia, none = Inertia(q, before), each(np.zeros_like, self._system.offset)
+        self._matrix.factorise(isotropic(none, damping), q)
+        spins, answer, last = before, _Answer(before, none, none), np.inf
         for _ in range(REFINEMENTS):
-            difference = [g.differences(spins) for g in self._system.groups]
-            dual = [-c * z for c, z in zip(damping, difference, strict=True)]
+            difference = self._system.differences(spins)
+            dual = -damping * difference
             left_over = self._system.torques(dual) - inertia.torques(spins)
             size = float(np.abs(left_over).max(initial=0.0))
             if size < last:
@@ -158,11 +147,6 @@ class ProximalSteps:
                 break
             spins, last = spins + self._matrix.solve(left_over), size
         return answer
-
-
-def _left_over(iterate: Iterate) -> float:
-    """Largest torque that the forces leave on a sphere beside the one that turns it."""
-    return float(np.abs(iterate.imbalance(iterate.spins, iterate.dual)).max(initial=0.0))
 
 
 def _excess(iterate: Iterate, sharp: float = SHARP, closest: float = CLOSEST) -> float:

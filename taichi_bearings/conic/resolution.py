@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.conic.central_path import Iterate, friction_stiffness
-from taichi_bearings.conic.cone import inner, length
-from taichi_bearings.conic.contact_system import placed
+from taichi_bearings.conic.cone import inner
 from taichi_bearings.conic.contracted_path import ContractedPath, precise
 from taichi_bearings.conic.contraction import Contraction, Contradiction
+from taichi_bearings.conic.grouped import Arrays, each, power, where
 from taichi_bearings.conic.motion import Motion, largest_parts
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
@@ -53,14 +53,19 @@ class Resolved:
     """
 
     spins: np.ndarray
-    difference: list[np.ndarray]
-    dual: list[np.ndarray]
-    slipping: list[np.ndarray]
+    difference: Arrays
+    dual: Arrays
+    slipping: Arrays
     rest: np.ndarray | None = None
     borne: bool = False
 
+    @property
+    def whole_dual(self) -> Arrays:
+        """Minus the force of every contact: that of friction alone, for nothing else is resolved."""
+        return self.dual
 
-def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], top: Pair) -> Resolved | None:
+
+def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], top: Pair) -> Resolved | None:
     """Spins, forces and contact states at the minimum; None if they cannot be had in double precision.
 
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
@@ -71,107 +76,103 @@ def resolve(iterate: Iterate, tied: list[np.ndarray], parts: list[Part], top: Pa
         try:
             path = ContractedPath(iterate, parts, tied)
             for _ in range(TRIALS):
-                found = _minimum(iterate, parts, path, top) if path.decide() else None
+                slipping = path.decide()
+                found = None if slipping is None else _minimum(iterate, parts, path, slipping, top)
                 if found is None:
                     break
                 borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
-                if isinstance(borne, list):
-                    settled = replace(found, dual=borne, borne=True)
+                if borne.dual is not None:
+                    settled = replace(found, dual=borne.dual, borne=True)
+                if borne.motion is None:
                     break
-                if borne is None:
-                    break
-                motion, unit = largest_parts(borne, iterate.system, iterate.friction, found.difference, SHARE)
+                motion, unit = largest_parts(borne.motion, iterate.system, iterate.friction, found.difference, SHARE)
                 settled = replace(found, dual=iterate.dual) if unit < NEGLIGIBLE else None
                 if unit < LOST:
                     break
                 path = _freed(iterate, parts, found, motion, unit)
         except (NotPositiveDefinite, Contradiction):
             pass
-    if settled is None or not -NEAR < _power(iterate, settled.difference) / iterate.power - 1 < SAME:
+    if settled is None or not -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME:
         return None
     return settled
 
 
-def _power(iterate: Iterate, difference: list[np.ndarray]) -> float:
-    return sum(float(mu @ length(z)) for mu, z in zip(iterate.friction, difference, strict=True))
-
-
-def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath, top: Pair) -> Resolved | None:
-    """The least power if just the contacts that slip at the end of the path do."""
-    none = [np.zeros_like(y) for y in whole.dual]
-    difference = [placed(z, kept, now) for z, kept, now in zip(none, path.kept, path.point.difference, strict=True)]
-    slipping = [placed(z[0] > 0, kept, mask) for z, kept, mask in zip(none, path.kept, path.slipping, strict=True)]
+def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath, left: Arrays, top: Pair) -> Resolved | None:
+    """The least power if just the contacts `left`, (n,) masks over those at the end of the path, slip."""
+    none = each(np.zeros_like, whole.difference)
+    difference = none.placed(path.kept, path.point.difference)
+    slipping = (none.length() > 0).placed(path.kept, left)
     for _ in range(NEWTON_TRIALS):
-        found = _newton(whole, parts, path.spins, difference, slipping, top)
-        if isinstance(found, Resolved):
-            return found
-        if not any(at_rest.any() for at_rest in found):
+        trial = _Slipping(whole, parts, slipping)
+        at_rest = trial.descend(path.spins, difference)
+        if at_rest is None:
+            return trial.resolved(top)
+        if not at_rest.any():
             return None
-        slipping = [s & ~at_rest for s, at_rest in zip(slipping, found, strict=True)]
+        slipping = slipping & ~trial.everywhere(at_rest)
     return None
 
 
-def _newton(
-    whole: Iterate,
-    parts: list[Part],
-    spins: np.ndarray,
-    tracked: list[np.ndarray],
-    slipping: list[np.ndarray],
-    top: Pair,
-) -> Resolved | list[np.ndarray]:
-    """Newton's method on the power of the slipping contacts, all others tied. The minimum, or if that fails masks (n,)
-    of contacts that come to rest: between spheres that others tie, or that the next step would turn round.
+class _Slipping:
+    """The power of some contacts, (n,) masks a group, while all others are tied: a smooth function.
 
-    tracked : (d, n) a group, differences that are more precise than those of the `spins`.
+    spins, difference, dual : in the end, of the contacts that slip.
     """
-    last = Contraction(whole.system, parts, [~s for s in slipping])
-    system, spins = last.system, last.contracted(spins)
-    friction = [mu[kept] for mu, kept in zip(whole.friction, last.kept, strict=True)]
-    difference = [precise(g, spins, z[:, kept]) for g, z, kept in zip(system.groups, tracked, last.kept, strict=True)]
 
-    def everywhere(values: list[np.ndarray]) -> list[np.ndarray]:
-        return [
-            placed(np.zeros((*new.shape[:-1], len(s)), new.dtype), kept, new)
-            for s, kept, new in zip(slipping, last.kept, values, strict=True)
-        ]
+    def __init__(self, whole: Iterate, parts: list[Part], slipping: Arrays) -> None:
+        self.tied, self.slipping = Contraction(whole.system, parts, ~slipping), slipping
+        self.friction = whole.friction[self.tied.kept]
 
-    at_rest = [length(z) == 0 for z in difference]
-    if any(still.any() for still in at_rest):
-        return everywhere(at_rest)
-    dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    matrix, first = NewtonMatrix(system, last.parts), [length(z) for z in difference]
-    for count in range(STEPS):
-        torques = system.torques(dual)
-        left = float(np.abs(torques).max(initial=0.0))
-        if left < (BALANCED if count < STEPS - 1 else ROUGHLY):
-            better = polished(last, matrix, friction, spins, difference, top)
-            if better is None:
-                return Resolved(last.expanded(spins), everywhere(difference), everywhere(dual), slipping)
-            (high, low), difference, dual = better
-            return Resolved(high, everywhere(difference), everywhere(dual), slipping, low)
-        matrix.factorise([friction_stiffness(mu, z, HARDLY) for mu, z in zip(friction, difference, strict=True)])
-        step = matrix.solve(torques)
-        steps = [g.change(step) for g in system.groups]
-        at_rest = [
-            (inner(z + dz, z) <= 0) & (length(z) < COLLAPSED * slip)
-            for z, dz, slip in zip(difference, steps, first, strict=True)
-        ]
-        if any(still.any() for still in at_rest):
-            return everywhere(at_rest)
-        change = max(float((length(dz) / length(z)).max(initial=0.0)) for dz, z in zip(steps, difference, strict=True))
-        along = min(1.0, 0.5 / max(change, TINY))
-        spins = spins + along * step
-        difference = [z + along * dz for z, dz in zip(difference, steps, strict=True)]
-        dual = [-mu * z / length(z) for mu, z in zip(friction, difference, strict=True)]
-    return everywhere([length(z) < LOST for z in difference])
+    def descend(self, spins: np.ndarray, tracked: Arrays) -> Arrays | None:
+        """Newton's method; masks (n,) of contacts that come to rest if it fails, None at the minimum. At rest are those
+        between spheres that others tie, or that the next step would turn round.
+
+        tracked : (d, n) a group, differences that are more precise than those of the `spins`.
+        """
+        system, self.spins = self.tied.system, self.tied.contracted(spins)
+        self.difference = precise(system, self.spins, tracked[self.tied.kept])
+        self.matrix, first = NewtonMatrix(system, self.tied.parts), self.difference.length()
+        if (first == 0).any():
+            return first == 0
+        for count in range(STEPS):
+            torques = system.torques(self.dual)
+            left = float(np.abs(torques).max(initial=0.0))
+            if left < (BALANCED if count < STEPS - 1 else ROUGHLY):
+                return None
+            self.matrix.factorise(each(friction_stiffness, self.friction, self.difference, HARDLY))
+            step = self.matrix.solve(torques)
+            change, slip = system.change(step), self.difference.length()
+            at_rest = (each(inner, self.difference + change, self.difference) <= 0) & (slip < COLLAPSED * first)
+            if at_rest.any():
+                return at_rest
+            along = min(1.0, 0.5 / max((change.length() / slip).max(), TINY))
+            self.spins, self.difference = self.spins + along * step, self.difference + along * change
+        return self.difference.length() < LOST
+
+    @property
+    def dual(self) -> Arrays:
+        return -self.friction * self.difference / self.difference.length()
+
+    def resolved(self, top: Pair) -> Resolved:
+        """The minimum, in twice the precision where that can be had."""
+        spins, rest, difference, dual = self.tied.expanded(self.spins), None, self.difference, self.dual
+        better = polished(self.tied, self.matrix, self.friction, self.spins, difference, top)
+        if better is not None:
+            (spins, rest), difference, dual = better
+        return Resolved(spins, self.everywhere(difference), self.everywhere(dual), self.slipping, rest)
+
+    def everywhere(self, values: Arrays) -> Arrays:
+        """Values of slipping contacts with zeros for the others."""
+
+        def among(slipping: np.ndarray, new: np.ndarray) -> np.ndarray:
+            return np.zeros((*new.shape[:-1], len(slipping)), new.dtype)
+
+        return each(among, self.slipping, values).placed(self.tied.kept, values)
 
 
 def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, unit: float) -> ContractedPath:
     """A path that begins at the end of the motion, its contacts free. unit : the largest slip among them."""
-    free = [s | m for s, m in zip(found.slipping, motion.slipping, strict=True)]
-    difference = [
-        np.where(f, z + g.change(motion.spins), 0.0)
-        for f, z, g in zip(free, found.difference, whole.system.groups, strict=True)
-    ]
+    free = found.slipping | motion.slipping
+    difference = where(free, found.difference + whole.system.change(motion.spins), 0.0)
     point = Iterate.near(whole.system, found.spins + motion.spins, whole.friction, difference, START * unit)
-    return ContractedPath(point, parts, [~f for f in free], motion.slipping, unit)
+    return ContractedPath(point, parts, ~free, motion.slipping, unit)

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem, free_shape, lattice_system
-from taichi_bearings.conic.friction_stage import Friction, FrictionStage, Groups, StageEnd
+from taichi_bearings.conic.contact_system import ContactSystem, free_shape, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.friction_stage import Friction, FrictionStage, StageEnd
+from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
@@ -45,8 +46,8 @@ class _Sample:
     """
 
     spins: np.ndarray
-    elongation: Groups
-    force: Groups
+    elongation: Arrays
+    force: Arrays
     work: float = 0.0
     injected: float = 0.0
 
@@ -70,7 +71,7 @@ class ImplicitCundallStrackMethod:
         self.bottom_spins = np.tile(scene.bottom_spin(self.spin_axes), self.system.unknowns // len(self.spin_axes))
         staggered = scene.staggered_spin(spin, self.spin_axes)
         self._set_stage(float(np.abs(staggered).max()) or 1.0)
-        free = np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
+        free = free_spins(staggered)
         self.samples = [self._sample_at(replica, spins.copy()) for replica, spins in enumerate(free)]
         self.energy_at_start = np.array([self._kinetic_energy(sample) for sample in self.samples])
         self.time, self.iteration, self.halted = 0.0, 0, False
@@ -81,22 +82,14 @@ class ImplicitCundallStrackMethod:
         self.rest_check, self.rest_check_time = 0, 0.0
         self.rest = RestWatch(np.full(scene.replicas, np.inf))
         with one_thread():  # once for all, so that the kernels are compiled before the clock starts
-            self.stage.matrix.factorise(
-                [np.eye(len(g.below))[:, :, None] * np.ones(len(g.acting)) for g in self.groups], 1.0
-            )
-
-    @property
-    def groups(self) -> tuple[ContactGroup, ...]:
-        return self.system.groups
+            self.stage.matrix.factorise(isotropic(self.system.offset), 1.0)
 
     def _set_stage(self, spin_scale: float) -> None:
         scene = self.scene
         matrix = NewtonMatrix(self.system, dissect(free_shape(scene.lattice), self.spin_axes))
-        strength = [
-            scene.strength * scene.coefficient[g.axis].reshape(scene.replicas, -1)[:, g.acting] for g in self.groups
-        ]
-        self.strength = [[values[replica] for values in strength] for replica in range(scene.replicas)]
-        strongest = max(float(values.max(initial=0.0)) for values in strength)
+        replicas = range(scene.replicas)
+        self.strength = [scene.strength * self.system.gather(scene.coefficient, replica) for replica in replicas]
+        strongest = max(strength.max() for strength in self.strength)
         if not scene.law.holds:
             strongest *= scene.lattice.radius * spin_scale
         conserved = _conserved_modes(scene, self.spin_axes)
@@ -106,17 +99,15 @@ class ImplicitCundallStrackMethod:
         """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
         strength, inertia = self.strength[replica], self.inertia / span if span > 0 else np.inf
         if not self.scene.law.holds:
-            return Friction([np.full_like(m, np.inf) for m in strength], strength, inertia, replica)
+            return Friction(each(np.full_like, strength, np.inf), strength, inertia, replica)
         resistance = self.options.stiffness * span + self.options.damping
-        return Friction(strength, [np.full_like(m, resistance) for m in strength], inertia, replica)
+        return Friction(strength, each(np.full_like, strength, resistance), inertia, replica)
 
     def _sample_at(self, replica: int, spins: np.ndarray) -> _Sample:
         """At the start: no spring is stretched."""
         friction, radius = self._friction(replica, 0.0), self.scene.lattice.radius
-        force = friction.limited(
-            [c * radius * g.differences(spins) for c, g in zip(friction.resistance, self.groups, strict=True)]
-        )
-        return _Sample(spins, [np.zeros_like(g.offset) for g in self.groups], force)
+        force = friction.limited(friction.resistance * radius * self.system.differences(spins))
+        return _Sample(spins, each(np.zeros_like, force), force)
 
     def _first_step(self) -> float:
         """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""
@@ -186,45 +177,41 @@ class ImplicitCundallStrackMethod:
             return None
         end, elongation = first
         base = sample.spins + share * (end.spins - sample.spins)
-        stretched = [old + share * (new - old) for old, new in zip(sample.elongation, elongation, strict=True)]
+        stretched = sample.elongation + share * (elongation - sample.elongation)
         second = self._stage(friction, base, self._bearable(friction, stretched), end.spins)
         if second is None:
             return None
         last, elongation = second
-        force = [(1 - GAMMA) * f + GAMMA * g for f, g in zip(end.force, last.force, strict=True)]
+        force = (1 - GAMMA) * end.force + GAMMA * last.force
         error = _mean_size((last.spins - base) - (end.spins - sample.spins))
         return self._booked(sample, _Sample(last.spins, elongation, last.force), force, span), error
 
     def _stage(
-        self, friction: Friction, base: np.ndarray, elongation: Groups, guess: np.ndarray
-    ) -> tuple[StageEnd, Groups] | None:
+        self, friction: Friction, base: np.ndarray, elongation: Arrays, guess: np.ndarray
+    ) -> tuple[StageEnd, Arrays] | None:
         """End of a stage, and the elongations there: of a spring that slips, what its force alone stretches it to."""
         if not self.scene.law.holds:
-            end = self.stage.solve(friction, base, [np.zeros_like(d) for d in elongation], guess)
+            end = self.stage.solve(friction, base, each(np.zeros_like, elongation), guess)
             return None if end is None else (end, elongation)
         stiffness, damping = self.options.stiffness, self.options.damping * self.scene.lattice.radius
-        end = self.stage.solve(friction, base, [stiffness * d for d in elongation], guess)
+        end = self.stage.solve(friction, base, stiffness * elongation, guess)
         if end is None:
             return None
-        stuck = [
-            (f - damping * g.differences(end.spins)) / stiffness for f, g in zip(end.force, self.groups, strict=True)
-        ]
+        stuck = (end.force - damping * self.system.differences(end.spins)) / stiffness
         of_force, of_past = self.options.after_slip(self.inertia / friction.inertia)
-        slid = [of_force * f + of_past * d for f, d in zip(end.force, elongation, strict=True)]
-        return end, [np.where(s, a, b) for s, a, b in zip(end.slips, slid, stuck, strict=True)]
+        return end, where(end.slips, of_force * end.force + of_past * elongation, stuck)
 
-    def _bearable(self, friction: Friction, elongation: Groups) -> Groups:
+    def _bearable(self, friction: Friction, elongation: Arrays) -> Arrays:
         """Springs pull no harder than friction holds: one that has begun to slip is not stretched any further."""
         if not self.scene.law.holds:
             return elongation
         stiffness = self.options.stiffness
-        return [f / stiffness for f in friction.limited([stiffness * d for d in elongation])]
+        return friction.limited(stiffness * elongation) / stiffness
 
-    def _booked(self, old: _Sample, new: _Sample, force: Groups, span: float) -> _Sample:
+    def _booked(self, old: _Sample, new: _Sample, force: Arrays, span: float) -> _Sample:
         """The new sample with the work that the mean force of the step has done on the mean slip."""
         reach, mean = self.scene.lattice.radius * span, (old.spins + new.spins) / 2
-        work = sum(float((f * g.differences(mean)).sum()) for f, g in zip(force, self.groups, strict=True))
-        injected = sum(float((f * w).sum()) for f, w in zip(force, self.imposed, strict=True))
+        work, injected = (force * self.system.differences(mean)).sum(), (force * self.imposed).sum()
         return replace(new, work=old.work + reach * work, injected=old.injected + reach * injected)
 
     def _kinetic_energy(self, sample: _Sample) -> float:
@@ -232,7 +219,7 @@ class ImplicitCundallStrackMethod:
         return self.inertia / 2 * float(absolute @ absolute)
 
     def _spring_energy(self, sample: _Sample) -> float:
-        return self.options.stiffness / 2 * sum(float((d * d).sum()) for d in sample.elongation)
+        return self.options.stiffness / 2 * (sample.elongation * sample.elongation).sum()
 
     def _energy(self) -> Energy:
         spring = np.array([self._spring_energy(sample) for sample in self.samples])
@@ -249,11 +236,9 @@ class ImplicitCundallStrackMethod:
         staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
         force, springs = scene.no_force(self.spin_axes), scene.no_force(self.spin_axes)
         for replica, sample in enumerate(self.samples):
-            spins = sample.spins.reshape(*free_shape(scene.lattice), -1)
-            staggered[:, replica, ..., 1:-1] = np.moveaxis(spins, -1, 0)
-            for group, pulls, elongation in zip(self.groups, sample.force, sample.elongation, strict=True):
-                force[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = pulls
-                springs[group.axis][:, replica].reshape(len(pulls), -1)[:, group.acting] = stiffness * elongation
+            place_free_spins(staggered, replica, sample.spins)
+            self.system.scatter(sample.force, force, replica)
+            self.system.scatter(stiffness * sample.elongation, springs, replica)
         scene.impose_driving(staggered, self.spin_axes)
         objective = scene.objective(staggered, self.spin_axes)
         proof = tuple(springs) if scene.law.holds else force
@@ -294,21 +279,20 @@ class ImplicitCundallStrackMethod:
             "last_power": self.rest.last_objective,
             "spin_scale": np.array(self.stage.spin_scale),
         }
-        for n, group in enumerate(self.groups):
-            state[f"elongation_{group.axis}"] = np.stack([sample.elongation[n] for sample in self.samples])
-            state[f"force_{group.axis}"] = np.stack([sample.force[n] for sample in self.samples])
+        axes = [group.axis for group in self.system.groups]
+        for name in ("elongation", "force"):
+            samples = zip(*(getattr(sample, name) for sample in self.samples), strict=True)
+            state |= {f"{name}_{axis}": np.stack(values) for axis, values in zip(axes, samples, strict=True)}
         return state
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        self.samples = [
-            _Sample(
-                np.array(state["spins"][replica]),
-                [np.array(state[f"elongation_{g.axis}"][replica]) for g in self.groups],
-                [np.array(state[f"force_{g.axis}"][replica]) for g in self.groups],
-                *map(float, state["books"][replica]),
+        self.samples = []
+        for replica, spins in enumerate(state["spins"]):
+            elongation, force = (
+                Grouped(np.array(state[f"{name}_{group.axis}"][replica]) for group in self.system.groups)
+                for name in ("elongation", "force")
             )
-            for replica in range(self.scene.replicas)
-        ]
+            self.samples.append(_Sample(np.array(spins), elongation, force, *map(float, state["books"][replica])))
         self.energy_at_start = np.array(state["energy_at_start"])
         self.time, self.time_step, self.rest_check_time = map(float, state["clock"])
         self.iteration, self.rest_check, quiet_checks, last_slipping = map(int, state["counters"])
@@ -316,15 +300,15 @@ class ImplicitCundallStrackMethod:
         self._set_stage(float(state["spin_scale"]))
 
 
-def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) -> Groups:
+def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) -> Arrays:
     """What the driven spheres, as they turn in the laboratory, add to the differences: (d, n) a group."""
     bottom = scene.bottom_spin(spin_axes)
     top = bottom + scene.driven_values(spin_axes)[1]
-    imposed = []
-    for group in system.groups:
-        slots = list(tangential(group.axis, spin_axes))
-        imposed.append(top[slots, None] * (group.above < 0) - bottom[slots, None] * (group.below < 0))
-    return imposed
+    slots = [list(tangential(group.axis, spin_axes)) for group in system.groups]
+    return Grouped(
+        top[own, None] * (group.above < 0) - bottom[own, None] * (group.below < 0)
+        for own, group in zip(slots, system.groups, strict=True)
+    )
 
 
 def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:

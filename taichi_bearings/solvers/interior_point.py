@@ -10,13 +10,14 @@ Near the end the contact states are settled: exactly, with a proof, where resolu
 and friction margin, which the central path drives apart.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import Iterate, balance, newton_step
-from taichi_bearings.conic.cone import length
-from taichi_bearings.conic.contact_system import free_shape, lattice_system
+from taichi_bearings.conic.contact_system import free_shape, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
 from taichi_bearings.fields import Fields, FieldSpec
@@ -49,39 +50,33 @@ class _Sample:
     done: bool = False
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
-    slip: tuple[list[np.ndarray], ...] = ()
-    margin: tuple[list[np.ndarray], ...] = ()
+    slip: tuple[Arrays, ...] = ()
+    margin: tuple[Arrays, ...] = ()
 
     def remember(self) -> None:
         """Note slips and margins of this step."""
-        iterate = self.iterate
-        slip = [length(z) for z in iterate.difference]
-        margin = [1 - length(y) / mu for y, mu in zip(iterate.dual, iterate.friction, strict=True)]
+        slip = self.iterate.difference.length()
+        margin = 1 - self.iterate.dual.length() / self.iterate.friction
         self.slip, self.margin = (slip, *self.slip[:1]), (margin, *self.margin[:1])
 
-    def sticking(self) -> list[np.ndarray]:
+    def sticking(self) -> Arrays:
         """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
-        return [
-            (m > APART * s) & (s < TREND * s_before) & (m > TREND * m_before)
-            for s, m, s_before, m_before in zip(self.slip[0], self.margin[0], self.slip[1], self.margin[1], strict=True)
-        ]
+        (slip, slip_before), (margin, margin_before) = self.slip, self.margin
+        return (margin > APART * slip) & (slip < TREND * slip_before) & (margin > TREND * margin_before)
 
     def creep(self) -> float:
         """Largest slip of a contact that counts as slipless, relative to the jump."""
         if self.resolved is not None:
             return 0.0
-        still = [s[state == ContactState.SLIPLESS] for s, state in zip(self.slip[0], self.states(), strict=True)]
-        return max(float(s.max(initial=0.0)) for s in still)
+        return self.slip[0][self.states() == ContactState.SLIPLESS].max()
 
-    def states(self) -> list[np.ndarray]:
+    def states(self) -> Arrays:
         """Contact states (n,) a group."""
-        if self.resolved is not None:
-            return [np.where(s, ContactState.SLIPPING, ContactState.SLIPLESS) for s in self.resolved.slipping]
         slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
-        return [
-            np.where(s > APART * m, slipping, np.where(m > APART * s, slipless, undecided))
-            for s, m in zip(self.slip[0], self.margin[0], strict=True)
-        ]
+        if self.resolved is not None:
+            return where(self.resolved.slipping, slipping, slipless)
+        slip, margin = self.slip[0], self.margin[0]
+        return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
 
 
 class InteriorPointMethod:
@@ -106,21 +101,19 @@ class InteriorPointMethod:
             self.parts = dissect(free_shape(scene.lattice), self.spin_axes)
             self.matrix = NewtonMatrix(self.system, self.parts)
             with one_thread():  # once for all, so that the kernels are compiled before the clock starts
-                self.matrix.factorise(
-                    [np.eye(len(z))[:, :, None] * np.ones_like(z[0]) for z in self.samples[0].iterate.difference]
-                )
+                self.matrix.factorise(isotropic(self.system.offset))
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
         """Free spins (R, unknowns) in units of the jump, inside the interval of the driven ones."""
         scene = self.scene
         inside = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
-        return np.moveaxis((inside / (scene.jump or 1.0))[..., 1:-1], 0, -1).reshape(scene.replicas, -1)
+        return free_spins(inside / (scene.jump or 1.0))
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
-        friction = [self.scene.coefficient[g.axis][replica].ravel()[g.acting] for g in self.system.groups]
-        unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate(friction))))))  # dividing by it rounds nothing
+        friction = self.system.gather(self.scene.coefficient, replica)
+        unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*friction]))))))  # dividing by it rounds nothing
         slack = 1.0 / (self.scene.lattice.shape[-1] - 1)
-        sample = _Sample(Iterate.start(self.system, spins, [mu / unit for mu in friction], slack), unit)
+        sample = _Sample(Iterate.start(self.system, spins, friction / unit, slack), unit)
         sample.remember()
         return sample
 
@@ -138,19 +131,14 @@ class InteriorPointMethod:
                 self.iteration += 1
 
     def _step(self, sample: _Sample) -> None:
-        before = sample.iterate.copy()
-        try:
-            with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
-                newton_step(sample.iterate, self.matrix)
-                if sample.iterate.price_of_torques > max(sample.iterate.gap, CLOSEST):
-                    balance(sample.iterate, self.matrix)
-                sample.done = not np.isfinite(sample.iterate.gap)
-        except NotPositiveDefinite:
-            sample.done = True
-        if sample.done:
-            sample.iterate = before
-        else:
-            sample.remember()
+        sample.done = True
+        with suppress(NotPositiveDefinite), np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
+            iterate = newton_step(sample.iterate, self.matrix)
+            if iterate.price_of_torques > max(iterate.gap, CLOSEST):
+                iterate = balance(iterate, self.matrix)
+            if np.isfinite(iterate.gap):
+                sample.iterate, sample.done = iterate, False
+                sample.remember()
         gap = sample.iterate.gap
         sample.done |= not gap > CLOSEST
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
@@ -161,23 +149,17 @@ class InteriorPointMethod:
 
     def progress(self) -> Progress:
         scene = self.scene
-        shape = (len(self.spin_axes), scene.replicas, *scene.lattice.shape)
-        staggered, rest = np.zeros(shape), np.zeros(shape)
+        staggered, rest = np.zeros((2, len(self.spin_axes), scene.replicas, *scene.lattice.shape))
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
             for part, spins in zip((staggered, rest), self._spins(sample), strict=True):
-                part[:, replica, ..., 1:-1] = np.moveaxis(spins.reshape(*free_shape(scene.lattice), -1), -1, 0)
-            for group, dual, difference, states in zip(
-                self.system.groups, answer.dual, answer.difference, sample.states(), strict=True
-            ):
-                slip[group.axis][replica].reshape(-1)[group.acting] = (
-                    scene.lattice.radius * scene.jump * length(difference)
-                )
-                values = force[group.axis][:, replica].reshape(len(dual), -1)
-                values[:, group.acting] = -dual * (sample.unit * scene.normal_force)
-                state[group.axis][replica].reshape(-1)[group.acting] = states
+                place_free_spins(part, replica, spins)
+            slips = scene.lattice.radius * scene.jump * answer.difference.length()
+            self.system.scatter(slips, slip, replica)
+            self.system.scatter(-answer.whole_dual * (sample.unit * scene.normal_force), force, replica)
+            self.system.scatter(sample.states(), state, replica)
         scene.impose_driving(staggered, self.spin_axes)
         creep = max((sample.creep() for sample in self.samples), default=0.0) if self.frustrated else 0.0
         return Progress(

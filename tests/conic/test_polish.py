@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic.contraction import Contraction, Contradiction
+from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, square_root, subtract
 from tests.verifier.laboratory import Laboratory, dot
 from tests.verifier.test_bounds import samples_of, solved
@@ -78,6 +79,6 @@ def test_contacts_that_join_both_planes_cannot_all_be_tied():
     from tests.conic.test_slipless_forces import BOTTOM, TOP, chain
 
     system, parts = chain((BOTTOM, 0, 0.0), (0, TOP, 1.0))
-    Contraction(system, parts, [np.array([True, False])])
+    Contraction(system, parts, Grouped([np.array([True, False])]))
     with pytest.raises(Contradiction):
-        Contraction(system, parts, [np.array([True, True])])
+        Contraction(system, parts, Grouped([np.array([True, True])]))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
+from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.motion import Motion, largest_parts
 from taichi_bearings.conic.slipless_forces import bear
 from taichi_bearings.lattice.grid import contact_differences
@@ -35,19 +36,22 @@ def pulled(friction, slip=1.0):
     return system, parts, mu, dual, slipping
 
 
+def borne(system, parts, *of_contacts):
+    return bear(system, parts, *(Grouped([values]) for values in of_contacts))
+
+
 @pytest.mark.parametrize("friction", [(0.4, 0.3, 0.5), (0.3, 0.2001, 0.5)], ids=["easily", "barely"])
 def test_two_contacts_bear_what_a_third_pulls(friction):
     system, parts, mu, dual, slipping = pulled(friction)
-    (found,) = bear(system, parts, [mu], [dual], [slipping])
-    assert system.torques([found]) == pytest.approx([0.0], abs=1e-11)
+    (found,) = borne(system, parts, mu, dual, slipping).dual
+    assert system.torques(Grouped([found])) == pytest.approx([0.0], abs=1e-11)
     assert (np.abs(found[0, :2]) < mu[:2]).all()
     assert found[0, 2] == -mu[2]
 
 
 def test_two_contacts_too_weak_for_it_slip():
     system, parts, mu, dual, slipping = pulled((0.25, 0.24, 0.5))
-    motion = bear(system, parts, [mu], [dual], [slipping])
-    assert isinstance(motion, Motion)
+    motion = borne(system, parts, mu, dual, slipping).motion
     assert motion.spins[0] > 0  # after the top, as the third contact pulls
     assert [m.tolist() for m in motion.slipping] == [[True, True, False]]
 
@@ -55,7 +59,7 @@ def test_two_contacts_too_weak_for_it_slip():
 @pytest.mark.parametrize("excess", [0.0, -1e-12, -1e-10, 1e-12], ids=str)
 def test_contacts_at_their_limit_are_no_proof(excess):
     system, parts, mu, dual, slipping = pulled((0.3, 0.2 + excess, 0.5))
-    assert not isinstance(bear(system, parts, [mu], [dual], [slipping]), list)
+    assert borne(system, parts, mu, dual, slipping).dual is None
 
 
 def test_a_free_domain_turns_as_a_whole_at_no_cost():
@@ -63,9 +67,9 @@ def test_a_free_domain_turns_as_a_whole_at_no_cost():
     system, parts = chain((BOTTOM, 0, 0.5), (0, 1, 0.0), (1, TOP, 0.5), unknowns=2)
     mu, slipping = np.array([0.4, 0.5, 0.4]), np.array([True, False, True])
     dual = np.where(slipping, -mu, 0.0)[None]
-    (found,) = bear(system, parts, [mu], [dual], [slipping])
+    (found,) = borne(system, parts, mu, dual, slipping).dual
     assert found[0] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-10)
-    motion = bear(system, parts, [np.array([0.4, 0.3, 0.4])], [dual], [slipping])
+    motion = borne(system, parts, np.array([0.4, 0.3, 0.4]), dual, slipping).motion
     assert [m.tolist() for m in motion.slipping] == [[False, True, False]]
 
 
@@ -74,22 +78,23 @@ def test_a_motion_leads_to_the_least_power_part_by_part_and_small_parts_wait():
     system, _ = chain(
         (BOTTOM, 0, 0.0), (0, TOP, 1e-3), (BOTTOM, 1, 0.0), (1, TOP, 1e-9), (BOTTOM, 2, 0.0), (2, TOP, 1.0), unknowns=3
     )
-    friction = [np.array([0.2, 0.5, 0.1, 0.5, 0.4, 0.3])]
+    friction = Grouped([np.array([0.2, 0.5, 0.1, 0.5, 0.4, 0.3])])
     slipless = np.array([True, False, True, False, False, False])
-    motion = Motion(np.array([0.3, 0.7, 0.0]), [slipless])
-    difference = [g.differences(np.zeros(3)) for g in system.groups]
+    motion = Motion(np.array([0.3, 0.7, 0.0]), Grouped([slipless]))
+    difference = system.differences(np.zeros(3))
     both, reach = largest_parts(motion, system, friction, difference, share=1e-12)
     assert both.spins == pytest.approx([1e-3, 1e-9, 0.0], rel=0.02)
     assert reach == pytest.approx(1e-3, rel=0.02)
     largest, reach = largest_parts(motion, system, friction, difference, share=1e-3)
     assert largest.spins == pytest.approx([1e-3, 0.0, 0.0], rel=0.02)
-    assert largest.slipping[0].tolist() == [True, False, False, False, False, False]
+    assert largest.slipping.parts[0].tolist() == [True, False, False, False, False, False]
 
 
 def test_a_motion_that_gains_nothing_goes_nowhere():
     system, _ = chain((BOTTOM, 0, 0.0), (0, TOP, 1e-3))
-    motion = Motion(np.array([1.0]), [np.array([True, False])])
-    moved, reach = largest_parts(motion, system, [np.array([0.5, 0.4])], [np.array([[0.0, 1e-3]])], share=1e-3)
+    motion = Motion(np.array([1.0]), Grouped([np.array([True, False])]))
+    friction, difference = Grouped([np.array([0.5, 0.4])]), Grouped([np.array([[0.0, 1e-3]])])
+    moved, reach = largest_parts(motion, system, friction, difference, share=1e-3)
     assert (moved.spins[0], reach) == (0.0, 0.0)
 
 

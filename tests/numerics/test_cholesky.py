@@ -6,6 +6,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.conic.contact_system import free_shape, lattice_system, stacked
+from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, dissect
 from tests.scenes import make_scene
@@ -33,7 +34,7 @@ def random_stiffness(system, rng):
         d, n = group.below.shape
         root = rng.standard_normal((d, d, n))
         stiffness.append(np.einsum("ikn,jkn->ijn", root, root) * 10 ** rng.uniform(-3, 3, n))
-    return stiffness
+    return Grouped(stiffness)
 
 
 def assembled(system, stiffness):
@@ -119,7 +120,7 @@ def test_an_indefinite_matrix_is_refused():
     system = system_of(scene)
     matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), scene.minimum_spin_axes))
     with pytest.raises(NotPositiveDefinite):
-        matrix.factorise([-k for k in random_stiffness(system, np.random.default_rng(0))])
+        matrix.factorise(-random_stiffness(system, np.random.default_rng(0)))
 
 
 def test_stacked_stiffnesses_reach_the_entries_they_belong_to():

@@ -6,6 +6,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize
 
 from taichi_bearings.conic.friction_stage import Friction
+from taichi_bearings.conic.grouped import each
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Status
@@ -276,15 +277,15 @@ def test_a_stage_ends_at_the_minimum_of_its_function():
     method = begun(scene, random_start(scene))
     rng = np.random.default_rng(1)
     base = method.samples[0].spins
-    start = [rng.uniform(-20, 20, g.offset.shape) for g in method.groups]
+    start = each(lambda offset: rng.uniform(-20, 20, offset.shape), method.system.offset)
     limit = method.strength[0]
-    friction = Friction(limit, [np.full_like(m, 80.0) for m in limit], 7.0, 0)
+    friction = Friction(limit, each(np.full_like, limit, 80.0), 7.0, 0)
     end = method.stage.solve(friction, base, start, base)
 
     def function(x):
         total = 3.5 * float((x - base) @ (x - base))
-        for f, m, g in zip(start, limit, method.groups, strict=True):
-            size = np.linalg.norm(f + 80.0 * scene.lattice.radius * g.differences(x), axis=0)
+        for f, m, z in zip(start, limit, method.system.differences(x), strict=True):
+            size = np.linalg.norm(f + 80.0 * scene.lattice.radius * z, axis=0)
             total += float(np.where(size > m, m * size - m**2 / 2, size**2 / 2).sum()) / 80.0
         return total
 

@@ -1,0 +1,89 @@
+"""Values on the contacts of a system, one array a group, with NumPy's arithmetic on all groups at once.
+
+Groups differ in the number of their slipping components, so one array would not do: a scalar field has the shapes (n,),
+a vector field (d, n). `friction * difference` is then the product in every group, `.sum()` the sum over all contacts.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from taichi_bearings.conic import cone
+
+T = TypeVar("T")
+
+
+class Grouped(NDArrayOperatorsMixin, Generic[T]):
+    """One value a group of contacts: an array of theirs, or whatever :func:`each` has made of one."""
+
+    def __init__(self, parts: Iterable[T]) -> None:
+        self.parts = tuple(parts)
+
+    def __iter__(self) -> Iterator[T]:
+        return iter(self.parts)
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: object, **options: object) -> "Grouped":
+        if method != "__call__" or options:
+            return NotImplemented
+        return each(ufunc, *inputs)
+
+    def __getitem__(self: "Arrays", chosen: "Grouped") -> "Arrays":
+        """The values of the chosen contacts; chosen : masks, places or a slice, one a group."""
+        return each(lambda values, some: values[..., some], self, chosen)
+
+    def placed(self: "Arrays", places: "Grouped", new: "Grouped") -> "Arrays":
+        """The same with `new` values in some places."""
+
+        def replaced(values: np.ndarray, some: np.ndarray, others: np.ndarray) -> np.ndarray:
+            changed = values.copy()
+            changed[..., some] = others
+            return changed
+
+        return each(replaced, self, places, new)
+
+    def length(self: "Arrays") -> "Arrays":
+        """Euclidean length of vectors, (n,) a group."""
+        return each(cone.length, self)
+
+    def sum(self: "Arrays") -> float:
+        return sum(float(values.sum()) for values in self)
+
+    def max(self: "Arrays") -> float:
+        """Largest of values that are not negative; 0 of none."""
+        return max(float(values.max(initial=0.0)) for values in self)
+
+    def any(self: "Arrays") -> bool:
+        return any(bool(values.any()) for values in self)
+
+    def all(self: "Arrays") -> bool:
+        return all(bool(values.all()) for values in self)
+
+
+Arrays = Grouped[np.ndarray]
+
+
+def each(function: Callable[..., T], *values: object) -> Grouped[T]:
+    """function(*values) of every group; what is not :class:`Grouped` is the same for all."""
+    groups = next(len(value) for value in values if isinstance(value, Grouped))
+    columns = (value.parts if isinstance(value, Grouped) else (value,) * groups for value in values)
+    return Grouped(function(*of_group) for of_group in zip(*columns, strict=True))
+
+
+def where(chosen: Arrays, values: Arrays | float, others: Arrays | float) -> Arrays:
+    """`values` of the chosen contacts, (n,) masks a group, and `others` of the rest."""
+    return each(np.where, chosen, values, others)
+
+
+def isotropic(like: Arrays, strength: Grouped | float = 1.0) -> Arrays:
+    """Stiffness (d, d, n) a group, `strength` in every direction, of contacts with vectors `like`."""
+    return each(lambda vector, k: np.eye(len(vector))[:, :, None] * (k * np.ones_like(vector[0])), like, strength)
+
+
+def power(friction: Arrays, difference: Arrays) -> float:
+    """Friction times slip, summed over the contacts."""
+    return sum(each(lambda mu, z: float(mu @ cone.length(z)), friction, difference))
