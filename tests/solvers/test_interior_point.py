@@ -124,7 +124,7 @@ def test_nothing_to_do_without_frustration():
 
 def test_the_viscous_law_is_refused():
     scene = make_scene((4, 4, 5), law="viscous")
-    with pytest.raises(InputError, match="the law is viscous"):
+    with pytest.raises(InputError, match="law is 'viscous'"):
         minimum_of(scene)
 
 
