@@ -1,13 +1,14 @@
 """One implicit stage of a dynamics with friction: the spins at its end, and the contact forces that they cause there.
 
-With the trial force F* = start + resistance * R D Omega of every contact, limited to |F| <= limit, the spins obey
+With the trial force F* = start + resistance * R D Omega of every contact, limited to |F| <= limit, and a viscous force
+viscosity * R D Omega beside it, if there is one, the spins obey
 
     inertia (Omega - base) + R D^T F(Omega) = 0,
 
 the minimum of the strictly convex, once differentiable function inertia |Omega - base|^2 / 2 + sum_e huber(F*_e) /
-resistance_e. Newton's method finds it: a contact that sticks resists with its resistance, one that slips only across
-its force, resistance * limit / |F*|. A line search on the slope makes every step go down. Contacts change between the
-two branches finitely often, and then convergence is quadratic.
+resistance_e and the viscous potential. Newton's method finds it: a contact that sticks resists with its resistance, one
+that slips only across its force, resistance * limit / |F*|. A line search on the slope makes every step go down.
+Contacts change between the two branches finitely often, and then convergence is quadratic.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each
+from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
@@ -34,10 +35,11 @@ EPSILON = np.finfo(np.float64).eps
 
 @dataclass(frozen=True)
 class StageEnd:
-    """spins : (unknowns,). force : (d, n) a group. slips : (n,) a group."""
+    """spins : (unknowns,). force, held : (d, n) a group, in all and without its viscous part. slips : (n,) a group."""
 
     spins: np.ndarray
     force: Arrays
+    held: Arrays
     slips: Arrays
 
 
@@ -47,12 +49,19 @@ class Friction:
 
     limit : largest force; infinite for linear contacts. resistance : force * time / length.
     inertia : moment of inertia / time of the stage. number : of the sample; with the inertia it tells the resistance.
+    viscosity : of contacts that have it beside all that, force * time / length.
     """
 
     limit: Arrays
     resistance: Arrays
     inertia: float
     number: int
+    viscosity: Arrays | None = None
+
+    @property
+    def stiffest(self) -> float:
+        """Largest derivative of a force by the slip."""
+        return self.resistance.max() + (0.0 if self.viscosity is None else self.viscosity.max())
 
     def limited(self, trial: Arrays) -> Arrays:
         """Forces (d, n) a group that friction allows."""
@@ -71,7 +80,8 @@ class Friction:
             lost = np.where(slips, across, 0.0) * along[:, None] * along[None, :]
             return resistance * (across * np.eye(len(force))[:, :, None] - lost)
 
-        return each(derivative, trial, self.limit, self.resistance)
+        found = each(derivative, trial, self.limit, self.resistance)
+        return found if self.viscosity is None else found + isotropic(trial, self.viscosity)
 
 
 class FrictionStage:
@@ -104,11 +114,12 @@ class FrictionStage:
         spins = guess + self._conserving(np.zeros_like(guess), base - guess)
         trial = self._trial(start, resistance, spins)
         scale = inertia * self.spin_scale + self.radius * self.force_scale
-        stiffest = resistance.max()
-        noise = 8 * EPSILON * stiffest * self.radius**2 * self.spin_scale  # of torques, from rounding the spins
+        noise = (
+            8 * EPSILON * friction.stiffest * self.radius**2 * self.spin_scale
+        )  # of torques, from rounding the spins
         stiffness: Arrays | None = None
         for _ in range(MOST_ITERATIONS):
-            force = friction.limited(trial)
+            force = self._with_viscosity(friction, friction.limited(trial), spins)
             torque = self._torque(force, inertia, spins - base)
             if stiffness is not None and np.abs(torque).max(initial=0.0) <= SETTLED * scale + noise:
                 return self._corrected(friction, base, spins, trial, force, stiffness, scale)
@@ -117,13 +128,18 @@ class FrictionStage:
                 return None
             step = self._conserving(self._solved(-torque), base - spins)
             change = resistance * self.radius * self.system.change(step)
-            length = self._step_length(friction, trial, change, spins - base, step, float(torque @ step))
+            length = self._step_length(friction, trial, change, spins, base, step, float(torque @ step))
             spins = spins + length * step
             trial = self._trial(start, resistance, spins)
         return None
 
     def _trial(self, start: Arrays, resistance: Arrays, spins: np.ndarray) -> Arrays:
         return start + resistance * self.radius * self.system.differences(spins)
+
+    def _with_viscosity(self, friction: Friction, force: Arrays, spins: np.ndarray) -> Arrays:
+        if friction.viscosity is None:
+            return force
+        return force + friction.viscosity * self.radius * self.system.differences(spins)
 
     def _torque(self, force: Arrays, inertia: float, gained: np.ndarray) -> np.ndarray:
         """What is to become zero, (unknowns,)."""
@@ -136,7 +152,7 @@ class FrictionStage:
         slips and nothing else changes.
         """
         linear = not friction.slips(trial).any()
-        coupling = COUPLED * self.radius**2 * friction.resistance.max()
+        coupling = COUPLED * self.radius**2 * friction.stiffest
         self._iterates = not linear and coupling <= RULED_BY_INERTIA * friction.inertia
         self._inertia, self._stiffness = friction.inertia, self.radius**2 * stiffness
         if self._iterates:
@@ -172,12 +188,21 @@ class FrictionStage:
         return self._inertia * spins + self.system.torques(resisted(self._stiffness, self.system.change(spins)))
 
     def _step_length(
-        self, friction: Friction, trial: Arrays, change: Arrays, gained: np.ndarray, step: np.ndarray, first: float
+        self,
+        friction: Friction,
+        trial: Arrays,
+        change: Arrays,
+        spins: np.ndarray,
+        base: np.ndarray,
+        step: np.ndarray,
+        first: float,
     ) -> float:
         """Length in (0, 1] at which the function is nearly flat along the step, or 1 if it still falls there."""
+        gained = spins - base
 
         def slope(length: float) -> float:
-            work = (friction.limited(trial + length * change) * change / friction.resistance).sum()
+            force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
+            work = (force * change / friction.resistance).sum()
             return friction.inertia * float((gained + length * step) @ step) + work
 
         low, high, at_low, at_high = 0.0, 1.0, first, slope(1.0)
@@ -214,7 +239,9 @@ class FrictionStage:
             step = self._conserving(self._solved(-torque), base - spins)
             force = force + self.radius * resisted(stiffness, self.system.change(step))
             spins = spins + step
-        return StageEnd(spins, force, friction.slips(trial))
+        viscosity = friction.viscosity
+        held = force if viscosity is None else force - viscosity * self.radius * self.system.differences(spins)
+        return StageEnd(spins, force, held, friction.slips(trial))
 
     def _conserving(self, step: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """The step with the mean change of every conserved mode set to the wanted one; changed in place."""

@@ -89,6 +89,7 @@ class ImplicitCundallStrackMethod:
         matrix = NewtonMatrix(self.system, dissect(free_shape(scene.lattice), self.spin_axes))
         replicas = range(scene.replicas)
         self.strength = [scene.strength * self.system.gather(scene.coefficient, replica) for replica in replicas]
+        self.viscosity = [self.system.gather(scene.viscosity, r) if scene.viscosity else None for r in replicas]
         strongest = max(strength.max() for strength in self.strength)
         if not scene.law.holds:
             strongest *= scene.lattice.radius * spin_scale
@@ -101,12 +102,16 @@ class ImplicitCundallStrackMethod:
         if not self.scene.law.holds:
             return Friction(each(np.full_like, strength, np.inf), strength, inertia, replica)
         resistance = self.options.stiffness * span + self.options.damping
-        return Friction(strength, each(np.full_like, strength, resistance), inertia, replica)
+        resisting = each(np.full_like, strength, resistance)
+        return Friction(strength, resisting, inertia, replica, self.viscosity[replica])
 
     def _sample_at(self, replica: int, spins: np.ndarray) -> _Sample:
         """At the start: no spring is stretched."""
         friction, radius = self._friction(replica, 0.0), self.scene.lattice.radius
-        force = friction.limited(friction.resistance * radius * self.system.differences(spins))
+        slip = radius * self.system.differences(spins)
+        force = friction.limited(friction.resistance * slip)
+        if friction.viscosity is not None:
+            force = force + friction.viscosity * slip
         return _Sample(spins, each(np.zeros_like, force), force)
 
     def _first_step(self) -> float:
@@ -197,9 +202,9 @@ class ImplicitCundallStrackMethod:
         end = self.stage.solve(friction, base, stiffness * elongation, guess)
         if end is None:
             return None
-        stuck = (end.force - damping * self.system.differences(end.spins)) / stiffness
+        stuck = (end.held - damping * self.system.differences(end.spins)) / stiffness
         of_force, of_past = self.options.after_slip(self.inertia / friction.inertia)
-        return end, where(end.slips, of_force * end.force + of_past * elongation, stuck)
+        return end, where(end.slips, of_force * end.held + of_past * elongation, stuck)
 
     def _bearable(self, friction: Friction, elongation: Arrays) -> Arrays:
         """Springs pull no harder than friction holds: one that has begun to slip is not stretched any further."""
@@ -238,7 +243,10 @@ class ImplicitCundallStrackMethod:
         for replica, sample in enumerate(self.samples):
             place_free_spins(staggered, replica, sample.spins)
             self.system.scatter(sample.force, force, replica)
-            self.system.scatter(stiffness * sample.elongation, springs, replica)
+            pulls, viscosity = stiffness * sample.elongation, self.viscosity[replica]
+            if viscosity is not None:
+                pulls = pulls + viscosity * scene.lattice.radius * self.system.differences(sample.spins)
+            self.system.scatter(pulls, springs, replica)
         scene.impose_driving(staggered, self.spin_axes)
         objective = scene.objective(staggered, self.spin_axes)
         proof = tuple(springs) if scene.law.holds else force

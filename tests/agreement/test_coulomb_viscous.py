@@ -119,7 +119,7 @@ def test_any_spins_and_forces_enclose_the_least_potential(seed):
         assert scene.objective(spin, axes)[0] >= least * (1 - 1e-9)
 
 
-@pytest.mark.parametrize("method", ["gradient-descent", "cundall-strack"])
+@pytest.mark.parametrize("method", ["gradient-descent", "cundall-strack", "implicit-cundall-strack"])
 @pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)], ids=str)
 def test_methods_end_at_the_least_potential(method, shape):
     for seed in range(3):
