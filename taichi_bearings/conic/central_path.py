@@ -65,11 +65,18 @@ class Iterate:
     load: np.ndarray | float = 0.0
 
     @classmethod
-    def start(cls, system: ContactSystem, spins: np.ndarray, friction: Arrays, slack: float) -> "Iterate":
-        """Bounds above the slips by about `slack`, and no forces."""
+    def start(
+        cls,
+        system: ContactSystem,
+        spins: np.ndarray,
+        friction: Arrays,
+        slack: float,
+        viscosity: Arrays | None = None,
+    ) -> "Iterate":
+        """Bounds above the slips by about `slack`, and no forces but viscous ones."""
         difference = system.differences(spins)
         bound = each(np.hypot, difference.length(), slack)
-        return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference))
+        return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference), viscosity=viscosity)
 
     @classmethod
     def near(
@@ -221,6 +228,17 @@ def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
             break
         step = further
     return directions.taken(directions.refined(step))
+
+
+def flowing(system: ContactSystem, viscosity: Arrays, matrix: NewtonMatrix, spins: np.ndarray) -> np.ndarray:
+    """Spins (unknowns,) at which viscous forces alone are in balance; a path from there leaves no torque on the way.
+
+    spins : where to begin. Raises NotPositiveDefinite if the contrast of the viscosities is too large.
+    """
+    matrix.factorise(isotropic(system.offset, viscosity))
+    for _ in range(REFINEMENTS):
+        spins = spins - matrix.solve(system.torques(viscosity * system.differences(spins)))
+    return spins
 
 
 def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:

@@ -1,4 +1,4 @@
-"""Primal-dual interior-point method for the Coulomb law: a proven minimum to round-off in about twenty Newton steps.
+"""Primal-dual interior-point method for laws with friction: a proven minimum to round-off in some twenty Newton steps.
 
 The least power is the minimum of sum_e mu_e b_e over spins and bounds b_e >= |slip_e|; its dual maximises the work of
 the driven planes over balanced contact forces with |f_e| <= mu_e F_n (PHYSICS 4). Both are followed along the central
@@ -6,8 +6,9 @@ path (central_path.py). Bounds above the slips and zero forces are strictly insi
 are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian over the free
 spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
 
-Near the end the contact states are settled: exactly, with a proof, where resolution.py can; else by the ratio of slip
-and friction margin, which the central path drives apart.
+Viscosity adds half its power to what is least, and its stiffness to that Laplacian. Near the end the contact states are
+settled: exactly, with a proof, where resolution.py can and friction acts alone; else by the ratio of slip and friction
+margin, which the central path drives apart.
 """
 
 from contextlib import suppress
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Iterate, balance, newton_step
+from taichi_bearings.conic.central_path import Iterate, balance, flowing, newton_step
 from taichi_bearings.conic.contact_system import free_shape, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -96,12 +97,12 @@ class InteriorPointMethod:
         self.system = lattice_system(scene.lattice, self.spin_axes, jump)
         self.frustrated = bool((jump != 0).any())
         self.iteration = 0
-        self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
         if self.frustrated:
             self.parts = dissect(free_shape(scene.lattice), self.spin_axes)
             self.matrix = NewtonMatrix(self.system, self.parts)
             with one_thread():  # once for all, so that the kernels are compiled before the clock starts
                 self.matrix.factorise(isotropic(self.system.offset))
+        self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
         """Free spins (R, unknowns) in units of the jump, inside the interval of the driven ones."""
@@ -110,10 +111,19 @@ class InteriorPointMethod:
         return free_spins(inside / (scene.jump or 1.0))
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
-        friction = self.system.gather(self.scene.coefficient, replica)
-        unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*friction]))))))  # dividing by it rounds nothing
-        slack = 1.0 / (self.scene.lattice.shape[-1] - 1)
-        sample = _Sample(Iterate.start(self.system, spins, friction / unit, slack), unit)
+        scene = self.scene
+        friction, viscosity = self.system.gather(scene.coefficient, replica), None
+        strength = friction
+        if scene.viscosity:
+            flow = scene.lattice.radius * scene.jump / scene.normal_force * self.system.gather(scene.viscosity, replica)
+            strength = friction + flow
+        unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*strength]))))))  # dividing by it rounds nothing
+        if scene.viscosity and self.frustrated:
+            viscosity = flow / unit
+            with suppress(NotPositiveDefinite), one_thread():
+                spins = flowing(self.system, viscosity, self.matrix, spins)
+        slack = 1.0 / (scene.lattice.shape[-1] - 1)
+        sample = _Sample(Iterate.start(self.system, spins, friction / unit, slack, viscosity), unit)
         sample.remember()
         return sample
 
@@ -141,6 +151,8 @@ class InteriorPointMethod:
                 sample.remember()
         gap = sample.iterate.gap
         sample.done |= not gap > CLOSEST
+        if not self.scene.law.is_rate_independent:
+            return  # slips of any size are met with a force: there is no set of contacts that rest to be found
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             with stage("settling contact states"):
@@ -193,6 +205,7 @@ class InteriorPointMethod:
 
     def _lower_bound(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
         """Quickly until the end of the path; the forces are balanced to round-off anyway."""
-        if self.frustrated and not all(sample.done for sample in self.samples):
+        under_way = self.frustrated and not all(sample.done for sample in self.samples)
+        if under_way and self.scene.law.is_rate_independent:
             return work_and_bound(self.scene, force, self.spin_axes)[1]
         return lower_bound(self.scene, force, self.spin_axes)

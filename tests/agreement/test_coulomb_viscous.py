@@ -131,3 +131,16 @@ def test_methods_end_at_the_least_potential(method, shape):
         assert solution.lower_bound[0] <= least * (1 + 1e-9)
         assert least * (1 - 1e-9) <= solution.objective[0] <= least * (1 + 2e-5)
         assert solution.power[0] > solution.objective[0]
+
+
+@pytest.mark.parametrize("viscosity", ["uniform:5,60", "uniform:1e-4,1e-3", "lognormal:1,5"])
+@pytest.mark.parametrize("shape", [(10, 10), (4, 4, 4), (6, 6, 6)], ids=str)
+def test_the_interior_point_method_finds_the_least_potential_to_ten_digits(shape, viscosity):
+    scene = make_scene(shape, "coulomb-viscous", (3,), viscosity=viscosity, spin_bottom=-0.4)
+    least = least_potential(scene)
+    solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "random"), StopRule(1e-11))
+    assert solution.status is Status.CERTIFIED
+    assert solution.objective[0] == pytest.approx(least, rel=1e-10)
+    assert solution.lower_bound[0] == pytest.approx(least, rel=1e-10)
+    assert solution.unbalanced_torque[0] < 1e-10 * scene.normal_force
+    assert solution.iterations < 25

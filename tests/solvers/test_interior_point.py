@@ -8,9 +8,9 @@ from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState, separate
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Status
+from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import GradientDescent, InteriorPoint
+from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -120,6 +120,42 @@ def test_nothing_to_do_without_frustration():
     solution = minimum_of(scene, start="random")
     assert solution.status is Status.CERTIFIED
     assert solution.power[0] < 1e-25
+
+
+@pytest.mark.parametrize("shape", [(10, 10), (5, 4, 6)], ids=str)
+def test_with_little_viscosity_it_ends_at_the_minimum_of_friction_alone(shape):
+    plain, scene = make_scene(shape), make_scene(shape, "coulomb-viscous", viscosity="uniform:1e-13,1e-12")
+    friction, both = minimum_of(plain), minimum_of(scene)
+    assert both.status is Status.CERTIFIED
+    assert both.objective == pytest.approx(friction.power, rel=1e-12)
+    assert both.power == pytest.approx(friction.power, rel=1e-12)
+    for one, other, slip in zip(friction.state, both.state, friction.slip, strict=True):
+        plain_to_see = (slip == 0) | (slip > 1e-4)
+        assert (one == other)[plain_to_see & (other != ContactState.UNDECIDED)].all()
+
+
+@pytest.mark.parametrize("shape", [(10, 10), (5, 4, 6)], ids=str)
+def test_with_little_friction_it_ends_at_the_minimum_of_viscosity_alone(shape):
+    scene = make_scene(shape, "coulomb-viscous", distribution="constant:1e-15")
+    damped = Scene(scene.lattice, "viscous", scene.viscosity, seeds=scene.seeds)
+    expected = solve(damped, LinearSolver().build(), initial_spin(damped, "linear"), StopRule(1e-9))
+    both = minimum_of(scene)
+    assert both.status is Status.CERTIFIED
+    assert 2 * both.objective == pytest.approx(expected.power, rel=1e-10)  # the potential of damping is half its power
+    assert both.power == pytest.approx(expected.power, rel=1e-10)
+    assert both.spin == pytest.approx(expected.spin, abs=1e-10)
+
+
+def test_friction_and_viscosity_together_bear_every_force():
+    """By hand: along the slip, friction and viscosity * slip; less than friction where nothing slips."""
+    scene = make_scene((5, 4, 6), "coulomb-viscous", viscosity="uniform:5,60", radius=0.7)
+    solution = minimum_of(scene)
+    for axis, (force, slip, state) in enumerate(zip(solution.force, solution.slip, solution.state, strict=True)):
+        friction = scene.normal_force * scene.coefficient[axis]
+        slips, rests = state == ContactState.SLIPPING, state == ContactState.SLIPLESS
+        assert force[slips] == pytest.approx((friction + scene.viscosity[axis] * slip)[slips], rel=1e-7)
+        assert (force[rests] < friction[rests] * (1 + 1e-9)).all()
+    assert not any((s == ContactState.UNDECIDED).any() for s in solution.state)
 
 
 def test_the_viscous_law_is_refused():
