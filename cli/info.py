@@ -15,7 +15,7 @@ def command(as_json: bool) -> None:
     Example:
       bearings info --json
     """
-    from taichi_bearings import __version__, runtime
+    from taichi_bearings import __version__, compiler, runtime
     from taichi_bearings.runs.run import versions
     from taichi_bearings.runtime import GPUS
 
@@ -31,7 +31,7 @@ def command(as_json: bool) -> None:
         "default_arch": "cpu",
         "default_precision": "f64",
         "threads": runtime.available_threads(),
-        "kernel_cache": str(runtime.cache_folder() / "taichi"),
+        "kernel_cache": str(compiler.cache_folder()),
     }
     if as_json:
         click.echo(json.dumps(report))

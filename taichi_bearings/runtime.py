@@ -1,59 +1,21 @@
 """The only owner of the Taichi runtime: which device, which precision, how many threads.
 
 Taichi keeps one global runtime per process; starting it twice would invalidate every field. :func:`start` is free to
-repeat with the same choice and refuses a different one. Importing this module prepares the environment that Taichi
-reads when *it* is imported, so every module that uses Taichi imports this one first (``kernels/__init__.py`` does).
+repeat with the same choice and refuses a different one.
 """
 
 import contextlib
 import io
 import os
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
-from taichi_bearings import devices
+from taichi_bearings import compiler, devices
 from taichi_bearings.errors import DeviceError
 
 GPUS = ("cuda", "metal", "vulkan")  # as auto tries them
 ARCHITECTURES = ("cpu", "cuda", "vulkan", "metal", "auto")
 PRECISIONS = ("f64", "f32")
 MOST_THREADS = 64  # that a kernel shares its work among
-
-
-def _writable(folder: Path) -> bool:
-    """True if `folder` can be created and written to; checked by doing it, since access bits lie to root."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
-
-
-def cache_folder() -> Path:
-    """Folder in which Taichi keeps compiled kernels: the user's cache, or a temporary one if that cannot be written."""
-    if "XDG_CACHE_HOME" in os.environ:
-        home = Path(os.environ["XDG_CACHE_HOME"])
-    else:
-        try:
-            home = Path.home() / ".cache"
-        except RuntimeError:  # no home folder at all
-            home = Path(os.devnull)
-    if _writable(home / "taichi"):
-        return home
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{user}"
-
-
-def _prepare_environment() -> None:
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    os.environ.setdefault("TI_LOG_LEVEL", "error")
-    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
-    os.environ["XDG_CACHE_HOME"] = str(cache_folder())
-
-
-_prepare_environment()
 
 
 @dataclass(frozen=True)
@@ -89,7 +51,7 @@ def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
     found = [device for device in devices.find(arch) if device.has_f64 or precision != "f64"]
     if not found:
         return []
-    import taichi as ti
+    from taichi_bearings.compiler import ti
 
     with contextlib.redirect_stdout(io.StringIO()):
         return found if ti.lang.misc.is_arch_supported(getattr(ti, arch)) else []
@@ -123,7 +85,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         raise DeviceError(f"precision is {precision!r}; allowed are {', '.join(PRECISIONS)}")
     if threads < 0:
         raise DeviceError(f"threads is {threads}; it must be 1 or more, or 0 for all")
-    import taichi as ti
+    from taichi_bearings.compiler import ti
 
     if arch == "auto":
         arch = automatic_arch(precision)
@@ -136,7 +98,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         if wanted != _current:
             raise DeviceError(f"the Taichi runtime already runs as {_current}; {wanted} needs a process of its own")
         return _current
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), compiler.environment():
         ti.init(
             arch=getattr(ti, arch),
             default_fp=getattr(ti, precision),
@@ -147,6 +109,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             real_matrix_scalarize=arch != "cpu",  # on a CPU, blocks of sites are read and written by SIMD instructions
             debug=debug,
             log_level=ti.ERROR,
+            offline_cache_file_path=str(compiler.cache_folder()),
         )
     ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
     _current, _owner = wanted, os.getpid()

@@ -92,6 +92,20 @@ def test_an_unwritable_cache_does_not_matter(environment):
     assert "Taichi" not in done.stdout
 
 
+def test_starting_leaves_the_environment_as_it_was():
+    code = "import os; before = dict(os.environ); from taichi_bearings import runtime; runtime.start()"
+    assert python(code + "; print(before == dict(os.environ))").stdout == "True\n"
+
+
+def test_an_unknown_or_absent_compiler_is_named():
+    code = "import sys; {}from taichi_bearings_cli.main import main; sys.argv = ['bearings', 'info']; main()"
+    unknown = python(code.format(""), TAICHI_BEARINGS_COMPILER="numba")
+    assert unknown.returncode == 2
+    assert "TAICHI_BEARINGS_COMPILER is 'numba'; allowed are taichi, quadrants" in unknown.stderr
+    absent = "import importlib.util; importlib.util.find_spec = lambda name: None; "
+    assert "quadrants is not installed" in python(code.format(absent), TAICHI_BEARINGS_COMPILER="quadrants").stderr
+
+
 def test_nothing_but_the_answer_is_printed_on_stdout():
     done = python("from taichi_bearings import runtime; runtime.start(); import json; print(json.dumps({'a': 1}))")
     assert json.loads(done.stdout) == {"a": 1}

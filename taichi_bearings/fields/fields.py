@@ -58,7 +58,7 @@ class Fields:
             start = -(memory.ctypes.data // self.dtype.itemsize) % block
             flat = memory[start : start + count]
             return flat, flat.reshape(self.rows, -1)
-        import taichi as ti
+        from taichi_bearings.compiler import ti
 
         values = ti.ndarray(getattr(ti, runtime.current().precision), count)
         values.fill(0)

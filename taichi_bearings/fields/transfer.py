@@ -1,6 +1,6 @@
 """Copy rows between the memory of a GPU and NumPy, and nothing but these rows."""
 
-import taichi as ti
+from taichi_bearings.compiler import ti
 
 
 @ti.kernel

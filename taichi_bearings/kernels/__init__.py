@@ -1,4 +1,2 @@
 """Taichi kernels: one statement of the contact physics, walked over the flat layout. No options, files or loops in time
-beyond fused steps. Importing this package prepares Taichi's environment first."""
-
-from taichi_bearings import runtime as runtime
+beyond fused steps."""

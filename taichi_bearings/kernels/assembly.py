@@ -1,6 +1,6 @@
 """Fill the fronts of one depth of the elimination tree: original entries plus the updates of the children."""
 
-import taichi as ti
+from taichi_bearings.compiler import ti
 
 # Passing an array to a kernel costs as much as assembling a thousand entries, so there is one of each kind. Where the
 # tables begin in the array of integers is written at its start:

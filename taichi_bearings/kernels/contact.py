@@ -7,7 +7,7 @@ only the components across it take part, e.g. both for a z-contact driven along 
 one component there is in 2D. Kernels hold them as lists of numbers, not as vectors, which would not turn into SIMD.
 """
 
-import taichi as ti
+from taichi_bearings.compiler import ti
 
 
 @ti.func

@@ -8,8 +8,7 @@ once a pass.
 from functools import lru_cache
 from math import comb
 
-import taichi as ti
-
+from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length, viscous_force
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
@@ -62,7 +61,7 @@ class CundallStrackSteps:
 
     def run(self, fields: Fields, team: Team, steps: int, numbers: tuple[float, ...]) -> None:
         """Make `steps` time steps in one launch, or on a GPU in one each. numbers: from `reach` to `response`."""
-        numbers = (*fields.layout.measures, *numbers)
+        numbers = (*fields.layout.measures, *map(float, numbers))  # NumPy scalars would make each Quadrants launch slow
         if team.size:
             team.launch(self.steps_by_team, steps, fields.values, fields.blocks, *numbers)
         else:

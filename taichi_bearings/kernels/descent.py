@@ -2,8 +2,7 @@
 
 from functools import lru_cache
 
-import taichi as ti
-
+from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import FORCES, clamp
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, fill, in_range, new_rows, places, read

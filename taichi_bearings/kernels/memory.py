@@ -5,7 +5,7 @@ vectors, which are written as a whole: a loop that writes to memory cannot be to
 or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0002).
 """
 
-import taichi as ti
+from taichi_bearings.compiler import ti
 
 VALUES = ti.types.ndarray(ndim=1)
 BLOCKS = ti.types.ndarray(dtype=ti.types.vector())  # on a CPU (blocks, sites of a block); on a GPU as VALUES

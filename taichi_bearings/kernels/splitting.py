@@ -2,8 +2,7 @@
 
 from functools import lru_cache
 
-import taichi as ti
-
+from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, length
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read

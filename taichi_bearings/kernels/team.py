@@ -15,8 +15,8 @@ import time
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
+from taichi_bearings.compiler import ti
 from taichi_bearings.errors import DeviceError
 
 COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings import runtime
+from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_file
@@ -119,6 +119,7 @@ class Job:
 
 def prepare(settings: RunSettings) -> Job:
     """Build everything the settings describe; every input error is raised here, before anything is computed."""
+    compiler.name()  # refuses one that is unknown or absent
     with stage("reading"):
         scene = build_scene(settings)
         options = method_options(settings, scene)
@@ -265,7 +266,7 @@ def versions() -> dict[str, str]:
     import platform
     from importlib.metadata import version
 
-    found = {name: version(name) for name in ("taichi", "numpy", "scipy", "h5py")}
+    found = {name: version(name) for name in (compiler.name(), "numpy", "scipy", "h5py")}
     return {"python": platform.python_version(), **found}
 
 

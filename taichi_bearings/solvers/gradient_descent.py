@@ -13,6 +13,8 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
 * Both together: as with Coulomb friction, with width times viscosity added to the friction in the metric.
 """
 
+import math
+
 import numpy as np
 
 from taichi_bearings import runtime
@@ -139,7 +141,7 @@ class GradientDescentMethod:
             self._steer(staggered, objective, bound)
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
             self._load_spins(staggered)
-            self.step_length /= np.sqrt(2)
+            self.step_length /= math.sqrt(2)
             if self.viscosity:
                 self._load_weights()
             self._begin_epoch(2 * self.epoch_length)

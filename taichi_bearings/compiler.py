@@ -1,0 +1,88 @@
+"""Taichi, imported here and nowhere else, and only once it is asked for: ``from taichi_bearings.compiler import ti``.
+
+Quadrants, its maintained fork, stands in for it if the environment variable TAICHI_BEARINGS_COMPILER says so
+(docs/decisions/0008): it must be known before any kernel is read, and worker processes inherit it.
+"""
+
+import contextlib
+import importlib.util
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.errors import DeviceError
+
+VARIABLE = "TAICHI_BEARINGS_COMPILER"
+KERNEL_CACHES = {"taichi": "taichi/ticache", "quadrants": "quadrants/qdcache"}  # compiler -> folder below the cache
+QUIET = {
+    "ENABLE_TAICHI_HEADER_PRINT": "0",
+    "ENABLE_QUADRANTS_HEADER_PRINT": "0",
+    "TI_LOG_LEVEL": "error",
+    "QD_LOG_LEVEL": "error",
+    "TI_SKIP_VERSION_CHECK": "ON",  # it asks a server
+}
+
+
+def name() -> str:
+    """The package that compiles the kernels of this process; DeviceError if it is unknown or not installed."""
+    chosen = os.environ.get(VARIABLE) or "taichi"
+    if chosen not in KERNEL_CACHES:
+        raise DeviceError(f"{VARIABLE} is {chosen!r}; allowed are {', '.join(KERNEL_CACHES)}")
+    if importlib.util.find_spec(chosen) is None:
+        raise DeviceError(
+            f"{chosen} is not installed here; pip install {chosen}, or set {VARIABLE} to another compiler"
+        )
+    return chosen
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: below the user's cache, or a temporary folder if that cannot be written."""
+    return _cache_home() / KERNEL_CACHES[name()]
+
+
+def _cache_home() -> Path:
+    if "XDG_CACHE_HOME" in os.environ:
+        home = Path(os.environ["XDG_CACHE_HOME"])
+    else:
+        try:
+            home = Path.home() / ".cache"
+        except RuntimeError:  # no home folder at all
+            home = Path(os.devnull)
+    if _writable(home / name()):
+        return home
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    return Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{user}"
+
+
+def _writable(folder: Path) -> bool:
+    """True if `folder` can be created and written to; checked by doing it, since access bits lie to root."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+@contextlib.contextmanager
+def environment() -> Iterator[None]:
+    """What the compiler reads when it is imported and started; afterwards the environment is as before."""
+    before = os.environ.copy()
+    cache = {"XDG_CACHE_HOME": str(_cache_home())}  # without a home folder it would abort
+    os.environ.update(QUIET | before | cache)
+    try:
+        yield
+    finally:
+        for key in QUIET | cache:
+            os.environ.pop(key)
+            os.environ.update({key: before[key]} if key in before else {})
+
+
+def __getattr__(attribute: str) -> Any:
+    if attribute != "ti":
+        raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
+    with environment():
+        globals()["ti"] = importlib.import_module(name())
+    return globals()["ti"]
