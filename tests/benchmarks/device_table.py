@@ -37,7 +37,7 @@ def course(method: str, law: str, shape: tuple[int, ...]) -> list[float]:
     solver.advance(ITERATIONS)
     progress = solver.progress()
     books = [] if progress.energy is None else [progress.energy.injected, progress.energy.dissipated]
-    return np.concatenate([progress.power, *books]).tolist()
+    return np.concatenate([progress.objective, *books]).tolist()
 
 
 def courses(cases) -> list[list[float]]:
