@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from taichi_bearings.plots.style import new_figure
+from taichi_bearings.plots.style import in_our_style, new_figure
 from taichi_bearings.solvers import METHODS, MethodOptions
 
 PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
@@ -41,6 +41,7 @@ class Panel:
     curves: Sequence[Curve]
 
 
+@in_our_style
 def draw_accuracy(panels: Sequence[Panel]) -> Figure:
     """Error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three scenes."""
     columns = min(len(panels), MOST_COLUMNS)

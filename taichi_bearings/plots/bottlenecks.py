@@ -10,13 +10,14 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
 COLOURS = "viridis_r"
 LEAST_SHARE = 1e-3  # of the pairs, that a link must carry to get a colour
 MOST_IDLE = 4000  # links without a colour are drawn, in grey, up to this number
 
 
+@in_our_style
 def draw_bottlenecks(found: Bottlenecks, title: str = "") -> Figure:
     """Map of the loaded links beside the number of links that carry at least a given share."""
     figure = new_figure(10.5, 5.2)

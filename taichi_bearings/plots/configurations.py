@@ -10,9 +10,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from taichi_bearings.plots.lattice import COLOURS, box_driven_rows, draw_walls, paint_plane
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
 
+@in_our_style
 def draw_configurations(
     viscous: np.ndarray,
     coulomb: np.ndarray,

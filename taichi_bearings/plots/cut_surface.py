@@ -24,11 +24,12 @@ from taichi_bearings.plots.lattice import (
     squares,
     walls_between,
 )
-from taichi_bearings.plots.style import BLUE, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure
 
 SIDES = np.array([to_rgba("#cfdcf3"), to_rgba("#f6d5cd")])  # with the bottom, with the top
 
 
+@in_our_style
 def draw_cut_surface(above: np.ndarray, coefficient: tuple[np.ndarray, ...], slips: tuple[np.ndarray, ...]) -> Figure:
     """3D: the surface by the coefficients it cuts, its height from above, and two cuts through the middle with the
     contacts that slip. 2D: the line across the discs with them.

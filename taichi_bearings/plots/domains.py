@@ -21,7 +21,7 @@ from taichi_bearings.plots.lattice import (
     paint_plane,
     walls_between,
 )
-from taichi_bearings.plots.style import GREY, new_figure
+from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
 ENDS = {"bottom": colormaps[COLOURS](0.0), "top": colormaps[COLOURS](1.0)}
@@ -29,6 +29,7 @@ MARKS = dict(zip(KINDS, "v^Dsdo", strict=True))
 NAMES = "xyz"
 
 
+@in_our_style
 def draw_domains(domains: RigidDomains) -> Figure:
     """2D: discs by domain. 3D: the block from outside and two cuts. Below: sizes of the domains, and how they turn.
 

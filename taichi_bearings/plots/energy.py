@@ -5,11 +5,12 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.run_file import StoredRun
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 ACCOUNTS = {"injected": BLUE, "dissipated": ORANGE, "kinetic": GREEN, "spring": GREY}
 
 
+@in_our_style
 def draw_energy(run: StoredRun, replica: int = 0) -> Figure:
     """The four accounts, and below them what they leave unexplained, against time.
 

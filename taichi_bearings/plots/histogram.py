@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
-from taichi_bearings.plots.style import BLUE, label_in_plain_text, new_figure, plain_figure, shades
+from taichi_bearings.plots.style import BLUE, in_our_style, label_in_plain_text, new_figure, plain_figure, shades
 
 POWER = "power of a contact, P\u2091"
 MATHEMATICS = {"F_n R omega_T": r"$F_n R\,\omega_T$"}
@@ -20,6 +20,7 @@ def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = N
     return draw_overlay(histograms, by)
 
 
+@in_our_style
 def draw_histogram(histogram: PowerHistogram) -> Figure:
     """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
     figure = plain_figure()
@@ -49,6 +50,7 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
     return figure
 
 
+@in_our_style
 def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
     """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
     figure = new_figure(7.0, 4.4)

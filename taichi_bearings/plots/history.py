@@ -4,9 +4,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.files.run_file import StoredRun
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, label_in_plain_text, plain_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_in_plain_text, plain_figure
 
 
+@in_our_style
 def draw_history(run: StoredRun) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics)."""
     history = run.history

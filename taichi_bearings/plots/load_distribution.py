@@ -8,12 +8,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.bottlenecks import Loads
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
 SHARES = np.geomspace(1e-5, 1.0, 301)
 """Where the distributions are drawn."""
 
 
+@in_our_style
 def draw_load_distribution(samples: Sequence[Loads]) -> Figure:
     """Part of the links that carry a share or more: of the shortest paths, and of the current.
 

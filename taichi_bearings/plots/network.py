@@ -22,12 +22,13 @@ from taichi_bearings.plots.lattice import (
     seen,
     speed_of,
 )
-from taichi_bearings.plots.style import GREEN, GREY, new_figure
+from taichi_bearings.plots.style import GREEN, GREY, in_our_style, new_figure
 
 NO_PATH = "they do not join bottom and top"
 REACHED = {"bottom": colormaps[COLOURS](0.05), "top": colormaps[COLOURS](0.95)}
 
 
+@in_our_style
 def draw_network(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
     """3D: the spheres from outside; slipless contacts in grey and one shortest path in green; the spheres of the path
     with their spins. 2D: the last two.

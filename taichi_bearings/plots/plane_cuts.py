@@ -18,12 +18,13 @@ from taichi_bearings.plots.lattice import (
     paint_plane,
     speed_of,
 )
-from taichi_bearings.plots.style import GREEN, new_figure
+from taichi_bearings.plots.style import GREEN, in_our_style, new_figure
 
 PLANES = 3
 TOWARDS_READER = (1, -1)  # along x for planes across x, along y for planes across y
 
 
+@in_our_style
 def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
     """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green.
 

@@ -8,10 +8,11 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from taichi_bearings.files.run_file import StoredRun
-from taichi_bearings.plots.style import GREY, new_figure
+from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
 
+@in_our_style
 def draw_power(run: StoredRun, replica: int = 0) -> Figure:
     """2D: all contacts. 3D: the contacts in two cuts through the middle, and the power of each layer of the height."""
     power = [p[replica] for p in run.power]

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
 from taichi_bearings.plots.lattice import COLOURS, box_edges, lit_sphere
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 HUES = ((BLUE, "#0b2545"), (ORANGE, "#6b2d00"))  # of a start: with springs, rigid
 DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
@@ -37,6 +37,7 @@ class Relaxation:
     last: np.ndarray
 
 
+@in_our_style
 def draw_relaxation(starts: Sequence[Relaxation], least_power: float, cut_power: float) -> Figure:
     """Above P/P_0, below its excess over the minimum, both against time; beside them the spins at both ends.
 

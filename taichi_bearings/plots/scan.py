@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from taichi_bearings.plots.style import BLUE, new_figure, shades
+from taichi_bearings.plots.style import BLUE, in_our_style, new_figure, shades
 
 MARKERS = "osD^vP*X"
 MOST_TICKS = 8  # values of a logarithmic axis that are named one by one
@@ -36,6 +36,7 @@ class Look:
     ticks: Sequence[str] = ()
 
 
+@in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look) -> Figure:
     """Points with bars, joined along each curve."""
     figure = new_figure(6.4, 4.2)

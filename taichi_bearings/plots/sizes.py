@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 THRESHOLD = r"slip threshold / $R |\Delta\Omega|$"
 
@@ -32,6 +32,7 @@ class Column:
         )
 
 
+@in_our_style
 def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping[str, np.ndarray]]) -> Figure:
     """Power over that of the minimum cut, network, domains and paths against the side; what thresholds make of them.
 

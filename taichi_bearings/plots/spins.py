@@ -18,10 +18,11 @@ from taichi_bearings.plots.lattice import (
     paint_plane,
     speed_of,
 )
-from taichi_bearings.plots.style import new_figure
+from taichi_bearings.plots.style import in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
 
+@in_our_style
 def draw_spins(run: StoredRun, replica: int = 0) -> Figure:
     """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts)."""
     speed = speed_of(run.spin[replica], run.attributes["spin_top"], run.attributes["spin_bottom"])

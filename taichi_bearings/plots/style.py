@@ -1,14 +1,11 @@
-"""One look for all figures."""
+"""One look for all figures, of matplotlib's Figure objects: neither its settings nor its backend are ever changed."""
 
 import io
 import math
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
+from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
@@ -25,7 +22,7 @@ RC: dict[Any, Any] = {
     "savefig.dpi": 150,
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
-matplotlib.rcParams.update(RC)
+in_our_style = rc_context(RC)  # decorates what makes a figure
 
 
 def new_figure(width: float = 5.5, height: float = 4.0) -> Figure:
@@ -63,9 +60,10 @@ def label_in_plain_text(*axes: Any) -> None:
 
 def shades(number: int) -> list[Any]:
     """Colours of curves in an order, dark to light."""
-    return [matplotlib.colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
+    return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
 
 
+@in_our_style
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
     drawn = io.BytesIO()

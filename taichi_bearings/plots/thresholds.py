@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 PANELS = (
     ("slipless contacts", (("slipless", "slipless contacts", BLUE, "o"),)),
@@ -22,6 +22,7 @@ PANELS = (
 )
 
 
+@in_our_style
 def draw_thresholds(views: Sequence[View], by_states: View) -> Figure:
     """Each number against the slip threshold, with its value by the contact states as a broken line.
 

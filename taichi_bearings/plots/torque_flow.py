@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.torque_flow import ForceDistribution, FrictionLoad, PlaneFlow
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, new_figure
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
 COLOURS = (
@@ -20,6 +20,7 @@ WIDEST = 0.45  # of the lattice spacing: width of the contact that carries most
 AXES = "xyz"
 
 
+@in_our_style
 def draw_torque_flow(load: FrictionLoad, distribution: ForceDistribution, plane: PlaneFlow) -> Figure:
     """Three panels: saturation of the slipless contacts, P(f / <f>), and the current of torque in a plane."""
     figure = new_figure(13.0, 4.3)
