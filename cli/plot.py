@@ -70,13 +70,10 @@ def command(
       bearings plot scan outputs/my-scan --y power --x spin_bottom --collapse 1.5,0 --log y
     """
     from taichi_bearings.errors import FileError, InputError
-    from taichi_bearings.files.run_file import read_run_file
-    from taichi_bearings.plots.energy import draw_energy
-    from taichi_bearings.plots.history import draw_history
-    from taichi_bearings.plots.power import draw_power
-    from taichi_bearings.plots.spins import draw_spins
     from taichi_bearings.plots.style import save
-    from taichi_bearings.runs.snapshot import draw_snapshot
+    from taichi_bearings.runs.figures import draw_figure
+    from taichi_bearings.runs.run import settings_of
+    from taichi_bearings.runs.run_file import read_run_file
 
     if kind == "scan":
         _plot_scan(Path(run), Path(out) if out else None, force, **of_scan)
@@ -84,28 +81,12 @@ def command(
     if given := [name for name, value in of_scan.items() if value]:
         raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
     stored = read_run_file(Path(run))
-    if time is not None and kind != "spins":
-        raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
-    if replica >= len(stored.spin):
-        raise InputError(f"replica is {replica}; {run} has {len(stored.spin)}, counted from 0")
     path = Path(out) if out else stored.path.parent / f"{kind}.png"
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"out is {str(path)!r}; it must end in .png, .pdf or .svg")
     if path.exists() and not (force or out is None):
         raise FileError(f"{path} already exists; choose another --out or add --force")
-    if kind in STRUCTURE:
-        from taichi_bearings.runs.analyse import draw
-
-        figure = draw(kind, stored, replica)
-    elif kind == "spins":
-        figure = draw_spins(stored, replica) if time is None else draw_snapshot(stored, replica, time)
-    elif kind == "power":
-        figure = draw_power(stored, replica)
-    elif kind == "energy":
-        figure = draw_energy(stored, replica)
-    else:
-        figure = draw_history(stored)
-    save(figure, path)
+    save(draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold), path)
     click.echo(path)
 
 

@@ -1,6 +1,6 @@
 """The structure of one sample, part by part; a part is computed when it is first asked for."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -120,20 +120,35 @@ class Structure:
         return self_stress(self.network, self.scene.minimum_spin_axes)
 
 
-def structures_of(solution: Solution) -> list[Structure]:
-    """The samples of a solution, one by one."""
-    scene = solution.scene
-    return [
-        Structure(
-            scene=replace(scene, coefficient=tuple(c[[r]] for c in scene.coefficient), seeds=(scene.seeds[r],)),
-            spin=solution.spin[r],
-            slip=tuple(values[r] for values in solution.slip),
-            state=tuple(values[r] for values in solution.state),
-            power=float(solution.power[r]),
-            lower_bound=float(solution.lower_bound[r]),
-            friction=tuple(values[r] for values in solution.friction),
-            states_proven=bool(solution.resolved[r]),
-            minimum_is_unique=solution.minimum_is_unique[r],
-        )
-        for r in range(scene.replicas)
-    ]
+def structure_of(solution: Solution, number: int = 0, threshold: float | None = None) -> Structure:
+    """One sample of a solution, ready to be looked at.
+
+    threshold : slip speed up to which contacts count as slipless, whatever the solution says. Default: its own states.
+    """
+    sample = solution.sample(number)
+    slip, state = (tuple(values[0] for values in sets) for sets in (sample.slip, sample.state))
+    return Structure(
+        scene=sample.scene,
+        spin=sample.spin[0],
+        slip=slip,
+        state=state if threshold is None else states_by_threshold(slip, state, threshold),
+        power=float(sample.power[0]),
+        lower_bound=float(sample.lower_bound[0]),
+        friction=tuple(values[0] for values in sample.friction) or None,
+        states_proven=bool(sample.resolved[0]) and threshold is None,
+        minimum_is_unique=sample.minimum_is_unique[0] if threshold is None else None,
+    )
+
+
+def states_by_threshold(
+    slip: tuple[np.ndarray, ...], state: tuple[np.ndarray, ...], threshold: float
+) -> tuple[np.ndarray, ...]:
+    """Contacts that slip faster than the threshold slip, all others are slipless; those between driven spheres stay."""
+    return tuple(
+        np.where(
+            was == ContactState.DRIVEN,
+            was,
+            np.where(speed > threshold, ContactState.SLIPPING, ContactState.SLIPLESS),
+        ).astype(np.uint8)
+        for speed, was in zip(slip, state, strict=True)
+    )

@@ -8,8 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.files.run_file import storable
-from taichi_bearings.files.whole_file import replace_group, write_hdf5
+from taichi_bearings.files.whole_file import replace_group, storable, write_hdf5
 
 GROUP = "analysis"
 FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}

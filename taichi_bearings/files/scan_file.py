@@ -23,8 +23,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.run_file import storable
-from taichi_bearings.files.whole_file import read_hdf5, write_csv, write_hdf5
+from taichi_bearings.files.whole_file import read_hdf5, storable, write_csv, write_hdf5
 from taichi_bearings.scene.solution import ROUNDING
 
 SCHEMA = "taichi_bearings.scan"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from taichi_bearings.checksums import UNREADABLE, check, seal
 from taichi_bearings.errors import FileError, WriteError
@@ -117,3 +118,13 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
         seal(group)
 
     _write(path, copy)
+
+
+def storable(value: Any) -> Any:
+    """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers; what
+    is not UTF-8 in a text, such as the name of a file, is escaped."""
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
+    if isinstance(value, list) and None in value:
+        return [np.nan if item is None else item for item in value]
+    return "" if value is None else value

@@ -13,7 +13,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.analysis.network import planes_crossed
 from taichi_bearings.analysis.statistics import LEAST
-from taichi_bearings.analysis.structure import Structure, structures_of
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
 from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.files.whole_file import write_csv
@@ -146,7 +146,7 @@ def certified(settings: RunSettings) -> Structure:
     """Structure of the sample that the settings name, at its certified minimum."""
     scene = build_scene(settings)
     solution = uninterrupted(solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9)))
-    return structures_of(solution)[0]
+    return structure_of(solution)
 
 
 def sample_of(structure: Structure) -> Sample:

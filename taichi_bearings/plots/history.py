@@ -3,20 +3,20 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_in_plain_text, plain_figure
+from taichi_bearings.scene import Solution
 
 
 @in_our_style
-def draw_history(run: StoredRun) -> Figure:
+def draw_history(solution: Solution) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics)."""
-    history = run.history
+    history, scene = solution.history, solution.scene
     figure = plain_figure(5.5, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
     along = "time" if "time" in history else "iteration"
-    x = history[along][0]
-    title = f"{'x'.join(map(str, run.shape))} {run.attributes['law']}, {run.attributes['method']}"
-    power, bound = history["power"].T, history["lower_bound"].T
+    x = history[along]
+    title = f"{'x'.join(map(str, scene.lattice.shape))} {scene.law}, {solution.method}"
+    power, bound = history["power"], history["lower_bound"]
     started = x > 0
     top.plot(x[started], power[started], color=BLUE, lw=1.2)
     top.plot(x[started], bound[started], color=ORANGE, lw=1.2)

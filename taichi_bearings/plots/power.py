@@ -7,26 +7,27 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene import Solution
 
 
 @in_our_style
-def draw_power(run: StoredRun, replica: int = 0) -> Figure:
+def draw_power(solution: Solution, replica: int = 0) -> Figure:
     """2D: all contacts. 3D: the contacts in two cuts through the middle, and the power of each layer of the height."""
-    power = [p[replica] for p in run.power]
-    state = [s[replica] for s in run.state]
+    shape = solution.scene.lattice.shape
+    power = [p[replica] for p in solution.power_per_contact]
+    state = [s[replica] for s in solution.state]
     slipping = np.concatenate([p[s == ContactState.SLIPPING] for p, s in zip(power, state, strict=True)])
     slipping = slipping[slipping > 0]
     norm = LogNorm(slipping.min(), slipping.max()) if len(slipping) else LogNorm(1e-1, 1)
-    if len(run.shape) == 2:
+    if len(shape) == 2:
         figure = new_figure(5.6, 4.9)
         axes = figure.add_subplot()
-        drawn = _draw_plane(axes, power, state, run.shape, norm)
+        drawn = _draw_plane(axes, power, state, shape, norm)
         figure.colorbar(drawn, ax=axes, label="power of a slipping contact", shrink=0.8)
         return figure
-    nx, ny, nz = run.shape
+    nx, ny, nz = shape
     figure = new_figure(11.5, 3.9)
     columns = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
     middle_y, middle_x = (slice(None), ny // 2), (nx // 2,)

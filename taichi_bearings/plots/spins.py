@@ -1,12 +1,12 @@
 """The spins of a run: discs in 2D, spheres and cuts in 3D (paper Figs. 1, 3a and 4)."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from taichi_bearings.files.run_file import StoredRun
 from taichi_bearings.plots.lattice import (
     COLOURS,
     box_driven_rows,
@@ -20,14 +20,18 @@ from taichi_bearings.plots.lattice import (
 )
 from taichi_bearings.plots.style import in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene import Scene
 
 
 @in_our_style
-def draw_spins(run: StoredRun, replica: int = 0) -> Figure:
-    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts)."""
-    speed = speed_of(run.spin[replica], run.attributes["spin_top"], run.attributes["spin_bottom"])
+def draw_spins(scene: Scene, spin: np.ndarray, state: Sequence[np.ndarray]) -> Figure:
+    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts).
+
+    spin : laboratory frame, (*N) or (*N, 3). state : of the contacts, one array (*contacts) an axis.
+    """
+    speed = speed_of(spin, scene.spin_top, scene.spin_bottom)
     colour = colormaps[COLOURS](speed)
-    slips = tuple(state[replica] == ContactState.SLIPPING for state in run.state)
+    slips = tuple(values == ContactState.SLIPPING for values in state)
     return _draw_discs(colour, slips) if speed.ndim == 2 else _draw_spheres(colour, slips)
 
 

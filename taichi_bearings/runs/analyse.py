@@ -1,4 +1,4 @@
-"""The structure of a stored run: `bearings analyse`."""
+"""The structure of a run: `bearings analyse`."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -8,70 +8,98 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.analysis_file import write_analysis
-from taichi_bearings.files.run_file import AXES, StoredRun, read_run_file
+from taichi_bearings.files.analysis_file import Finding, write_analysis
 from taichi_bearings.plots.style import save
-from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import scene_with, settings_of
+from taichi_bearings.runs.run import settings_of, statuses
 from taichi_bearings.runs.run_directory import writable_folder
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each, stage
 
 
-def scene_of(run: StoredRun, replica: int) -> Scene:
-    """One sample of a stored run as a scene."""
-    settings = settings_of(run)
-    parts = (tuple(values[replica][None] for values in sets) for sets in (run.coefficient, run.viscosity))
-    return scene_with(settings, (settings.seed + replica,), *parts)
+class Analysis:
+    """What the contacts of a solved run form: minimum cut, slipless network, rigid domains, bottlenecks, forces.
 
+    Every number of `bearings analyse --json` is an attribute, such as `spans` or `power_over_cut`: one value, or with
+    several samples a list with one value each; None where there is no such number. docs/structure.md defines them all.
 
-def structure_of(run: StoredRun, replica: int, threshold: float | None = None) -> Structure:
-    """One sample of a stored run, ready to be looked at.
-
-    threshold : slip speed up to which contacts count as slipless, whatever the run says. Default: the run's own states.
+    power, lower_bound, power_minimum_cut : energy/time. power_over_cut : their ratio.
+    cut_is_unique : bool. cut_contacts : number of contacts of the minimum cut.
+    slipping, slipless, undecided : numbers of contacts. slipless_fraction : share of slipless ones.
+    spans : True if slipless contacts join the driven planes. reached_fraction, spanning_fraction : shares of the free
+        spheres that the slipless network touches, and that its spanning piece holds.
+    shortest_path : contacts. disjoint_paths : number of paths that share no contact.
+    domains : number of rigid domains. minimum_is_unique : True or False if that is proven.
+    resistance : of the network of equal resistors. busiest_link_share : share of the pairs of driven spheres.
+    driving_torque : from top to bottom, one number a component, force * length.
+    threshold : slip speed up to which contacts count as slipless, length/time.
+    structure : of the sample shown; `structure.network`, `.domains`, `.interface`, `.bottlenecks`, `.torque_flow`, ...
+    arrays : for each sample everything else by name, with units: the data sets of the group /analysis of run.h5.
     """
-    scene, proven = scene_of(run, replica), bool(_states_proven(run)[replica])
-    slip, state = (tuple(values[replica] for values in sets) for sets in (run.slip, run.state))
-    if threshold is not None:
-        proven = False
-        state = tuple(
-            np.where(
-                was == ContactState.DRIVEN,
-                was,
-                np.where(speed > threshold, ContactState.SLIPPING, ContactState.SLIPLESS),
-            ).astype(np.uint8)
-            for speed, was in zip(slip, state, strict=True)
-        )
-    _check_arrays(run, scene)
-    power, bound = (float(np.atleast_1d(run.attribute(key))[replica]) for key in ("power", "lower_bound"))
-    friction = None if run.friction is None else tuple(values[replica] for values in run.friction)
-    unique = _minimum_is_unique(run)[replica] if threshold is None else None
-    return Structure(scene, run.spin[replica], slip, state, power, bound, friction, proven, unique)
+
+    def __init__(
+        self, solution: Solution, status: Sequence[str], threshold: float | None = None, sample: int = 0
+    ) -> None:
+        """status : of each sample. sample : the one that is shown. InputError for a threshold or sample that cannot be.
+
+        threshold : slip speed up to which contacts count as slipless. Default: the contact states of the run.
+        """
+        samples = solution.scene.replicas
+        if threshold is not None and not 0 < threshold < np.inf:
+            raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
+        if not 0 <= sample < samples:
+            raise InputError(f"replica is {sample}; the run has {samples}, counted from 0")
+        if not all(np.isfinite(values).all() for values in (solution.spin, *solution.slip)):
+            raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
+        began = time.perf_counter()
+        self.arrays: list[dict[str, Finding]] = []
+        self._loads, numbers = [], []
+        for number in each(range(samples), "analysing sample" if samples > 1 else "analysing", alike):
+            structure = structure_of(solution, number, threshold)
+            if number == sample:
+                self.structure: Structure = structure
+            numbers.append(numbers_of(structure))
+            self.arrays.append(findings_of(structure))
+            self._loads.append(structure.bottlenecks.loads)
+        self.report: dict[str, Any] = _report(solution, status, numbers, threshold)
+        self.report["seconds"] = time.perf_counter() - began
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self.__dict__.get("report", {}):
+            return self.report[name]
+        raise AttributeError(f"an analysis has no {name!r}; it has {', '.join(self.__dict__.get('report', {}))}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.report]
+
+    def __repr__(self) -> str:
+        words = [
+            f"{name} = {self.report[name]}" for name in ("power_over_cut", "slipless_fraction", "spans", "domains")
+        ]
+        return f"<Analysis of {'x'.join(map(str, self.report['shape']))} {self.report['law']}: {', '.join(words)}>"
+
+    @property
+    def figures(self) -> list[str]:
+        """Names of the figures that :meth:`plot` draws."""
+        return [*FIGURES, *(FIGURES_OF_ALL if len(self.arrays) > 1 else ())]
+
+    def plot(self, kind: str) -> Figure | None:
+        """One of `figures`, as a matplotlib Figure; None if there is nothing to show."""
+        return FIGURES_OF_ALL[kind](self._loads) if kind in FIGURES_OF_ALL else FIGURES[kind](self.structure)
 
 
-def _check_arrays(run: StoredRun, scene: Scene) -> None:
-    """FileError if spins or slips have another shape than the scene, or are not finite."""
-    spin_shape = scene.lattice.shape if scene.lattice.dimension == 2 else (*scene.lattice.shape, 3)
-    wanted = [("spin", run.spin, spin_shape)]
-    wanted += [
-        (f"slip along {AXES[axis]}", run.slip[axis], scene.lattice.contact_shape(axis)) for axis in range(len(run.slip))
-    ]
-    for name, values, shape in wanted:
-        if values.shape[1:] != tuple(shape) or not np.isfinite(values).all():
-            raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers of shape {tuple(shape)}")
-
-
-def draw(name: str, run: StoredRun, replica: int) -> Figure:
-    """One figure of a sample of a run, or of all its samples; InputError if there is nothing to show."""
-    if name in FIGURES_OF_ALL:
-        return FIGURES_OF_ALL[name]([structure_of(run, number).bottlenecks.loads for number in range(len(run.spin))])
-    figure = FIGURES[name](structure_of(run, replica))
+def draw(kind: str, solution: Solution, sample: int) -> Figure:
+    """One figure of the structure of a sample, or of all samples; InputError if there is nothing to show."""
+    if kind in FIGURES_OF_ALL:
+        loads = [structure_of(solution, number).bottlenecks.loads for number in range(solution.scene.replicas)]
+        return FIGURES_OF_ALL[kind](loads)
+    figure = FIGURES[kind](structure_of(solution, sample))
     if figure is None:
-        raise InputError(f"{run.path} has nothing for {name} to show: it holds no friction forces of the Coulomb law")
+        raise InputError(f"the run has nothing for {kind} to show: it holds no friction forces of the Coulomb law")
     return figure
 
 
@@ -83,81 +111,58 @@ def analyse(
     threshold: float | None = None,
     figures: bool = True,
 ) -> dict[str, Any]:
-    """Analyse every sample of a run, write /analysis and the figures, and return the report.
+    """Analyse every sample of a stored run, write /analysis and the figures, and return the report.
 
     path : a run directory or its run.h5. out : folder for analysis.h5 and the figures; default: into the run itself,
-    where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as in
-    :func:`structure_of`.
+    where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as of
+    :class:`Analysis`.
     Raises InputError or FileError before anything is computed.
     """
-    if threshold is not None and not 0 < threshold < np.inf:
-        raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
     with stage("reading"):
         run = read_run_file(path)
-    samples = len(run.spin)
-    if not 0 <= replica < samples:
-        raise InputError(f"replica is {replica}; {path} has {samples}, counted from 0")
+        ended = statuses(run.solution, settings_of(run))
     target = run.path if out is None else out / "analysis.h5"
-    names = [*FIGURES, *(FIGURES_OF_ALL if samples > 1 else ())] if figures else []
-    paths = {name: target.parent / f"{name}.png" for name in names}
-    standing = [file for file in (target, *paths.values()) if file.exists()] if out is not None else []
+    paths = [target.parent / f"{name}.png" for name in ((*FIGURES, *FIGURES_OF_ALL) if figures else ())]
+    standing = [file for file in (target, *paths) if file.exists()] if out is not None else []
     if standing and not force:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
     with writable_folder(target.parent):
-        began = time.perf_counter()
-        numbers, findings, loads = [], [], []
-        for number in each(range(samples), "analysing sample" if samples > 1 else "analysing", alike):
-            structure = structure_of(run, number, threshold)
-            if number == replica:
-                drawn = structure
-            numbers.append(numbers_of(structure))
-            findings.append(findings_of(structure))
-            loads.append(structure.bottlenecks.loads)
-        report = _report(run, numbers, threshold) | {"seconds": time.perf_counter() - began}
+        found = Analysis(run.solution, ended, threshold, replica)
         if out is None or force:
             for name in (*FIGURES, *FIGURES_OF_ALL):  # of an earlier analysis; not all need come back
                 (target.parent / f"{name}.png").unlink(missing_ok=True)
         with stage("writing"):
-            write_analysis(target, findings, _flat(report), into_run=out is None)
+            write_analysis(target, found.arrays, _flat(found.report), into_run=out is None)
         files = [target]
-        for name, file in each(list(paths.items()), "drawing figure"):
-            figure = FIGURES_OF_ALL[name](loads) if name in FIGURES_OF_ALL else FIGURES[name](drawn)
+        for name in each(found.figures if figures else [], "drawing figure"):
+            figure = found.plot(name)
             if figure is not None:
-                save(figure, file)
-                files.append(file)
-    return report | {"run": str(path), "files": [str(file) for file in files]}
+                files.append(target.parent / f"{name}.png")
+                save(figure, files[-1])
+    return found.report | {"run": str(path), "files": [str(file) for file in files]}
 
 
-def _report(run: StoredRun, numbers: Sequence[Mapping[str, Any]], threshold: float | None) -> dict[str, Any]:
+def _report(
+    solution: Solution, status: Sequence[str], numbers: Sequence[Mapping[str, Any]], threshold: float | None
+) -> dict[str, Any]:
     """Numbers of all samples; with several of them lists, one entry a sample."""
     from taichi_bearings import __version__
 
-    together = {key: [sample[key] for sample in numbers] for key in numbers[0]}
+    scene, together = solution.scene, {key: [sample[key] for sample in numbers] for key in numbers[0]}
+    proven = "proven" if solution.resolved.all() else "decided"
     return {
         **(together if len(numbers) > 1 else numbers[0]),
-        "threshold": float(run.attribute("slip_threshold")) if threshold is None else threshold,
-        "states": _origin_of_states(run) if threshold is None else "threshold",
-        "status": np.asarray(run.attribute("status")).tolist(),
-        **{key: run.attribute(key) for key in ("method", "law", "contacts", "spin_top", "spin_bottom")},
-        "shape": list(run.shape),
+        "threshold": solution.slip_threshold if threshold is None else threshold,
+        "states": proven if threshold is None else "threshold",
+        "status": list(status) if len(numbers) > 1 else status[0],
+        "method": solution.method,
+        "law": str(scene.law),
+        "contacts": scene.lattice.contacts,
+        "spin_top": scene.spin_top,
+        "spin_bottom": scene.spin_bottom,
+        "shape": list(scene.lattice.shape),
         "version": __version__,
     }
-
-
-def _origin_of_states(run: StoredRun) -> str:
-    """How the contacts were classified: proven, or decided by slip and friction together."""
-    return "proven" if _states_proven(run).all() else "decided"
-
-
-def _states_proven(run: StoredRun) -> np.ndarray:
-    """For each sample whether its contact states are proven."""
-    return np.broadcast_to(run.attributes.get("states_proven", False), len(run.spin)).astype(bool)
-
-
-def _minimum_is_unique(run: StoredRun) -> list[bool | None]:
-    """For each sample, None if the run does not know."""
-    told = np.broadcast_to(run.attributes.get("minimum_is_unique", np.nan), len(run.spin)).tolist()
-    return [None if value == "" or value != value else bool(value) for value in told]
 
 
 def _flat(report: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,13 +18,13 @@ import numpy as np
 from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
-from taichi_bearings.files.run_file import StoredRun, read_run_file, write_run_file
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
 from taichi_bearings.runs.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
+from taichi_bearings.runs.run_file import StoredRun, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
@@ -190,12 +190,21 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds)
 
 
-def summarise(solution: Solution, tolerance: float, duration: float | None = None) -> dict[str, Any]:
+def statuses(solution: Solution, settings: RunSettings) -> list[str]:
+    """How each replica ended, (R,).
+
+    One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came before
+    the simulated time that was asked for.
+    """
+    cut_short = settings.duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+    certified = (solution.gap <= settings.tolerance) & (not cut_short)
+    return [Status.CERTIFIED.value if proven else solution.status.value for proven in certified]
+
+
+def summarise(solution: Solution, settings: RunSettings) -> dict[str, Any]:
     """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas.
 
-    A replica whose own gap is within `tolerance` is certified, however the run as a whole ended, unless a limit came
-    before the simulated time `duration` that was asked for. Numbers that are not finite become None, so that the
-    summary is valid JSON.
+    Numbers that are not finite become None, so that the summary is valid JSON.
     """
     from taichi_bearings import __version__
 
@@ -206,20 +215,14 @@ def summarise(solution: Solution, tolerance: float, duration: float | None = Non
         return listed if scene.replicas > 1 else listed[0]
 
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
-    cut_short = duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     separation = separate(scene, solution.slip, solution.state)
-    close = solution.gap <= tolerance  # far from a minimum slips that are far apart say nothing
+    close = solution.gap <= settings.tolerance  # far from a minimum slips that are far apart say nothing
     summary = {
         "power": per_seed(solution.power),
         **({} if scene.law.minimises == "power" else {"potential": per_seed(solution.objective)}),
         "lower_bound": per_seed(solution.lower_bound),
         "gap": per_seed(solution.gap),
-        "status": per_seed(
-            [
-                Status.CERTIFIED.value if gap <= tolerance and not cut_short else solution.status.value
-                for gap in solution.gap
-            ]
-        ),
+        "status": per_seed(statuses(solution, settings)),
         "method": solution.method,
         "law": scene.law.name,
         "shape": list(scene.lattice.shape),
@@ -249,7 +252,7 @@ def summarise(solution: Solution, tolerance: float, duration: float | None = Non
     summary["minimum_is_unique"] = per_seed(solution.minimum_is_unique)
     if "time" in solution.history:
         summary["time"] = float(solution.history["time"][-1])
-        summary |= {"duration": duration} if duration is not None else {}
+        summary |= {"duration": settings.duration} if settings.duration is not None else {}
     if "energy_residual" in solution.history:
         summary["energy_residual"] = per_seed(solution.history["energy_residual"][-1])
     return summary
@@ -416,7 +419,7 @@ def _draw(folder: Path, solution: Solution, histogram: Any) -> None:
 
     save(draw_histogram(histogram), folder / "power_histogram.png")
     if len(solution.history["power"]) > 2:  # a start and an answer are no course
-        save(draw_history(read_run_file(folder / "run.h5")), folder / "history.png")
+        save(draw_history(solution), folder / "history.png")
 
 
 def write_state(
@@ -427,7 +430,7 @@ def write_state(
     solution : that of the job, or one of its seeds. stored : settings that solve it again. path : its name for people.
     """
     running = runtime.current() if job.method.options.needs_taichi else runtime.HOST
-    summary = summarise(solution, job.settings.tolerance, job.settings.duration) | {
+    summary = summarise(solution, job.settings) | {
         "arch": running.arch,
         "precision": running.precision,
         "threads": running.threads,

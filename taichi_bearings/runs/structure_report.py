@@ -10,8 +10,8 @@ from taichi_bearings.analysis.network import planes_crossed
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
 from taichi_bearings.files.analysis_file import Finding
-from taichi_bearings.files.run_file import AXES
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run_file import AXES
 
 LISTED = 10  # most loaded links in a report
 

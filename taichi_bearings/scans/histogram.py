@@ -22,11 +22,11 @@ from taichi_bearings.analysis.histogram import (
 from taichi_bearings.analysis.statistics import groups
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
-from taichi_bearings.files.run_file import StoredRun, read_run_file
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path
+from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
 from taichi_bearings.scans.systems import disorder_of, numbered
@@ -76,7 +76,9 @@ class Source:
             found = self.stored.histograms
             contacts = (found.slipping + found.slipless + found.undecided)[self.samples]
         else:
-            contacts = sum((s != ContactState.DRIVEN).reshape(len(s), -1).sum(axis=1) for s in self.stored.state)
+            contacts = sum(
+                (s != ContactState.DRIVEN).reshape(len(s), -1).sum(axis=1) for s in self.stored.solution.state
+            )
         return self.column("power") / np.maximum(contacts, 1)
 
     def unit(self, normalise: str) -> np.ndarray:
@@ -95,7 +97,8 @@ class Source:
 
     def counts(self, bins_per_decade: int, unit: np.ndarray, anchor: float) -> SampleCounts:
         if isinstance(self.stored, StoredRun):
-            return count_powers(self.stored.power, self.stored.state, bins_per_decade, unit, anchor)
+            solution = self.stored.solution
+            return count_powers(solution.power_per_contact, solution.state, bins_per_decade, unit, anchor)
         found = self.stored.histograms
         first = round(BINS_PER_DECADE * float(np.log10(found.edges[0]))) if len(found.edges) else 0
         fine = SampleCounts(first, BINS_PER_DECADE, 1.0, found.count, found.slipless, found.undecided)
@@ -110,12 +113,12 @@ def read_source(path: Path) -> Source:
         reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
         return Source(scan, reasons)
     run = read_run_file(path)
-    return Source(run, np.full(len(run.spin), "", dtype=object))
+    return Source(run, np.full(run.solution.scene.replicas, "", dtype=object))
 
 
 def _scalar_of_run(run: StoredRun, name: str) -> Any:
     """An attribute or setting of a run: one value, 10x10 for a list, or a list with a value for each replica."""
-    replicas = len(run.spin)
+    replicas = run.solution.scene.replicas
     settings = settings_of(run)
     if name in ("shape", "direction"):
         return "x".join(map(str, getattr(settings, name)))
@@ -138,10 +141,13 @@ def _settings_of_scan(scan: StoredScan) -> RunSettings:
 
 def _disorders_of_run(run: StoredRun) -> list[Any]:
     """Names of the disorder of each replica: by its seed, or by its coefficients where they were given."""
-    settings, replicas = settings_of(run), len(run.spin)
-    table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.attributes.get("method", ""))}
+    settings, replicas = settings_of(run), run.solution.scene.replicas
+    table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.solution.method)}
     if run.attributes.get("coefficients"):
-        contents = [b"".join(values[replica].tobytes() for values in run.coefficient) for replica in range(replicas)]
+        contents = [
+            b"".join(values[replica].tobytes() for values in run.solution.scene.coefficient)
+            for replica in range(replicas)
+        ]
         table["seed"] = np.array([hashlib.sha256(content).hexdigest() for content in contents], dtype=object)
     return disorder_of(table, settings)
 

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +95,7 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
     solution = solve_job(job)
     if solution.status is Status.INTERRUPTED:
         raise Interrupted
-    parts = [one_replica(solution, number) for number in range(len(block))]
+    parts = [solution.sample(number) for number in range(len(block))]
     if wanted.states is not None:
         make_folder(wanted.states)
         for sample, part in zip(block, parts, strict=True):
@@ -104,36 +104,14 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
     return [_record(sample, part, wanted) for sample, part in zip(block, parts, strict=True)]
 
 
-def one_replica(solution: Solution, number: int) -> Solution:
-    """One seed of a solution as if it had been solved alone; its seconds are its share."""
-    scene, one = solution.scene, slice(number, number + 1)
-    if scene.replicas == 1:
-        return solution
-
-    def cut(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            return value[one]
-        return tuple(part[one] for part in value) if isinstance(value, tuple) else value
-
-    changes: dict[str, Any] = {item.name: cut(getattr(solution, item.name)) for item in fields(solution)}
-    changes |= {
-        "scene": replace(scene, coefficient=cut(scene.coefficient), seeds=scene.seeds[one]),
-        "seconds": solution.seconds / scene.replicas,
-        "seconds_compile": solution.seconds_compile / scene.replicas,
-        "history": {name: v[:, one] if v.ndim == 2 else v for name, v in solution.history.items()},
-        "findings": {name: values[one] for name, values in solution.findings.items()},
-    }
-    return replace(solution, **changes)
-
-
 def _record(sample: Sample, solution: Solution, wanted: Wanted) -> dict[str, Any]:
-    summary = summarise(solution, sample.settings.tolerance, sample.settings.duration)
+    summary = summarise(solution, sample.settings)
     scalars = summary | {"slip_threshold": solution.slip_threshold}
     if wanted.structure:
-        from taichi_bearings.analysis.structure import structures_of
+        from taichi_bearings.analysis.structure import structure_of
         from taichi_bearings.runs.structure_report import numbers_of
 
-        scalars |= numbers_of(structures_of(solution)[0])
+        scalars |= numbers_of(structure_of(solution))
     power = np.concatenate([values.ravel() for values in solution.power_per_contact])
     state = np.concatenate([values.ravel() for values in solution.state])
     bins, count = np.unique(bin_of(power[(state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)

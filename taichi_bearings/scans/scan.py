@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.files.scan_file import write_scan, write_scan_csv
 from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import replace_file
 from taichi_bearings.runs.run_directory import undisturbed, writable_folder
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
 from taichi_bearings.scans.estimate import (

@@ -1,7 +1,7 @@
 """What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import Any
 
@@ -196,3 +196,26 @@ class Solution:
         """(R,), True where it is proven that no other slips have the least power, False that others do, else None."""
         tied = self.findings.get("tied_contacts", np.zeros(len(self.resolved)))
         return [True if proven else False if ties else None for proven, ties in zip(self.resolved, tied, strict=True)]
+
+    def sample(self, number: int) -> "Solution":
+        """One replica of it as if it had been solved alone; its seconds are its share."""
+        scene, one = self.scene, slice(number, number + 1)
+        if scene.replicas == 1:
+            return self
+
+        def cut(value: Any) -> Any:
+            if isinstance(value, np.ndarray):
+                return value[one]
+            return tuple(part[one] for part in value) if isinstance(value, tuple) else value
+
+        changes: dict[str, Any] = {item.name: cut(getattr(self, item.name)) for item in fields(self)}
+        changes |= {
+            "scene": replace(scene, coefficient=cut(scene.coefficient), seeds=scene.seeds[one]),
+            "seconds": self.seconds / scene.replicas,
+            "seconds_compile": self.seconds_compile / scene.replicas,
+            "history": {name: v[:, one] if v.ndim == 2 else v for name, v in self.history.items()},
+            "findings": {name: values[one] for name, values in self.findings.items()},
+        }
+        if self.snapshots is not None:
+            changes["snapshots"] = Snapshots(self.snapshots.time, self.snapshots.spin[:, one])
+        return replace(self, **changes)

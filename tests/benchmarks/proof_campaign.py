@@ -293,7 +293,7 @@ def run_scene(words: dict, perturbations: int) -> dict:
         return {"refused": str(refused)}
     try:
         solution = solve_job(job)
-        summary = summarise(solution, settings.tolerance)
+        summary = summarise(solution, settings)
     except Exception as error:
         traceback.print_exc()
         return {"false": [["crash", 1.0, f"{type(error).__name__}: {error}"]], "method": words["method"]}

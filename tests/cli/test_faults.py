@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from taichi_bearings.files.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from tests.cli.test_cli import bearings
 
@@ -115,7 +115,9 @@ def test_a_full_disk_at_the_end_of_a_solve(tmp_path, size, kept):
             assert path == str(disk / "a")
             assert done.returncode == 0
             assert list(temporary.iterdir()) == []
-        assert read_run_file(disk / "a" if kept != "elsewhere" else next(temporary.iterdir()) / "a").shape == (4, 5)
+        assert read_run_file(
+            disk / "a" if kept != "elsewhere" else next(temporary.iterdir()) / "a"
+        ).solution.scene.lattice.shape == (4, 5)
     finally:
         subprocess.run(["umount", disk], check=True)
 

@@ -8,10 +8,10 @@ import h5py
 import pytest
 
 from taichi_bearings.errors import BearingsError, FileError
-from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
 from taichi_bearings.runs.analyse import analyse
 from taichi_bearings.runs.run import prepare, run, solve_job
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import read_source
@@ -108,7 +108,7 @@ def test_files_without_checksums_are_read(path):
     with h5py.File(path, "r+") as file:
         del file.attrs["sha256"], file["analysis"]
     change(path, "contact/x/power")
-    assert read_run_file(path).spin.shape == (1, 3, 4, 5, 3)
+    assert read_run_file(path).solution.spin.shape == (1, 3, 4, 5, 3)
     assert verify(path)["unchanged"] is None
     assert verify(path.parent)["contradictions"]
 

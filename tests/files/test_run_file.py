@@ -4,8 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from taichi_bearings.files.run_file import read_run_file, write_run_file
 from taichi_bearings.runs.run import summarise
+from taichi_bearings.runs.run_file import read_run_file, write_run_file
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import LinearSolver
 from taichi_bearings.solvers.drive import solve
@@ -16,10 +17,9 @@ from tests.scenes import make_scene
 def test_friction_vectors_come_back_and_may_be_missing(tmp_path, shape, seeds):
     scene = make_scene(shape, "viscous", seeds=seeds)
     solution = solve(scene, LinearSolver().build(), initial_spin(scene, "linear"))
-    path = tmp_path / "run.h5"
-    write_run_file(path, solution, summarise(solution, 1e-8))
-    stored = read_run_file(path)
-    assert stored.friction is not None
+    path, settings = tmp_path / "run.h5", RunSettings(shape=shape, law="viscous")
+    write_run_file(path, solution, summarise(solution, settings) | {"scene": settings.to_toml()})
+    stored = read_run_file(path).solution
     for axis, (given, found) in enumerate(zip(solution.friction, stored.friction, strict=True)):
         vector = (3,) if len(shape) == 3 else ()
         assert found.shape == (len(seeds), *scene.lattice.contact_shape(axis), *vector)
@@ -29,4 +29,4 @@ def test_friction_vectors_come_back_and_may_be_missing(tmp_path, shape, seeds):
         assert file["contact/x/friction"].attrs["units"] == "force"
         for axis in file["contact"]:
             del file[f"contact/{axis}/friction"]
-    assert read_run_file(path).friction is None
+    assert read_run_file(path).solution.friction == ()

@@ -10,11 +10,12 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.analysis.thresholds import THRESHOLDS
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.run_file import read_run_file
-from taichi_bearings.runs.analyse import analyse, structure_of
+from taichi_bearings.runs.analyse import analyse
 from taichi_bearings.runs.run import run
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.runs.structure_report import numbers_of
@@ -174,10 +175,10 @@ def test_a_viscous_state_has_no_network(solved):
 
 
 def test_contacts_that_are_not_decided_join_nothing(solved):
-    stored = read_run_file(solved(shape=(4, 5, 7), seed=0))
-    for state in stored.state:
+    solution = read_run_file(solved(shape=(4, 5, 7), seed=0)).solution
+    for state in solution.state:
         state[state == 0] = 2
-    found = numbers_of(structure_of(stored, 0))
+    found = numbers_of(structure_of(solution))
     assert found["undecided"] > 0
     assert found["slipless"] == found["components"] == 0
 

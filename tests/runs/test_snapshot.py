@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.runs.run import run
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.snapshot import draw_snapshot
 
@@ -15,18 +15,18 @@ def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
     run(RunSettings(shape=(4, 5), method="rigid-limit", initial="random", seed=5, replicas=2, duration=2.0,
                     snapshots="0,0.01,1", threads=1), folder)  # fmt: skip
-    return read_run_file(folder)
+    return read_run_file(folder).solution
 
 
 @pytest.mark.parametrize(("time", "nearest"), [(0.0, 0), (0.012, 1), (2.0, 2)])
 def test_a_snapshot_shows_its_time_and_its_own_slipping_contacts(stored, time, nearest):
-    spin = stored.snapshots["spin"][1, nearest]  # discs that turn alike and oppositely roll on each other
+    spin = stored.snapshots.spin[nearest, 1]  # discs that turn alike and oppositely roll on each other
     speeds = [0.5 * np.abs(spin[1:] + spin[:-1])[:, 1:-1], 0.5 * np.abs(spin[:, 1:] + spin[:, :-1])]
-    slipping = sum(int((speed > stored.attributes["slip_threshold"]).sum()) for speed in speeds)
+    slipping = sum(int((speed > stored.slip_threshold).sum()) for speed in speeds)
     figure = draw_snapshot(stored, 1, time)
     (lines,) = (c for c in figure.axes[0].collections if type(c).__name__ == "LineCollection")
     assert len(lines.get_segments()) == slipping
-    assert figure.get_suptitle().startswith(f"t = {stored.snapshots['time'][1, nearest]:.6g}; black: ")
+    assert figure.get_suptitle().startswith(f"t = {stored.snapshots.time[nearest]:.6g}; black: ")
 
 
 def test_less_slips_as_time_goes_on(stored):

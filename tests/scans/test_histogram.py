@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.runs.run import run
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.histogram import histogram, pooled, read_source
 from tests.stored_scans import stored_scan
@@ -73,20 +73,20 @@ def test_power_is_counted_in_the_mean_of_each_sample(scan):
 
 def test_runs_and_scans_pool_together(scan, block):
     one, other = read_source(block), read_source(scan.path)
-    stored = read_run_file(block)
+    stored = read_run_file(block).solution
     both = pooled([one, other])[None]
     assert both.samples == 3 + other.samples.size
     assert both.slipping == pooled([one])[None].slipping + pooled([other])[None].slipping
     assert list(pooled([one, other], by="shape")) == ["4x3x4", "4x4", "8x8", "16x16"]
     assert [part.samples for part in pooled([one], by="seed").values()] == [1, 1, 1]
     assert list(pooled([one], by="initial")) == ["linear"]
-    values = np.concatenate([p[s == 1] for p, s in zip(stored.power, stored.state, strict=True)])
+    values = np.concatenate([p[s == 1] for p, s in zip(stored.power_per_contact, stored.state, strict=True)])
     unit = pooled([one], 3, "unit")[None]
     assert (unit.count == np.histogram(values / 25, unit.edges)[0]).all()
     mean = pooled([one], 3, "mean")[None]
     own = [
-        np.concatenate([p[r][s[r] == 1] for p, s in zip(stored.power, stored.state, strict=True)])
-        / (stored.attributes["power"][r] / sum((s[r] != 3).sum() for s in stored.state))
+        np.concatenate([p[r][s[r] == 1] for p, s in zip(stored.power_per_contact, stored.state, strict=True)])
+        / (stored.power[r] / sum((s[r] != 3).sum() for s in stored.state))
         for r in range(3)
     ]
     assert (mean.count == np.histogram(np.concatenate(own), mean.edges)[0]).all()

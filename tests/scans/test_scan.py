@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
-from taichi_bearings.files.run_file import read_run_file
 from taichi_bearings.files.scan_file import bin_of, read_scan
 from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.estimate import ignored_keys, paying_workers, units_of
 from taichi_bearings.scans.plan import Wishes, read_plan
-from taichi_bearings.scans.sample import Wanted, failure, one_replica, solve_samples
+from taichi_bearings.scans.sample import Wanted, failure, solve_samples
 from taichi_bearings.scans.scan import estimate, scan
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here
@@ -68,7 +68,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
     assert " ".join(stored.table).startswith(names)
     for row, sample in enumerate(plan.samples):
         solution = solve_job(prepare(replace(sample.settings, threads=1)))
-        summary = summarise(solution, sample.settings.tolerance, sample.settings.duration)
+        summary = summarise(solution, sample.settings)
         for name, values in stored.table.items():
             if name in summary and name not in CLOCKS:
                 found = summary[name]
@@ -89,7 +89,7 @@ def test_seeds_solved_together_are_the_same_to_the_last_bit(shape):
     together = solve_job(prepare(replace(settings, replicas=5)))
     for number in range(5):
         alone = solve_job(prepare(replace(settings, seed=3 + number)))
-        part = one_replica(together, number)
+        part = together.sample(number)
         assert part.scene.seeds == alone.scene.seeds
         assert (part.slip_threshold, part.status) == (alone.slip_threshold, alone.status)
         for name in ("spin", "power", "lower_bound", "gap", "unbalanced_torque", "resolved"):
@@ -100,7 +100,7 @@ def test_seeds_solved_together_are_the_same_to_the_last_bit(shape):
 
 
 def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
-    from taichi_bearings.runs.analyse import structure_of
+    from taichi_bearings.analysis.structure import structure_of
     from taichi_bearings.runs.structure_report import numbers_of
 
     plan = plan_of("shape = [4, 4, 4]\n[scan]\nseed = [1, 2, 3]\n")
@@ -111,7 +111,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     stored = read_scan(tmp_path / "scan")
     for row, sample in enumerate(plan.samples):
         state = read_run_file(tmp_path / "scan" / "states" / f"{sample.key}.h5")
-        numbers = numbers_of(structure_of(state, 0))
+        numbers = numbers_of(structure_of(state.solution))
         for name in (
             "power_minimum_cut",
             "spans",

@@ -45,7 +45,7 @@ def assert_true(solution, power, tolerance):
     assert solution.power[0] >= low * (1 - ROUNDING)
     missing = (solution.power[0] - low) / solution.power[0]
     assert solution.gap[0] >= missing - ROUNDING
-    assert (summarise(solution, tolerance)["status"] == "certified") <= (missing <= tolerance)
+    assert (summarise(solution, RunSettings(tolerance=tolerance))["status"] == "certified") <= (missing <= tolerance)
 
 
 @pytest.mark.parametrize("settings", COULOMB, ids=str)
@@ -92,7 +92,7 @@ def test_a_power_that_is_no_number_is_not_certified():
     solution = solve(job.scene, job.method, np.full_like(job.spin, np.nan), StopRule(1e-8, 10))
     assert solution.status is not Status.CERTIFIED
     assert not solution.gap[0] <= 1e-8
-    assert summarise(solution, 1e-8)["status"] != "certified"
+    assert summarise(solution, RunSettings())["status"] != "certified"
 
 
 def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():

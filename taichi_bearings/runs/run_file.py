@@ -2,16 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import read_hdf5, write_hdf5
-from taichi_bearings.scene import Solution
+from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.scene import Scene, Snapshots, Solution, Status
+from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.solution import ROUNDING
 
 SCHEMA = "taichi_bearings.run"
@@ -65,7 +69,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
 
     def fill(file: h5py.File) -> None:
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
-        for key, value in attributes.items():
+        for key, value in {**attributes, "findings": list(solution.findings)}.items():
             file.attrs[key] = storable(value)
         for axis in range(scene.lattice.dimension):
             name = AXES[axis]
@@ -101,39 +105,13 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     write_hdf5(path, fill)
 
 
-def storable(value: Any) -> Any:
-    """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers; what
-    is not UTF-8 in a text, such as the name of a file, is escaped."""
-    if isinstance(value, str):
-        return value.encode(errors="backslashreplace").decode()
-    if isinstance(value, list) and None in value:
-        return [np.nan if item is None else item for item in value]
-    return "" if value is None else value
-
-
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as read back. Arrays always have the replica axis (history too); contact sets are one array an axis.
-
-    friction : as in :class:`Solution`; None in files from before it was stored.
-    """
+    """A run as read back. attributes : of its file, as in `--json` of `run`; and `scene`, its settings as TOML."""
 
     path: Path
     attributes: dict[str, Any]
-    coefficient: tuple[np.ndarray, ...]
-    viscosity: tuple[np.ndarray, ...]
-    spin: np.ndarray
-    slip: tuple[np.ndarray, ...]
-    power: tuple[np.ndarray, ...]
-    force: tuple[np.ndarray, ...]
-    state: tuple[np.ndarray, ...]
-    history: dict[str, np.ndarray]
-    snapshots: dict[str, np.ndarray]
-    friction: tuple[np.ndarray, ...] | None = None
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return tuple(int(n) for n in self.attributes["shape"])
+    solution: Solution
 
     def attribute(self, name: str) -> Any:
         """An attribute of the file; FileError if it is missing."""
@@ -150,32 +128,111 @@ def read_run_file(run: Path) -> StoredRun:
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
     with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a run") as file:
-        return _read(path, file)
+        attributes = {
+            key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()
+        }
+        _refuse_bound_above_power(path, attributes)
+        stored = StoredRun(path, attributes, _solution(path, file, attributes))
+    _check_arrays(stored)
+    return stored
 
 
-def _read(path: Path, file: h5py.File) -> StoredRun:
-    attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
-    _refuse_bound_above_power(path, attributes)
+def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Solution:
+    """What the run came to, with a replica axis. What files from before lack is empty, or counts as not known."""
     axes = AXES[: len(attributes["shape"])]
     one = file["coefficient/x"].ndim == len(axes)
-    has_friction = all(f"contact/{axis}/friction" in file for axis in axes)
 
     def get(name: str) -> np.ndarray:
         values = file[name][()]
         return values[None] if one else values
 
-    sets = {key: tuple(get(f"contact/{axis}/{key}") for axis in axes) for key in CONTACT_SETS}
-    return StoredRun(
-        path=path,
-        attributes=attributes,
-        coefficient=tuple(get(f"coefficient/{axis}") for axis in axes),
-        viscosity=tuple(get(f"viscosity/{axis}") for axis in axes) if "viscosity" in file else (),
-        spin=get("spin"),
-        history={key: get(f"history/{key}") for key in file["history"]},
-        snapshots={key: get(f"snapshots/{key}") for key in file.get("snapshots", ())},
-        friction=tuple(get(f"contact/{axis}/friction") for axis in axes) if has_friction else None,
+    def each_axis(name: str) -> tuple[np.ndarray, ...]:
+        names = [name.format(axis) for axis in axes]
+        return tuple(get(name) for name in names) if all(name in file for name in names) else ()
+
+    sets: dict[str, Any] = {
+        attribute: tuple(get(f"contact/{axis}/{key}") for axis in axes) for key, (attribute, *_) in CONTACT_SETS.items()
+    }
+    scene = _scene(path, attributes, each_axis("coefficient/{}"), each_axis("viscosity/{}"))
+    number = partial(_numbers, attributes, scene.replicas)
+    spin = get("spin")
+    return Solution(
+        scene=scene,
+        method=str(attributes["method"]),
+        status=_status(attributes["status"]),
+        iterations=int(attributes["iterations"]),
+        spin=spin,
+        spin_rounding=get("spin_rounding") if "spin_rounding" in file else np.zeros_like(spin),
         **sets,
+        friction=each_axis("contact/{}/friction"),
+        slip_bound=each_axis("contact/{}/slip_bound"),
+        resolved=number("states_proven", 0.0) == 1,
+        power=number("power"),
+        objective=number("potential" if scene.law.minimises == "potential" else "power"),
+        lower_bound=number("lower_bound"),
+        gap=number("gap"),
+        slip_threshold=float(attributes["slip_threshold"]),
+        unbalanced_torque=number("largest_balance_residual"),
+        seconds=float(attributes["seconds"]),
+        seconds_compile=float(attributes["seconds_compile"]),
+        history={key: _column(key, get(f"history/{key}")) for key in file["history"]},
+        findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
+        snapshots=_snapshots(get("snapshots/time"), get("snapshots/spin")) if "snapshots" in file else None,
     )
+
+
+FINDINGS = ("cut_is_unique", "next_cut_over_minimum", "tied_contacts")  # in files from before these were named
+OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the same for all replicas
+
+
+def _scene(
+    path: Path, attributes: Mapping[str, Any], coefficient: tuple[np.ndarray, ...], viscosity: tuple[np.ndarray, ...]
+) -> Scene:
+    """The scene of a run file; FileError if it cannot be one."""
+    try:
+        settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
+        given = {key: getattr(settings, key) for key in ("spin_top", "spin_bottom", "direction", "normal_force")}
+        given["seeds"] = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
+        return Scene(
+            Lattice(settings.shape, settings.radius), law_named(settings.law), coefficient, viscosity=viscosity, **given
+        )
+    except (InputError, KeyError) as error:
+        raise FileError(f"{path} is damaged or was changed: {error}") from None
+
+
+def _numbers(attributes: Mapping[str, Any], replicas: int, name: str, default: float = np.nan) -> np.ndarray:
+    """An attribute with one value a replica, (R,); what is no number is `default`."""
+    value = attributes.get(name, "")
+    values = np.atleast_1d(default if isinstance(value, str) else value)
+    return np.broadcast_to(values, replicas).copy()
+
+
+def _status(stored: Any) -> Status:
+    """How the run ended: as those replicas did that are not certified."""
+    ended = [Status(name) for name in np.atleast_1d(stored).tolist()]
+    return next((status for status in ended if status is not Status.CERTIFIED), Status.CERTIFIED)
+
+
+def _column(name: str, stored: np.ndarray) -> np.ndarray:
+    """A column of the history, (checks,) or (checks, R), from (R, checks)."""
+    return stored[0] if name in OF_ALL else stored.T
+
+
+def _snapshots(time: np.ndarray, spin: np.ndarray) -> Snapshots:
+    return Snapshots(time[0], np.moveaxis(spin, 0, 1))
+
+
+def _check_arrays(run: StoredRun) -> None:
+    """FileError if spins or slips have another shape than the scene needs, or are not finite though the run was."""
+    solution, lattice = run.solution, run.solution.scene.lattice
+    wanted = [("spin", solution.spin, lattice.shape if lattice.dimension == 2 else (*lattice.shape, 3))]
+    wanted += [
+        (f"slip along {AXES[axis]}", slip, lattice.contact_shape(axis)) for axis, slip in enumerate(solution.slip)
+    ]
+    for name, values, shape in wanted:
+        finite = solution.status is Status.NOT_FINITE or np.isfinite(values).all()
+        if values.shape[1:] != tuple(shape) or not finite:
+            raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers of shape {tuple(shape)}")
 
 
 def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:
