@@ -23,12 +23,12 @@ def make_scene(
     **driving,
 ):
     lattice = Lattice(tuple(shape), radius)
-    given = {"coefficient": (draw_coefficients, distribution), "viscosity": (draw_viscosities, viscosity)}
+    given = {"coefficients": (draw_coefficients, distribution), "viscosity": (draw_viscosities, viscosity)}
     found = {}
     for _, (name, (draw, text)) in zip(law_named(law).quantities, given.items(), strict=False):
         drawn = [draw(lattice, Distribution.parse(text), seed) for seed in seeds]
         found[name] = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
-    return Scene(lattice, law, seeds=tuple(seeds), **found, **driving)
+    return Scene(law=law, radius=radius, seeds=tuple(seeds), **found, **driving)
 
 
 def minima(*shapes):

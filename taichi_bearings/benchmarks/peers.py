@@ -23,7 +23,6 @@ from taichi_bearings.benchmarks.conic import ConicProgramme, conic_programme
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.law import COULOMB
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # asked for, one after another
 
@@ -135,7 +134,7 @@ def find_peers() -> tuple[list[Peer], dict[str, str]]:
 def _why_not(name: str, linear_solver: str) -> str | None:
     """Why a linear solver does not work here, seen by trying it on six discs; None if it does."""
     lattice = Lattice((2, 3))
-    discs = Scene(lattice, COULOMB, tuple(np.ones((1, *lattice.contact_shape(axis))) for axis in range(2)))
+    discs = Scene(tuple(np.ones(lattice.contact_shape(axis)) for axis in range(2)))
     try:
         _RUNS[name](conic_programme(discs), linear_solver, 1e-3, 10.0, 1)
     except Exception as error:  # each library raises its own kind

@@ -20,7 +20,6 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
 from taichi_bearings.runs.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
@@ -28,7 +27,6 @@ from taichi_bearings.runs.run_file import StoredRun, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
@@ -37,56 +35,32 @@ from taichi_bearings.stages import stage
 
 def build_scene(settings: RunSettings) -> Scene:
     """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
-    lattice = Lattice(settings.shape, settings.radius)
-    if lattice.sites * settings.replicas > MOST_SITES // 8:
-        most = MOST_SITES // 8 // lattice.sites
-        raise InputError(f"replicas is {settings.replicas}; with this shape at most {most} can be indexed")
-    seeds = tuple(range(settings.seed, settings.seed + settings.replicas))
-    sources = (
-        ("coefficient", draw_coefficients, settings.distribution),
-        ("viscosity", draw_viscosities, settings.viscosity),
-    )
-    found = []
-    for kind, draw, distribution in sources[: len(law_named(settings.law).quantities)]:
-        if settings.coefficients is None:
-            drawn = [draw(lattice, Distribution.parse(distribution), seed) for seed in seeds]
-            found.append(tuple(np.stack(parts) for parts in zip(*drawn, strict=True)))
-        else:
-            stored = read_coefficients(Path(settings.coefficients), lattice.dimension, kind)
-            found.append(tuple(_with_replicas(values, lattice.dimension, len(seeds)) for values in stored))
-    return scene_with(settings, seeds, *found)
-
-
-def scene_with(
-    settings: RunSettings,
-    seeds: tuple[int, ...],
-    coefficient: tuple[np.ndarray, ...],
-    viscosity: tuple[np.ndarray, ...] = (),
-) -> Scene:
-    """The scene of the settings with these coefficients, one array (R, *contacts) an axis, and seeds (R,)."""
-    return Scene(
-        lattice=Lattice(settings.shape, settings.radius),
-        law=law_named(settings.law),
-        coefficient=coefficient,
-        viscosity=viscosity,
-        spin_top=settings.spin_top,
-        spin_bottom=settings.spin_bottom,
-        direction=(settings.direction[0], settings.direction[1], settings.direction[2]),
-        normal_force=settings.normal_force,
-        seeds=seeds,
-    )
+    keys = ("spin_top", "spin_bottom", "direction", "normal_force", "radius")
+    given = {key: getattr(settings, key) for key in keys} | {"law": settings.law}
+    if settings.coefficients is None:
+        drawn = {key: getattr(settings, key) for key in ("seed", "distribution", "viscosity", "replicas")}
+        return Scene.random(settings.shape, **drawn, **given)
+    file, lattice = Path(settings.coefficients), Lattice(settings.shape, settings.radius)
+    given["seeds"] = tuple(range(settings.seed, settings.seed + settings.replicas))
+    coefficients = read_coefficients(file, lattice.dimension)
+    if coefficients[0].ndim == lattice.dimension and settings.replicas > 1:
+        raise InputError(
+            f"replicas is {settings.replicas}, but the coefficients file holds a single sample; it must be 1"
+        )
+    if len(law_named(settings.law).quantities) > 1:
+        given["viscosity"] = read_coefficients(file, lattice.dimension, "viscosity")
+    scene = Scene(coefficients, **given)
+    if scene.lattice != lattice:
+        raise InputError(
+            f"coefficients along x in {file} have shape {coefficients[0].shape}; this lattice needs "
+            f"{lattice.contact_shape(0)}"
+        )
+    return scene
 
 
 def settings_of(run: StoredRun) -> RunSettings:
     """The settings of a stored run; FileError if they are missing."""
     return RunSettings.from_mapping(parse_toml(str(run.attribute("scene"))), str(run.path))
-
-
-def _with_replicas(values: np.ndarray, dimension: int, replicas: int) -> np.ndarray:
-    """Coefficients with a replica axis, which a file of a single sample lacks."""
-    if values.ndim == dimension and replicas > 1:
-        raise InputError(f"replicas is {replicas}, but the coefficients file holds a single sample; it must be 1")
-    return values[None] if values.ndim == dimension else values
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:

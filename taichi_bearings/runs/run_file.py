@@ -12,10 +12,8 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
-from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.solution import ROUNDING
 
 SCHEMA = "taichi_bearings.run"
@@ -73,7 +71,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             file.attrs[key] = storable(value)
         for axis in range(scene.lattice.dimension):
             name = AXES[axis]
-            for quantity, (group, parts) in zip(scene.law.quantities, scene.coefficients.items(), strict=True):
+            for quantity, (group, parts) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
                 text = f"{quantity.name} coefficient of the {name}-contacts"
                 put(file, f"{group}/{name}", strip(parts[axis]), quantity.unit, text)
             for key, (attribute, unit, text) in CONTACT_SETS.items():
@@ -191,11 +189,10 @@ def _scene(
     """The scene of a run file; FileError if it cannot be one."""
     try:
         settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
-        given = {key: getattr(settings, key) for key in ("spin_top", "spin_bottom", "direction", "normal_force")}
-        given["seeds"] = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
-        return Scene(
-            Lattice(settings.shape, settings.radius), law_named(settings.law), coefficient, viscosity=viscosity, **given
-        )
+        keys = ("law", "spin_top", "spin_bottom", "direction", "normal_force", "radius")
+        seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
+        given = {key: getattr(settings, key) for key in keys}
+        return Scene(coefficient, viscosity=viscosity, seeds=seeds, **given)
     except (InputError, KeyError) as error:
         raise FileError(f"{path} is damaged or was changed: {error}") from None
 

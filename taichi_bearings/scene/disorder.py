@@ -1,5 +1,6 @@
 """Random contact coefficients from a seed, the same on any machine: one draw an axis, in the order x, y, z."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -67,7 +68,7 @@ class Distribution:
     def __str__(self) -> str:
         return f"{self.name}:{','.join(format(value, 'g') for value in self.parameters)}"
 
-    def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    def __call__(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Values of `shape`; some may overflow for extreme parameters, which Scene refuses."""
         with np.errstate(over="ignore", under="ignore"):
             return self._draw(rng, shape)
@@ -90,15 +91,25 @@ class Distribution:
         return np.full(shape, p[0])
 
 
-def draw_coefficients(lattice: Lattice, distribution: Distribution, seed: int) -> tuple[np.ndarray, ...]:
+Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
+"""Coefficients of a shape: a distribution, or a function of one's own."""
+
+
+def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int) -> tuple[np.ndarray, ...]:
     """One array an axis of that axis' contact shape, drawn from ``default_rng(seed)``; dimensionless or damping."""
     return _draw(lattice, distribution, np.random.default_rng(seed))
 
 
-def draw_viscosities(lattice: Lattice, distribution: Distribution, seed: int) -> tuple[np.ndarray, ...]:
+def draw_viscosities(lattice: Lattice, distribution: Draw, seed: int) -> tuple[np.ndarray, ...]:
     """The same of the second coefficient of a law that has two, from ``default_rng([seed, 2])``."""
     return _draw(lattice, distribution, np.random.default_rng([seed, 2]))
 
 
-def _draw(lattice: Lattice, distribution: Distribution, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    return tuple(distribution.draw(rng, lattice.contact_shape(axis)) for axis in range(lattice.dimension))
+def _draw(lattice: Lattice, distribution: Draw, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    found = []
+    for shape in map(lattice.contact_shape, range(lattice.dimension)):
+        values = np.asarray(distribution(rng, shape))
+        if values.shape != shape:
+            raise InputError(f"the distribution gave an array of shape {values.shape}; it was asked for {shape}")
+        found.append(values)
+    return tuple(found)

@@ -1,14 +1,15 @@
 """What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import contact_differences, tangential
+from taichi_bearings.lattice.grid import MOST_SITES, contact_differences, tangential
 from taichi_bearings.numerics.double_double import (
     Pair,
     add,
@@ -19,33 +20,79 @@ from taichi_bearings.numerics.double_double import (
     two_product,
     two_sum,
 )
-from taichi_bearings.scene.law import Coefficients, Law, law_named
+from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients, draw_viscosities
+from taichi_bearings.scene.law import COULOMB, Coefficients, Law, law_named
 
 AXIS_NAMES = ("x", "y", "z")
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
-    """A frustrated bearing: R samples of the disorder (replicas) on one lattice with one driving.
+    """What is solved: a frustrated bearing, or several samples of it (replicas) on one lattice with one driving.
 
-    law : or its name. coefficient : one array (R, *contacts) an axis, all positive; friction, or damping of the viscous
-    law. viscosity : the same for a law that has both, else empty.
+    coefficients : one array an axis, x, y(, z): (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
+        (nx, ny-1); several samples have a leading axis R. Entry [i, j, k] of an axis is of the contact of sphere
+        (i, j, k) with its upper neighbour along it. Friction, a pure number, or damping of the viscous law,
+        force * time / length; from 1e-15 to 1e15. The last axis is the height, bottom first.
+    law : "coulomb", "viscous" or "coulomb-viscous".
     spin_top, spin_bottom : 1/time; imposed spin of the top and bottom planes, with the sign of the sublattice.
     direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
-    normal_force : force at every contact, of laws with friction.
-    seeds : seed of each replica, for the record and for random initial spins.
+    normal_force : force at every contact, of laws with friction. radius : of the spheres, length.
+    seeds : seed of each sample, for the record and for random initial spins. Default: 0, 1, ...
+    viscosity : like the coefficients, of a law that has both, else empty; force * time / length.
+    drawn : distributions that the seeds were drawn from, by option of `bearings run`; empty for given coefficients.
     """
 
-    lattice: Lattice
-    law: Law
-    coefficient: tuple[np.ndarray, ...]
+    coefficients: tuple[np.ndarray, ...]
+    law: Law = COULOMB
     spin_top: float = 1.0
     spin_bottom: float = 0.0
     direction: tuple[float, float, float] = (1.0, 1.0, 0.0)
     normal_force: float = 50.0
-    seeds: tuple[int, ...] = (0,)
+    radius: float = 0.5
+    seeds: tuple[int, ...] = ()
     viscosity: tuple[np.ndarray, ...] = ()
+    drawn: Mapping[str, str] = field(init=False, default_factory=dict)
+
+    @classmethod
+    def random(
+        cls,
+        shape: Sequence[int],
+        seed: int = 0,
+        distribution: str | Draw = "uniform:0.1,1.0",
+        law: str | Law = COULOMB,
+        spin_top: float = 1.0,
+        spin_bottom: float = 0.0,
+        direction: tuple[float, float, float] = (1.0, 1.0, 0.0),
+        **others: Any,
+    ) -> "Scene":
+        """A scene whose coefficients are drawn from its seed: the same on any machine.
+
+        shape : spheres along each axis, (nx, ny) or (nx, ny, nz), height last.
+        distribution : "uniform:low,high", "lognormal:median,sigma", "power-law:low,high,exponent",
+            "bimodal:low,high,fraction" or "constant:value", or a function (rng, shape) -> array of coefficients.
+        others : `replicas`, for the seeds seed ... seed + replicas - 1; `viscosity`, the distribution of the second
+            coefficient of "coulomb-viscous"; `normal_force` and `radius`.
+        """
+        law, replicas = law_named(law), others.pop("replicas", 1)
+        lattice = Lattice(tuple(shape), others.get("radius", cls.radius))
+        if not 1 <= replicas <= MOST_SITES // 8 // lattice.sites:
+            most = MOST_SITES // 8 // lattice.sites
+            raise InputError(f"replicas is {replicas}; with this shape at least 1 and at most {most} can be indexed")
+        others["seeds"] = tuple(range(seed, seed + replicas))
+        sources = {"distribution": distribution, "viscosity": others.pop("viscosity", "uniform:0.1,1.0")}
+        found = []
+        for draw, source in zip((draw_coefficients, draw_viscosities), sources.values(), strict=True):
+            values = Distribution.parse(source) if isinstance(source, str) else source
+            parts = zip(*(draw(lattice, values, number) for number in others["seeds"]), strict=True)
+            found.append(tuple(np.stack(part) if replicas > 1 else part[0] for part in parts))
+        if len(law.quantities) > 1:
+            others["viscosity"] = found[1]
+        scene = cls(found[0], law, spin_top, spin_bottom, direction, **others)
+        texts = {name: source for name, source in sources.items() if isinstance(source, str)}
+        object.__setattr__(scene, "drawn", texts if len(texts) == len(sources) else {})
+        return scene
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "law", law_named(self.law))
@@ -56,33 +103,82 @@ class Scene:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
         if len(self.direction) != 3 or not np.all(np.isfinite(self.direction)) or not np.any(self.direction):
             raise InputError(f"direction is {list(self.direction)}; it must be three finite numbers, not all zero")
+        object.__setattr__(self, "direction", tuple(float(part) for part in self.direction))
+        object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
+        object.__setattr__(self, "viscosity", _arrays("viscosities", self.viscosity))
         if bool(self.viscosity) != (len(self.law.quantities) > 1):
             raise InputError(
                 f"law is {self.law}, which has {len(self.law.quantities)} coefficients a contact; "
                 f"viscosities {'must not' if self.viscosity else 'must'} be given beside the coefficients"
             )
-        for kind, coefficients in self.coefficients.items():
-            for axis, values in enumerate(coefficients):
-                self._check_coefficients(kind, values, axis)
-
-    def _check_coefficients(self, kind: str, values: np.ndarray, axis: int) -> None:
-        name, expected = AXIS_NAMES[axis], (len(self.seeds), *self.lattice.contact_shape(axis))
-        if values.shape != expected:
-            kinds = {"coefficient": "coefficients", "viscosity": "viscosities"}[kind]
-            raise InputError(f"{kinds} along {name} have shape {values.shape}; this lattice needs {expected}")
-        bad = ~((values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
-        if bad.any():
-            where = tuple(int(i) for i in np.argwhere(bad)[0])
+        if len(self.coefficients) not in (2, 3):
             raise InputError(
-                f"{kind} {values[where]} at {list(where[1:])} along {name} is not allowed; "
-                f"every {kind} must be a positive number from 1e-15 to 1e15"
+                f"coefficients are {len(self.coefficients)} arrays; they must be one an axis, two or three"
             )
+        first, dimension = self.coefficients[0].shape, len(self.coefficients)
+        samples = first[0] if len(first) > dimension else 1
+        object.__setattr__(self, "seeds", tuple(self.seeds) or tuple(range(samples)))
+        for kind, coefficients in (("coefficients", self.coefficients), ("viscosities", self.viscosity)):
+            self._check(kind, coefficients)
+
+    def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
+        for axis, values in enumerate(coefficients):
+            name, one = AXIS_NAMES[axis], self.lattice.contact_shape(axis)
+            if values.shape != (len(self.seeds), *one) and (values.shape != one or self.replicas > 1):
+                expected = one if self.replicas == 1 else (self.replicas, *one)
+                raise InputError(f"{kind} along {name} have shape {values.shape}; this lattice needs {expected}")
+            bad = ~((values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
+            if bad.any():
+                where = tuple(int(i) for i in np.argwhere(bad)[0])
+                word = {"coefficients": "coefficient", "viscosities": "viscosity"}[kind]
+                raise InputError(
+                    f"{word} {values[where]} at {list(where[-len(one) :])} along {name} is not allowed; "
+                    f"every {word} must be a positive number from 1e-15 to 1e15"
+                )
+
+    def __repr__(self) -> str:
+        shape, seeds = "x".join(map(str, self.lattice.shape)), f"seed {self.seeds[0]}"
+        seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
+        return f"<Scene {shape} {self.law}, {seeds}, top {self.spin_top:g}, bottom {self.spin_bottom:g}>"
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        along_x = self.coefficients[0].shape[-len(self.coefficients) :]
+        return Lattice((along_x[0] + 1, *along_x[1:]), self.radius)
+
+    @cached_property
+    def coefficient(self) -> tuple[np.ndarray, ...]:
+        """The coefficients with the axis of replicas, one array (R, *contacts) an axis."""
+        return self._with_replicas(self.coefficients)
+
+    @cached_property
+    def second_coefficient(self) -> tuple[np.ndarray, ...]:
+        """The same of the viscosities; empty for laws that have no second coefficient."""
+        return self._with_replicas(self.viscosity)
+
+    def _with_replicas(self, parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        return tuple(
+            values.reshape(self.replicas, *self.lattice.contact_shape(axis)) for axis, values in enumerate(parts)
+        )
 
     @property
-    def coefficients(self) -> dict[str, tuple[np.ndarray, ...]]:
-        """Those of the law, by the name of the field that has them, in its order."""
-        found = {"coefficient": self.coefficient, "viscosity": self.viscosity}
+    def named_coefficients(self) -> dict[str, tuple[np.ndarray, ...]]:
+        """Those of the law with the axis of replicas, by their name in files, in the order of the law."""
+        found = {"coefficient": self.coefficient, "viscosity": self.second_coefficient}
         return {name: values for name, values in found.items() if values}
+
+    def sample(self, number: int) -> "Scene":
+        """One of the samples alone."""
+        if self.replicas == 1:
+            return self
+        scene = replace(
+            self,
+            coefficients=tuple(values[number] for values in self.coefficients),
+            viscosity=tuple(values[number] for values in self.viscosity),
+            seeds=(self.seeds[number],),
+        )
+        object.__setattr__(scene, "drawn", self.drawn)
+        return scene
 
     @property
     def replicas(self) -> int:
@@ -157,7 +253,7 @@ class Scene:
     @cached_property
     def acting_viscosity(self) -> tuple[np.ndarray, ...]:
         """The same of the viscosities; empty for laws that have no second coefficient."""
-        return self._acting(self.viscosity)
+        return self._acting(self.second_coefficient)
 
     def _acting(self, values: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         return tuple(np.where(self.lattice.between_driven(axis), 0.0, part) for axis, part in enumerate(values))
@@ -263,6 +359,15 @@ class Scene:
         low, high = np.sort(self.driven_values(spin_axes), axis=0)
         shape = (-1, *(1,) * (staggered.ndim - 1))
         return np.clip(staggered, low.reshape(shape), high.reshape(shape))
+
+
+def _arrays(kind: str, given: Sequence[Any]) -> tuple[np.ndarray, ...]:
+    """What users give as coefficients, as arrays of float64."""
+    found = tuple(np.asarray(values) for values in given)
+    for axis, values in enumerate(found):
+        if values.dtype.kind not in "fiu":
+            raise InputError(f"{kind} along {AXIS_NAMES[axis]} are of type {values.dtype}; they must be real numbers")
+    return tuple(values.astype(np.float64, copy=False) for values in found)
 
 
 def vector_length(components: np.ndarray) -> np.ndarray:

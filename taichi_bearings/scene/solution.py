@@ -210,7 +210,7 @@ class Solution:
 
         changes: dict[str, Any] = {item.name: cut(getattr(self, item.name)) for item in fields(self)}
         changes |= {
-            "scene": replace(scene, coefficient=cut(scene.coefficient), seeds=scene.seeds[one]),
+            "scene": scene.sample(number),
             "seconds": self.seconds / scene.replicas,
             "seconds_compile": self.seconds_compile / scene.replicas,
             "history": {name: v[:, one] if v.ndim == 2 else v for name, v in self.history.items()},

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene
 from tests.benchmarks.rigid_convergence import STIFFENED, Comparison
 from tests.scenes import make_scene
@@ -40,7 +39,7 @@ def test_driven_discs_creep_by_what_the_spring_does_not_bear_over_the_damping():
     A / K = 10 only: until then the discs turn faster than the top, by 0.4 F_n / A."""
     height = np.empty((1, 2, 2))
     height[..., 0], height[..., 1] = 0.3, 0.7
-    scene = Scene(Lattice((2, 3)), "coulomb", (np.full((1, 1, 3), 0.1), height))
+    scene = Scene((np.full((1, 1, 3), 0.1), height))
     comparison = Comparison(scene, "linear", (4.0,))
     limit, _ = comparison.rigid(0, tolerance=1e-3)
     assert limit.spin == pytest.approx(np.ones_like(limit.spin), abs=1e-8)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.interface import compare, find_interface
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -16,9 +15,8 @@ from tests.scenes import make_scene
 
 def carved(above, law="coulomb", **driving):
     """A scene whose contacts are weak exactly where the two sides N meet."""
-    lattice = Lattice(above.shape)
     coefficient = tuple(np.where(np.diff(above, axis=axis), 0.01, 1.0)[None] for axis in range(above.ndim))
-    return Scene(lattice, law, coefficient, **driving)
+    return Scene(coefficient, law, **driving)
 
 
 def overhanging():

@@ -81,10 +81,9 @@ def test_the_strongest_tenth_of_a_gap():
 
 @pytest.mark.parametrize("name", ["planar-cut", "interior-point"])
 def test_equal_columns_slip_in_their_weak_gap_and_carry_its_friction_everywhere(name, needs_f64):
-    lattice = Lattice((4, 6))
     x, y = np.full((1, 3, 6), 0.5), np.full((1, 4, 5), 0.8)
     y[..., 2] = 0.3
-    scene = Scene(lattice, "coulomb", (x, y), spin_top=2.0, spin_bottom=-1.0, normal_force=10.0)
+    scene = Scene((x, y), spin_top=2.0, spin_bottom=-1.0, normal_force=10.0)
     force, state, flow = analysed(scene, answer(scene, name, 1e-12))
     assert flow.total == pytest.approx([0.5 * 4 * 0.3 * 10.0], rel=1e-12)
     assert flow.deviation < 1e-13

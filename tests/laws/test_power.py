@@ -25,18 +25,14 @@ def test_doubling_every_spin(law, factor, shape):
 def test_a_mirrored_sample_has_the_same_power(law):
     scene = make_scene((3, 4, 5), law)
     spin = np.random.default_rng(2).standard_normal((3, 1, 3, 4, 5))
-    mirrored = Scene(scene.lattice, law, tuple(c[:, ::-1] for c in scene.coefficient))
+    mirrored = Scene(tuple(c[:, ::-1] for c in scene.coefficient), law)
     assert mirrored.power(spin[:, :, ::-1], (0, 1, 2)) == pytest.approx(scene.power(spin, (0, 1, 2)), rel=1e-13)
 
 
 def test_swapping_the_horizontal_axes_changes_nothing(needs_f64):
     """x <-> y of sample and spins together, at the minimum: catches any axis that is treated differently."""
     scene = make_scene((3, 5, 4))
-    swapped = Scene(
-        make_scene((5, 3, 4)).lattice,
-        "coulomb",
-        tuple(scene.coefficient[a].swapaxes(1, 2) for a in (1, 0, 2)),
-    )
+    swapped = Scene(tuple(scene.coefficient[a].swapaxes(1, 2) for a in (1, 0, 2)))
     powers = [
         solve(s, GradientDescent().build(), initial_spin(s, "linear"), StopRule(1e-6)).power[0]
         for s in (scene, swapped)

@@ -25,7 +25,7 @@ def test_the_seed_convention_is_one_uniform_draw_an_axis():
     ],
 )
 def test_distributions_have_their_mean(text, mean):
-    values = Distribution.parse(text).draw(np.random.default_rng(3), (200_000,))
+    values = Distribution.parse(text)(np.random.default_rng(3), (200_000,))
     assert values.mean() == pytest.approx(mean, abs=5 * values.std() / np.sqrt(len(values)) + 1e-12)
     assert (values > 0).all()
     assert str(Distribution.parse(str(Distribution.parse(text)))) == str(Distribution.parse(text))

@@ -74,7 +74,7 @@ def test_both_coefficients_fall_back_on_the_law_with_one():
 
 def test_a_scene_has_the_coefficients_of_its_law():
     scene = make_scene((3, 4), "coulomb-viscous")
-    assert list(scene.coefficients) == ["coefficient", "viscosity"]
+    assert list(scene.named_coefficients) == ["coefficient", "viscosity"]
     assert scene.law is COULOMB_VISCOUS
     with pytest.raises(InputError, match="coulomb, viscous, coulomb-viscous"):
         replace(scene, law="stribeck")

@@ -14,13 +14,13 @@ def test_bad_coefficients_are_named(bad):
     broken = [c.copy() for c in scene.coefficient]
     broken[1][0, 2, 1, 3] = bad
     with pytest.raises(InputError, match=r"at \[2, 1, 3\] along y is not allowed"):
-        Scene(scene.lattice, "coulomb", tuple(broken))
+        Scene(tuple(broken))
 
 
 def test_coefficients_of_another_shape_are_refused():
-    scene = make_scene((3, 4, 5))
-    with pytest.raises(InputError, match="this lattice needs"):
-        Scene(scene.lattice, "coulomb", make_scene((4, 3, 5)).coefficient)
+    x, y, z = (values[0] for values in make_scene((3, 4, 5)).coefficients)
+    with pytest.raises(InputError, match=r"along z have shape \(4, 3, 4\); this lattice needs \(3, 4, 4\)"):
+        Scene((x, y, z.swapaxes(0, 1)))
 
 
 def test_only_frustrated_components_are_carried():

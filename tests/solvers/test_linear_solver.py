@@ -62,7 +62,7 @@ def columns(layers, sideways):
     """Two columns of discs: layers (2, contacts) damping along each, `sideways` between them."""
     lattice = Lattice((2, layers.shape[1] + 1))
     across = np.full((1, *lattice.contact_shape(0)), sideways)
-    return Scene(lattice, "viscous", (across, layers[None]))
+    return Scene((across, layers[None]), "viscous")
 
 
 @pytest.mark.parametrize("contacts", [2, 3, 50])

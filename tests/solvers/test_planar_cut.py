@@ -119,7 +119,7 @@ def test_what_slips_at_every_minimum_is_told_from_what_slips_at_some():
     upward[0, 2, 0] = 1
     sideways = np.full((1, 2, 4), 9.0)
     sideways[0, 1, 1] = 1
-    scene = Scene(make_scene((3, 4)).lattice, "coulomb", (sideways, upward))
+    scene = Scene((sideways, upward))
     solution = solved(scene)
     assert solution.power[0] == 4 * 50 * 0.5
     assert not solution.resolved[0]

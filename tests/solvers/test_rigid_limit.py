@@ -9,7 +9,6 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import contact_differences, tangential, torques
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -34,10 +33,9 @@ def begun(scene, spin, **options):
 
 def two_discs(left, right):
     """Two free discs side by side: friction 0.7 on the top, 0.3 on the bottom, 0.1 between them; top at 1, bottom 0."""
-    lattice = Lattice((2, 3))
     between, height = np.full((1, 1, 3), 0.1), np.empty((1, 2, 2))
     height[..., 0], height[..., 1] = 0.3, 0.7
-    scene = Scene(lattice, "coulomb", (between, height), normal_force=NORMAL_FORCE)
+    scene = Scene((between, height), normal_force=NORMAL_FORCE)
     staggered = np.zeros((1, 1, 2, 3))
     staggered[0, 0, :, 1] = left, right
     return scene, scene.laboratory_spin(scene.impose_driving(staggered, (2,)), (2,))

@@ -6,7 +6,6 @@ Truth is an oracle in 200 digits that shares nothing with the package.
 import numpy as np
 import pytest
 
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.runs.run import prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
@@ -99,7 +98,7 @@ def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():
     """Contacts within a level of 2x2 hold almost anything; one of the weak ones between levels is a little stronger."""
     x, y, z = (np.full((1, *n), v) for n, v in (((1, 2, 3), 1e12), ((2, 1, 3), 1e12), ((2, 2, 2), 0.5)))
     z[0, 0, 0, 1] += 1e-3
-    scene = Scene(Lattice((2, 2, 3)), "coulomb", (x, y, z))
+    scene = Scene((x, y, z))
     solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-8))
     truth = oracle_or_skip()
     exact = truth.solve([c[0] for c in scene.coefficient], 50.0, 0.5, 1.0, 0.0, (1, 1, 0))
