@@ -169,8 +169,7 @@ def test_a_cubic_lattice_is_as_unique_as_its_least_unique_plane():
 
 def _plane(scene, x):
     """The layer x = const of a cubic lattice as a square one."""
-    flat = make_scene(scene.lattice.shape[1:])
-    return type(scene)(flat.lattice, "coulomb", (scene.coefficient[1][:, x], scene.coefficient[2][:, x]))
+    return type(scene)((scene.coefficient[1][:, x], scene.coefficient[2][:, x]))
 
 
 def test_findings_are_in_the_summary():
