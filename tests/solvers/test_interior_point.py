@@ -137,7 +137,7 @@ def test_with_little_viscosity_it_ends_at_the_minimum_of_friction_alone(shape):
 @pytest.mark.parametrize("shape", [(10, 10), (5, 4, 6)], ids=str)
 def test_with_little_friction_it_ends_at_the_minimum_of_viscosity_alone(shape):
     scene = make_scene(shape, "coulomb-viscous", distribution="constant:1e-15")
-    damped = Scene(scene.lattice, "viscous", scene.viscosity, seeds=scene.seeds)
+    damped = Scene(scene.viscosity, "viscous", seeds=scene.seeds)
     expected = solve(damped, LinearSolver().build(), initial_spin(damped, "linear"), StopRule(1e-9))
     both = minimum_of(scene)
     assert both.status is Status.CERTIFIED
