@@ -60,6 +60,7 @@ fields.LEAST_SHARE = {least_share}
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import CundallStrack, GradientDescent
 import hashlib
 for law in ("coulomb", "viscous"):
     scene = make_scene((7, 6, 9), law)
