@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.minimum_cut import number_bodies
+from taichi_bearings.lattice.incidence import ends, number_bodies
 from taichi_bearings.proof.contact_state import ContactState
 
 
@@ -53,9 +53,10 @@ class SliplessNetwork:
     @cached_property
     def ends(self) -> np.ndarray:
         """Lower and upper sphere (2, E) of each edge, as indices in C order."""
-        lower = np.ravel_multi_index(self.contact.T, self.lattice.shape)
-        strides = np.array([int(np.prod(self.lattice.shape[a + 1 :])) for a in range(self.lattice.dimension)])
-        return np.stack([lower, lower + strides[self.axis]])
+        sphere = np.arange(self.lattice.sites).reshape(self.lattice.shape)
+        pairs = (ends(sphere, axis, self.lattice.dimension) for axis in range(self.lattice.dimension))
+        joined = ([end[chosen] for end in pair] for pair, chosen in zip(pairs, self.slipless, strict=True))
+        return np.concatenate([*map(np.stack, joined)], axis=1)
 
     @cached_property
     def bottom(self) -> np.ndarray:

@@ -24,7 +24,8 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import tangential, torques
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.scene import vector_length
 

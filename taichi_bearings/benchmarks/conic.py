@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.conic.contact_system import ContactSystem, lattice_system
+from taichi_bearings.conic.grouped import Arrays, Grouped, each
 from taichi_bearings.errors import InputError
-from taichi_bearings.lattice.grid import contact_differences, lower, tangential, upper
 from taichi_bearings.scene import Scene
 
 
@@ -27,13 +28,14 @@ from taichi_bearings.scene import Scene
 class Differences:
     """The differences D = matrix @ spins + offset: contacts of one component, then the first of two, then the second.
 
-    blocks : (axis, component) of each stretch of rows; a stretch runs over the contacts of its axis that can slip.
-    coefficient : of the contact of each row. scalars : number of rows of contacts with one component.
+    order : of each row, its place among those of the system, group by group. coefficient : of the contact of each row.
+    scalars : number of rows of contacts with one component.
     """
 
+    system: ContactSystem
+    order: np.ndarray
     matrix: sparse.csr_matrix
     offset: np.ndarray
-    blocks: tuple[tuple[int, int], ...]
     coefficient: np.ndarray
     scalars: int
 
@@ -41,44 +43,36 @@ class Differences:
     def vectors(self) -> int:
         return (len(self.offset) - self.scalars) // 2
 
+    def on_contacts(self, values: np.ndarray) -> Arrays:
+        """Values of the rows as vectors (d, n) a group."""
+        in_groups = np.empty_like(values)
+        in_groups[self.order] = values
+        ends = np.cumsum([group.offset.size for group in self.system.groups])
+        parts = zip(np.split(in_groups, ends[:-1]), self.system.offset, strict=True)
+        return Grouped(part.reshape(offset.shape) for part, offset in parts)
+
 
 def build_differences(scene: Scene) -> Differences:
     """The differences of a scene of one replica, as functions of its free spins in units of the jump."""
-    lattice, axes = scene.lattice, scene.minimum_spin_axes
-    slots = [tangential(axis, axes) for axis in range(lattice.dimension)]
-    blocks = [
-        (axis, part)
-        for parts, part in ((1, 0), (2, 0), (2, 1))
-        for axis in range(lattice.dimension)
-        if len(slots[axis]) == parts
-    ]
-    free = ~lattice.is_driven
-    number = np.full(lattice.shape, -1)
-    number[free] = np.arange(free.sum())
-    driven = scene.impose_driving(np.zeros((len(axes), 1, *lattice.shape)), axes)
-    fixed = contact_differences(driven / (scene.jump or 1.0), lattice, axes)
-    matrices, offsets, coefficients = [], [], []
-    for axis, part in blocks:
-        can_slip = ~lattice.between_driven(axis)
-        rows, columns, values = [], [], []
-        for side, sign in ((upper, 1.0), (lower, -1.0)):
-            sphere = side(number, axis, lattice.dimension)[can_slip]
-            moves = np.flatnonzero(sphere >= 0)
-            rows.append(moves)
-            columns.append(sphere[moves] + slots[axis][part] * free.sum())
-            values.append(np.full(len(moves), sign))
-        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        matrices.append(sparse.csr_matrix(entries, shape=(can_slip.sum(), len(axes) * free.sum())))
-        offsets.append(fixed[axis][part, 0][can_slip])
-        coefficients.append(scene.coefficient[axis][0][can_slip])
-    scalars = sum(len(values) for (axis, _), values in zip(blocks, offsets, strict=True) if len(slots[axis]) == 1)
+    axes = scene.minimum_spin_axes
+    system = lattice_system(scene.lattice, axes, scene.driven_values(axes)[1] / (scene.jump or 1.0))
+    components = each(lambda z: np.full(z.shape, len(z)), system.offset)
+    part = each(lambda z: np.indices(z.shape)[0], system.offset)
+    coefficient = each(np.broadcast_to, system.gather(scene.coefficient, 0), each(np.shape, system.offset))
+    order = np.lexsort((_flat(part), _flat(components)))
+    by_component = np.arange(system.unknowns).reshape(-1, len(axes)).T.ravel()
     return Differences(
-        sparse.csr_matrix(sparse.vstack(matrices)),
-        np.concatenate(offsets),
-        tuple(blocks),
-        np.concatenate(coefficients),
-        scalars,
+        system,
+        order,
+        sparse.csr_matrix(sparse.vstack([group.operator for group in system.groups]))[order][:, by_component],
+        _flat(system.offset)[order],
+        _flat(coefficient)[order],
+        scalars=int((_flat(components) == 1).sum()),
     )
+
+
+def _flat(values: Arrays) -> np.ndarray:
+    return np.concatenate([part.ravel() for part in values])
 
 
 @dataclass(frozen=True)
@@ -107,20 +101,14 @@ class ConicProgramme:
 
     def forces(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         """Contact forces, one array (T, 1, *contacts) an axis, of the multipliers z of the rows."""
-        scene, lattice, pairs = self.scene, self.scene.lattice, self.inequalities // 2
+        scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
-            along = lattice.radius * scene.jump / 2 * z
+            along = scene.lattice.radius * scene.jump / 2 * z
         else:
             cones = z[2 * pairs :].reshape(-1, 3)
             along = scene.normal_force * np.concatenate([z[:pairs] - z[pairs : 2 * pairs], -cones[:, 1], -cones[:, 2]])
-        axes = range(lattice.dimension)
-        parts = [len(tangential(axis, scene.minimum_spin_axes)) for axis in axes]
-        forces = tuple(np.zeros((parts[axis], 1, *lattice.contact_shape(axis))) for axis in axes)
-        start = 0
-        for axis, part in self.differences.blocks:
-            can_slip = ~lattice.between_driven(axis)
-            forces[axis][part, 0, can_slip] = along[start : start + can_slip.sum()]
-            start += can_slip.sum()
+        forces = scene.no_force(scene.minimum_spin_axes)
+        self.differences.system.scatter(self.differences.on_contacts(along), forces, 0)
         return forces
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.lattice.grid import tangential, weights
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings

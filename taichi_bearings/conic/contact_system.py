@@ -15,7 +15,8 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import lower, tangential, upper
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import ends, number_free
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,17 @@ class ContactSystem:
         pairs = list(self._entries())
         return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
+    def laplacian(self, stiffness: Arrays) -> sparse.csr_matrix:
+        """Weighted Laplacian (unknowns, unknowns) of stiffnesses (d, d, n) a group."""
+        values, rows, columns, signed = stacked(stiffness), [], [], []
+        for first, second, source, sign in self._entries():
+            other = first != second
+            rows += [first, second[other]]
+            columns += [second, first[other]]
+            signed += [sign * values[source], sign * values[source][other]]
+        entries = (np.concatenate(signed), (np.concatenate(rows), np.concatenate(columns)))
+        return sparse.coo_matrix(entries, shape=(self.unknowns, self.unknowns)).tocsr()
+
     def laplacian_map(self, entry: Callable, entries: int) -> sparse.csr_matrix:
         """Matrix from the stacked stiffnesses of all contacts to the stored entries of the weighted Laplacian.
 
@@ -179,19 +191,12 @@ def place_free_spins(staggered: np.ndarray, replica: int, spins: np.ndarray) -> 
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
-def free_shape(lattice: Lattice) -> tuple[int, ...]:
-    """Free spheres along each axis."""
-    return (*lattice.shape[:-1], lattice.shape[-1] - 2)
-
-
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
     """All contacts of a lattice that can slip; unknown = free sphere * components + position in `spin_axes`.
 
     jump : (C,), staggered spin of the top minus that of the bottom.
     """
-    sphere = np.full(lattice.shape, -1)
-    free = int(np.prod(free_shape(lattice)))
-    sphere[..., 1:-1] = np.arange(free).reshape(free_shape(lattice))
+    sphere, free = number_free(lattice.shape), int(np.prod(lattice.free_shape))
     is_top = np.zeros(lattice.shape, dtype=bool)
     is_top[..., -1] = True
     groups = []
@@ -200,9 +205,8 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
         if len(slots) == 0:
             continue
         acting = np.flatnonzero(~lattice.between_driven(axis).ravel())
-        below = lower(sphere, axis, lattice.dimension).ravel()[acting]
-        above = upper(sphere, axis, lattice.dimension).ravel()[acting]
-        offset = jump[slots] * upper(is_top, axis, lattice.dimension).ravel()[acting]
+        below, above = (end.ravel()[acting] for end in ends(sphere, axis, lattice.dimension))
+        offset = jump[slots] * ends(is_top, axis, lattice.dimension)[1].ravel()[acting]
         first, second = (np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above))
         groups.append(ContactGroup(axis, acting, first, second, offset, free * len(spin_axes)))
     return ContactSystem(free * len(spin_axes), tuple(groups))

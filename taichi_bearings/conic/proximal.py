@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.conic.central_path import Inertia, Iterate, balance, newton_step
-from taichi_bearings.conic.contact_system import free_shape, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
@@ -67,7 +67,7 @@ class ProximalSteps:
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float, inertia: float) -> None:
         self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
         self._system = lattice_system(scene.lattice, spin_axes, scene.driven_values(spin_axes)[1] / unit)
-        self._matrix = NewtonMatrix(self._system, dissect(free_shape(scene.lattice), spin_axes))
+        self._matrix = NewtonMatrix(self._system, dissect(scene.lattice.free_shape, spin_axes))
         acting = [self._system.gather(scene.coefficient, replica) for replica in range(scene.replicas)]
         mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])
         self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]

@@ -48,6 +48,11 @@ class Lattice:
         return self.dimension - 1
 
     @property
+    def free_shape(self) -> tuple[int, ...]:
+        """Free spheres along each axis."""
+        return (*self.shape[:-1], self.shape[-1] - 2)
+
+    @property
     def sites(self) -> int:
         return int(np.prod([int(n) for n in self.shape], dtype=object))
 
@@ -63,6 +68,10 @@ class Lattice:
     def parity(self) -> np.ndarray:
         """s = +1 or -1 by sublattice, shape N: neighbours differ, and a bearing state has equal s * spin."""
         return 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
+
+    def lower_parity(self, axis: int) -> np.ndarray:
+        """That of the lower sphere of each contact of `axis`."""
+        return self.parity[tuple(slice(n) for n in self.contact_shape(axis))]
 
     @cached_property
     def is_driven(self) -> np.ndarray:
@@ -89,40 +98,6 @@ def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(slot for slot, component in enumerate(spin_axes) if component != axis)
 
 
-def lower(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
-    """Values at the lower sphere of each contact of `axis`; the lattice axes of `field` are its last ones."""
-    index = [slice(None)] * field.ndim
-    index[field.ndim - dimension + axis] = slice(None, -1)
-    return field[tuple(index)]
-
-
-def upper(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
-    """Values at the upper sphere of each contact of `axis`."""
-    index = [slice(None)] * field.ndim
-    index[field.ndim - dimension + axis] = slice(1, None)
-    return field[tuple(index)]
-
-
-def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-    """Difference of the staggered spins across every contact, without its component along the contact.
-
-    staggered : (C, R, *N), components as named by `spin_axes`.
-    returns : one array (T, R, *contacts) an axis; R times its length over T is the slip speed (paper Eq. 2).
-    """
-    kept = (staggered[list(tangential(axis, spin_axes))] for axis in range(lattice.dimension))
-    return tuple(
-        upper(part, axis, lattice.dimension) - lower(part, axis, lattice.dimension) for axis, part in enumerate(kept)
-    )
-
-
-def torques(force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
-
-    force : one array (T, R, *contacts) an axis, along the spin difference of the contact.
-    """
-    return _gather(force, lattice, spin_axes, upper_sign=-1.0)
-
-
 def laboratory_forces(
     force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]
 ) -> tuple[np.ndarray, ...]:
@@ -135,7 +110,7 @@ def laboratory_forces(
     """
     found = []
     for axis, values in enumerate(force):
-        sign = lower(lattice.parity, axis, lattice.dimension)
+        sign = lattice.lower_parity(axis)
         if lattice.dimension == 2:
             found.append(-sign * values[0])
             continue
@@ -153,7 +128,7 @@ def staggered_forces(
     """Inverse of :func:`laboratory_forces` for the components that `spin_axes` names: (T, R, *contacts) an axis."""
     found = []
     for axis, values in enumerate(friction):
-        sign = lower(lattice.parity, axis, lattice.dimension)
+        sign = lattice.lower_parity(axis)
         if lattice.dimension == 2:
             found.append(-sign * values[None])
             continue
@@ -168,26 +143,3 @@ def staggered_forces(
 def _turned(axis: int, component: int) -> tuple[int, int]:
     """Laboratory axis and sign of -e_component x e_axis."""
     return 3 - axis - component, 1 if (component - axis) % 3 == 1 else -1
-
-
-def weights(coefficient: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Sum of the coefficients of the contacts that act on each spin component, (C, R, *N).
-
-    coefficient : one array (R, *contacts) an axis.
-    """
-    spread = tuple(
-        np.broadcast_to(values, (len(tangential(axis, spin_axes)), *values.shape))
-        for axis, values in enumerate(coefficient)
-    )
-    return _gather(spread, lattice, spin_axes, upper_sign=1.0)
-
-
-def _gather(
-    contact_values: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...], upper_sign: float
-) -> np.ndarray:
-    total = np.zeros((len(spin_axes), contact_values[0].shape[1], *lattice.shape))
-    for axis, vectors in enumerate(contact_values):
-        for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
-            lower(total[slot], axis, lattice.dimension)[...] += values
-            upper(total[slot], axis, lattice.dimension)[...] += upper_sign * values
-    return total

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
+from taichi_bearings.lattice import incidence
 from taichi_bearings.numerics.planar import minimum_cuts
 
 TIE = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
@@ -157,29 +158,17 @@ def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
     return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
 
 
-def number_bodies(shape: tuple[int, ...]) -> np.ndarray:
-    """Node of each sphere, int32 of this shape, in the graph of a lattice whose driven planes are one node each: 0 the
-    bottom plane, then the free spheres in C order, the last one the top plane."""
-    *sides, height = shape
-    free = (*sides, height - 2)
-    node = np.zeros(shape, dtype=np.int32)
-    node[..., 1:-1] = 1 + np.arange(np.prod(free), dtype=np.int32).reshape(free)
-    node[..., -1] = np.prod(free) + 1
-    return node
-
-
 def _network(gaps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The graph of bodies of a lattice; gaps : shape of the contacts along the height.
 
     returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
     """
     *sides, height = gaps
-    node = number_bodies((*sides, height + 1))
-    ends = []
-    for axis in range(len(gaps)):
-        joined = node if axis == len(sides) else node[..., 1:-1]
-        ends.append(np.stack([np.delete(joined, end, axis).ravel() for end in (-1, 0)]))
-    return node, np.concatenate(ends, axis=1)
+    node = incidence.number_bodies((*sides, height + 1))
+    pairs = (
+        incidence.ends(node if axis == len(sides) else node[..., 1:-1], axis, len(gaps)) for axis in range(len(gaps))
+    )
+    return node, np.concatenate([np.stack([end.ravel() for end in pair]) for pair in pairs], axis=1)
 
 
 def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:

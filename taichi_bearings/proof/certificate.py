@@ -15,7 +15,9 @@ the leftover torques and the power, not to the much larger sum of all forces tim
 
 import numpy as np
 
-from taichi_bearings.lattice.grid import contact_differences, lower, tangential, torques, upper
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import contact_differences, ends, torques
+from taichi_bearings.numerics.poisson import solve_poisson
 from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = tuple[np.ndarray, ...]
@@ -203,11 +205,11 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     lost = np.zeros_like(total)
     for axis, vectors in enumerate(force):
         for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
-            for end, pull in ((lower, values), (upper, -values)):
-                before = end(total[slot], axis, dimension)
+            both = (ends(part[slot], axis, dimension) for part in (total, lost))
+            for before, rest, pull in zip(*both, (values, -values), strict=True):
                 after = before + pull
                 added = after - before
-                end(lost[slot], axis, dimension)[...] += (before - (after - added)) + (pull - added)
+                rest += (before - (after - added)) + (pull - added)
                 before[...] = after
     return total + lost
 
@@ -250,41 +252,9 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     pull = torques(force, lattice, spin_axes)
     potential = np.zeros_like(pull)
     for slot, component in enumerate(spin_axes):
-        potential[slot][..., 1:-1] = _solve_poisson(pull[slot][..., 1:-1], lattice.dimension, component)
+        potential[slot][..., 1:-1] = solve_poisson(pull[slot][..., 1:-1], lattice.dimension, component)
     correction = contact_differences(potential, lattice, spin_axes)
     return _without_driven_contacts(scene, tuple(f + c for f, c in zip(force, correction, strict=True)))
-
-
-def _solve_poisson(source: np.ndarray, dimension: int, component: int) -> np.ndarray:
-    """u (R, *free) with -Laplace u = source; the Laplacian runs over the lattice axes other than `component`."""
-    from scipy import fft  # a tenth of a second that a planar cut does not need
-
-    offset = source.ndim - dimension
-    height = dimension - 1
-    sideways = [offset + a for a in range(height) if a != component]
-    eigenvalue = np.zeros((1,) * source.ndim)
-    for axis in sideways:
-        side = source.shape[axis]
-        eigenvalue = eigenvalue + _along(axis, source.ndim, 2 - 2 * np.cos(np.pi * np.arange(side) / side))
-    if component != height:
-        free = source.shape[-1]
-        modes = 2 - 2 * np.cos(np.pi * np.arange(1, free + 1) / (free + 1))
-        eigenvalue = eigenvalue + _along(source.ndim - 1, source.ndim, modes)
-    if not sideways and component == height:
-        return np.zeros_like(source)
-    spectrum = fft.dctn(source, type=2, axes=sideways, norm="ortho") if sideways else source
-    if component != height:
-        spectrum = fft.dst(spectrum, type=1, axis=-1, norm="ortho")
-    spectrum = spectrum * _inverse(eigenvalue)  # the mean of a layer that nothing couples stays as it is
-    if component != height:
-        spectrum = fft.idst(spectrum, type=1, axis=-1, norm="ortho")
-    return fft.idctn(spectrum, type=2, axes=sideways, norm="ortho") if sideways else spectrum
-
-
-def _along(axis: int, dimensions: int, values: np.ndarray) -> np.ndarray:
-    shape = [1] * dimensions
-    shape[axis] = -1
-    return values.reshape(shape)
 
 
 def _inverse(values: np.ndarray) -> np.ndarray:

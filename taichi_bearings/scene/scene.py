@@ -9,7 +9,8 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import MOST_SITES, contact_differences, tangential
+from taichi_bearings.lattice.grid import MOST_SITES, tangential
+from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import (
     Pair,
     add,

@@ -14,7 +14,7 @@ from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team
-from taichi_bearings.lattice.grid import contact_differences, torques
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length

@@ -7,11 +7,12 @@ from functools import lru_cache
 from math import comb
 
 import numpy as np
-from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import eigsh
 
+from taichi_bearings.conic.contact_system import lattice_system
+from taichi_bearings.conic.grouped import isotropic
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import lower, tangential, upper
+from taichi_bearings.lattice.laplacian import eigenvalues
 from taichi_bearings.scene import Scene
 
 # order -> corrector coefficients of the 0th ... order-th scaled derivative
@@ -87,18 +88,7 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
 @lru_cache(maxsize=64)
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """Largest eigenvalue of the unweighted lattice Laplacian of any carried component, driven planes held (exact)."""
-    best = 0.0
-    for component in spin_axes:
-        total = 0.0
-        for axis, side in enumerate(lattice.shape):
-            if axis == component:
-                continue
-            if axis == lattice.height_axis:
-                total += 2 - 2 * np.cos(np.pi * (side - 2) / (side - 1))
-            else:
-                total += 2 - 2 * np.cos(np.pi * (side - 1) / side)
-        best = max(best, total)
-    return float(best)
+    return max(float(eigenvalues(lattice.free_shape, component).max()) for component in spin_axes)
 
 
 def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
@@ -106,30 +96,15 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
 
     Lanczos to a relative 1e-3, raised by as much.
     """
-    lattice, largest = scene.lattice, 0.0
-    free = ~lattice.is_driven
-    index = np.full(lattice.shape, -1)
-    index[free] = np.arange(free.sum())
-    for replica in range(scene.replicas):
-        for slot, _ in enumerate(spin_axes):
-            rows, columns, entries = [], [], []
-            for axis in range(lattice.dimension):
-                if slot not in tangential(axis, spin_axes):
-                    continue
-                weight = scene.viscosities[axis][replica].ravel()
-                ends = [f(index, axis, lattice.dimension).ravel() for f in (lower, upper)]
-                for i, j, sign in ((0, 0, 1), (1, 1, 1), (0, 1, -1), (1, 0, -1)):
-                    inside = (ends[i] >= 0) & (ends[j] >= 0)
-                    rows.append(ends[i][inside])
-                    columns.append(ends[j][inside])
-                    entries.append(sign * weight[inside])
-            size = int(free.sum())
-            matrix = coo_matrix(
-                (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), (size, size)
-            )
-            if size < 3:
-                largest = max(largest, float(np.linalg.eigvalsh(matrix.toarray()).max()))
-                continue
-            start = np.cos(np.arange(size))  # fixed, so that the default time step is reproducible
-            largest = max(largest, float(eigsh(matrix.tocsr(), k=1, tol=1e-3, v0=start, return_eigenvectors=False)[0]))
+    largest, jump = 0.0, np.zeros(1)
+    for component in spin_axes:
+        system = lattice_system(scene.lattice, (component,), jump)
+        for replica in range(scene.replicas):
+            matrix = system.laplacian(isotropic(system.offset, system.gather(scene.viscosities, replica)))
+            if system.unknowns < 3:
+                found = np.linalg.eigvalsh(matrix.toarray())
+            else:
+                start = np.cos(np.arange(system.unknowns))  # fixed, so that the default time step is reproducible
+                found = eigsh(matrix, k=1, tol=1e-3, v0=start, return_eigenvectors=False)
+            largest = max(largest, float(found.max()))
     return largest * (1 + 1e-3)

@@ -22,7 +22,7 @@ from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.descent import descent_sweeps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team
-from taichi_bearings.lattice.grid import contact_differences, weights
+from taichi_bearings.lattice.incidence import contact_differences, weights
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.contact_system import ContactSystem, free_shape, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage, StageEnd
 from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -86,7 +86,7 @@ class ImplicitCundallStrackMethod:
 
     def _set_stage(self, spin_scale: float) -> None:
         scene = self.scene
-        matrix = NewtonMatrix(self.system, dissect(free_shape(scene.lattice), self.spin_axes))
+        matrix = NewtonMatrix(self.system, dissect(scene.lattice.free_shape, self.spin_axes))
         replicas = range(scene.replicas)
         self.strength = [scene.strength * self.system.gather(scene.coefficient, replica) for replica in replicas]
         self.viscosity = [self.system.gather(scene.viscosity, r) if scene.viscosity else None for r in replicas]
@@ -324,7 +324,7 @@ def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:
     lattice = scene.lattice
     if lattice.dimension == 2 or lattice.height_axis not in spin_axes:
         return np.zeros((0, 0), dtype=np.int64)
-    spheres = np.arange(np.prod(free_shape(lattice))).reshape(-1, free_shape(lattice)[-1]).T
+    spheres = np.arange(np.prod(lattice.free_shape)).reshape(-1, lattice.free_shape[-1]).T
     return spheres * len(spin_axes) + spin_axes.index(lattice.height_axis)
 
 

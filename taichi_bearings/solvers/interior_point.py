@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.conic.central_path import Iterate, balance, flowing, newton_step
-from taichi_bearings.conic.contact_system import free_shape, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
@@ -98,7 +98,7 @@ class InteriorPointMethod:
         self.frustrated = bool((jump != 0).any())
         self.iteration = 0
         if self.frustrated:
-            self.parts = dissect(free_shape(scene.lattice), self.spin_axes)
+            self.parts = dissect(scene.lattice.free_shape, self.spin_axes)
             self.matrix = NewtonMatrix(self.system, self.parts)
             with one_thread():  # once for all, so that the kernels are compiled before the clock starts
                 self.matrix.factorise(isotropic(self.system.offset))

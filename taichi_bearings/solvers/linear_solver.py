@@ -14,7 +14,7 @@ balance to the rounding of the forces, however large the contrast.
 import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.nested_dissection import GridFactor
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
@@ -130,12 +130,8 @@ class LinearSolverMethod:
 def _free_torques(first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """Sum of coefficient * difference at each free node (B, m, n - 2) of planes (B, m, n); unit radius."""
     pull = np.zeros_like(spin)
-    along_first = first * (np.diff(spin, axis=1) + np.diff(rest, axis=1))
-    pull[:, :-1] += along_first
-    pull[:, 1:] -= along_first
-    along_second = second * (np.diff(spin, axis=2) + np.diff(rest, axis=2))
-    pull[..., :-1] += along_second
-    pull[..., 1:] -= along_second
+    for axis, coefficient in enumerate((first, second)):
+        add_pull(pull, coefficient * (difference(spin, axis, 2) + difference(rest, axis, 2)), axis, 2)
     return pull[..., 1:-1]
 
 

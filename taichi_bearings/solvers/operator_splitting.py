@@ -27,7 +27,7 @@ from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.splitting import contact_step
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.poisson import PlanePoisson
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.scene import Progress, Scene

@@ -17,7 +17,8 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.lattice.grid import contact_differences, tangential, torques
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene

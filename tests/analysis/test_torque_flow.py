@@ -6,7 +6,8 @@ import pytest
 from taichi_bearings.analysis.network import network_of
 from taichi_bearings.analysis.torque_flow import force_distribution, friction_load, plane_flow, self_stress, torque_flow
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import staggered_forces, tangential, torques
+from taichi_bearings.lattice.grid import staggered_forces, tangential
+from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin

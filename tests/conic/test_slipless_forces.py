@@ -7,7 +7,7 @@ from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.motion import Motion, largest_parts
 from taichi_bearings.conic.slipless_forces import bear
-from taichi_bearings.lattice.grid import contact_differences
+from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin

@@ -6,7 +6,7 @@ import pytest
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import contact_differences, torques
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.poisson import PlanePoisson
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import OperatorSplitting

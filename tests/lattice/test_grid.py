@@ -3,7 +3,8 @@ import pytest
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import contact_differences, tangential, torques
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import contact_differences, torques
 
 
 @pytest.mark.parametrize(

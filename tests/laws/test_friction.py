@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.lattice.grid import laboratory_forces, lower, staggered_forces, upper
+from taichi_bearings.lattice.grid import laboratory_forces, staggered_forces
+from taichi_bearings.lattice.incidence import ends
 from taichi_bearings.proof.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
@@ -46,9 +47,9 @@ def test_stored_friction_balances_torques_and_does_the_work_of_the_drive(name, l
     for axis, force in enumerate(friction):
         normal = np.eye(3)[axis]
         arm = np.cross(radius * normal, -force)  # on the lower sphere, r_ij x F; the upper one has -r_ij and -F
-        for end in (lower, upper):
-            end(np.moveaxis(torque, -1, 0), axis, dimension)[...] += np.moveaxis(arm, -1, 0)
-        below, above = (np.moveaxis(end(np.moveaxis(spin, -1, 0), axis, dimension), 0, -1) for end in (lower, upper))
+        for end in ends(np.moveaxis(torque, -1, 0), axis, dimension):
+            end += np.moveaxis(arm, -1, 0)
+        below, above = (np.moveaxis(end, 0, -1) for end in ends(np.moveaxis(spin, -1, 0), axis, dimension))
         slip = -radius * np.cross(below + above, normal)  # paper Eq. 2
         dissipated -= float((force * slip).sum())
         length, limit = np.linalg.norm(force, axis=-1), scene.strength * scene.coefficient[axis][0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.lattice.grid import torques
+from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import GradientDescent

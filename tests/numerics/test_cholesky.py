@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from taichi_bearings.conic.contact_system import free_shape, lattice_system, stacked
+from taichi_bearings.conic.contact_system import lattice_system, stacked
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, dissect
@@ -53,7 +53,7 @@ def test_solutions_equal_those_of_scipy(options, leaf):
     scene = make_scene(**options)
     system = system_of(scene)
     stiffness = random_stiffness(system, rng)
-    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), scene.minimum_spin_axes, leaf))
+    matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf))
     matrix.factorise(stiffness)
     right = rng.standard_normal(system.unknowns)
     expected = spsolve(assembled(system, stiffness), right)
@@ -67,7 +67,7 @@ def test_three_components_with_a_spring_at_every_spin(shape):
     scene = make_scene(shape)
     system = lattice_system(scene.lattice, (0, 1, 2), np.ones(3))
     stiffness = random_stiffness(system, rng)
-    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), (0, 1, 2), 30))
+    matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, (0, 1, 2), 30))
     matrix.factorise(stiffness, 0.3)
     right = rng.standard_normal(system.unknowns)
     expected = spsolve(assembled(system, stiffness) + 0.3 * sparse.identity(system.unknowns, format="csc"), right)
@@ -78,7 +78,7 @@ def test_a_second_factorisation_leaves_nothing_of_the_first():
     rng = np.random.default_rng(3)
     scene = make_scene((5, 6, 7))
     system = system_of(scene)
-    parts = dissect(free_shape(scene.lattice), scene.minimum_spin_axes, 30)
+    parts = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, 30)
     first, second = random_stiffness(system, rng), random_stiffness(system, rng)
     right = rng.standard_normal(system.unknowns)
     used, fresh = NewtonMatrix(system, parts), NewtonMatrix(system, parts)
@@ -92,7 +92,7 @@ def test_a_second_factorisation_leaves_nothing_of_the_first():
 def test_every_unknown_is_eliminated_once_and_separators_separate():
     scene = make_scene((7, 6, 8))
     system = system_of(scene)
-    parts = dissect(free_shape(scene.lattice), scene.minimum_spin_axes, 20)
+    parts = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, 20)
     assert sorted(np.concatenate([part.unknowns for part in parts])) == list(range(system.unknowns))
     owner = np.empty(system.unknowns, dtype=int)
     ancestors = {}
@@ -118,7 +118,7 @@ def test_the_middle_plane_separates_with_one_component_alone():
 def test_an_indefinite_matrix_is_refused():
     scene = make_scene((4, 4, 5))
     system = system_of(scene)
-    matrix = NewtonMatrix(system, dissect(free_shape(scene.lattice), scene.minimum_spin_axes))
+    matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes))
     with pytest.raises(NotPositiveDefinite):
         matrix.factorise(-random_stiffness(system, np.random.default_rng(0)))
 
@@ -127,7 +127,7 @@ def test_stacked_stiffnesses_reach_the_entries_they_belong_to():
     scene = make_scene((3, 4, 5))
     system = system_of(scene)
     stiffness = random_stiffness(system, np.random.default_rng(5))
-    pattern = Cholesky(dissect(free_shape(scene.lattice), (0, 1), 10), *system.couplings()).pattern
+    pattern = Cholesky(dissect(scene.lattice.free_shape, (0, 1), 10), *system.couplings()).pattern
     values = system.laplacian_map(pattern.entry, len(pattern.row)) @ stacked(stiffness)
     expected = assembled(system, stiffness)
     assert values == pytest.approx(np.asarray(expected[pattern.order[pattern.row], pattern.order[pattern.column]])[0])

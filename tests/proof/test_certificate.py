@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from taichi_bearings.lattice.grid import contact_differences, tangential
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.certificate import (
     balance,
     lower_bound,

@@ -10,7 +10,7 @@ from scipy.sparse import bmat, identity
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, make_layout
-from taichi_bearings.lattice.grid import torques
+from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.certificate import dual_value
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin

@@ -9,7 +9,8 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.lattice.grid import contact_differences, tangential, torques
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.scene import vector_length

@@ -1,0 +1,88 @@
+"""The one difference operator of a lattice: contacts <- spheres, and its transpose.
+
+Whole arrays are differenced where they lie: the two ends of all contacts of an axis are views of one array over the
+spheres, and a sum over the contacts of a sphere is written through the same views. Graphs and sparse matrices are made
+from the ends of an array of numbers (`number_free`, `number_bodies`).
+"""
+
+import numpy as np
+
+from taichi_bearings.lattice.grid import Lattice, tangential
+
+
+def ends(field: np.ndarray, axis: int, dimension: int) -> tuple[np.ndarray, np.ndarray]:
+    """Views of the values at the lower and at the upper sphere of each contact of `axis`; the lattice axes of `field`
+    are its last ones."""
+    index = [slice(None)] * field.ndim
+    along = field.ndim - dimension + axis
+    views = []
+    for part in (slice(None, -1), slice(1, None)):
+        index[along] = part
+        views.append(field[tuple(index)])
+    return views[0], views[1]
+
+
+def difference(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
+    """Value at the upper sphere less that at the lower one of each contact of `axis`."""
+    lower, upper = ends(field, axis, dimension)
+    return upper - lower
+
+
+def add_pull(total: np.ndarray, force: np.ndarray, axis: int, dimension: int) -> None:
+    """Minus the transpose of :func:`difference`: the contacts of `axis` pull at their lower spheres, and back."""
+    lower, upper = ends(total, axis, dimension)
+    lower += force
+    upper -= force
+
+
+def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    """Difference of the staggered spins across every contact, without its component along the contact.
+
+    staggered : (C, R, *N), components as named by `spin_axes`.
+    returns : one array (T, R, *contacts) an axis; R times its length over T is the slip speed (paper Eq. 2).
+    """
+    return tuple(
+        difference(staggered[list(tangential(axis, spin_axes))], axis, lattice.dimension)
+        for axis in range(lattice.dimension)
+    )
+
+
+def torques(force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
+
+    force : one array (T, R, *contacts) an axis, along the spin difference of the contact.
+    """
+    total = np.zeros((len(spin_axes), force[0].shape[1], *lattice.shape))
+    for axis, vectors in enumerate(force):
+        for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
+            add_pull(total[slot], values, axis, lattice.dimension)
+    return total
+
+
+def weights(coefficient: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Sum of the coefficients of the contacts that act on each spin component, (C, R, *N).
+
+    coefficient : one array (R, *contacts) an axis.
+    """
+    total = np.zeros((len(spin_axes), len(coefficient[0]), *lattice.shape))
+    for axis, values in enumerate(coefficient):
+        for slot in tangential(axis, spin_axes):
+            for end in ends(total[slot], axis, lattice.dimension):
+                end += values
+    return total
+
+
+def number_free(shape: tuple[int, ...]) -> np.ndarray:
+    """Number of each free sphere in C order, -1 for driven ones; an array of this shape."""
+    free = (*shape[:-1], shape[-1] - 2)
+    number = np.full(shape, -1)
+    number[..., 1:-1] = np.arange(np.prod(free)).reshape(free)
+    return number
+
+
+def number_bodies(shape: tuple[int, ...]) -> np.ndarray:
+    """Node of each sphere, int32 of this shape, in the graph of a lattice whose driven planes are one node each: 0 the
+    bottom plane, then the free spheres in C order, the last one the top plane."""
+    node = 1 + number_free(shape).astype(np.int32)
+    node[..., -1] = node.max() + 1
+    return node

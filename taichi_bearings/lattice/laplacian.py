@@ -1,0 +1,37 @@
+"""Eigenvalues and modes of the lattice Laplacian, driven planes held at zero.
+
+A spin component is coupled only by the contacts that are not along it, and along each axis the Laplacian is that of a
+chain: with free ends sideways, between two resting neighbours along the height.
+"""
+
+import numpy as np
+
+
+def chain_modes(side: int, is_held: bool) -> np.ndarray:
+    """Orthonormal modes (side, side) in columns: cosines of a chain with free ends, sines of one with held ends."""
+    order = np.arange(side)
+    if is_held:
+        modes = np.sin(np.pi * np.outer(order + 1, order + 1) / (side + 1))
+    else:
+        modes = np.cos(np.pi * np.outer(order + 0.5, order) / side)
+    return modes / np.linalg.norm(modes, axis=0)
+
+
+def chain_eigenvalues(side: int, is_held: bool) -> np.ndarray:
+    """Of these modes, (side,), rising."""
+    return 2 - 2 * np.cos(np.pi * (np.arange(1, side + 1) / (side + 1) if is_held else np.arange(side) / side))
+
+
+def eigenvalues(free: tuple[int, ...], component: int, weight: tuple[float, ...] | None = None) -> np.ndarray:
+    """Of the Laplacian of one spin component, by modes: shape `free`, 1 along the component.
+
+    free : free spheres along each axis. weight : of the contacts of each axis; default 1.
+    """
+    total = np.zeros((1,) * len(free))
+    for axis, side in enumerate(free):
+        if axis != component:
+            values = chain_eigenvalues(side, axis == len(free) - 1)
+            total = total + (1.0 if weight is None else weight[axis]) * values.reshape(
+                [-1 if a == axis else 1 for a in range(len(free))]
+            )
+    return total
