@@ -58,6 +58,7 @@ from tests.scenes import make_scene
 import taichi_bearings.fields.fields as fields
 fields.LEAST_SHARE = {least_share}
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import CundallStrack, GradientDescent
