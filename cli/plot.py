@@ -69,8 +69,9 @@ def command(
       bearings plot scan outputs/my-scan --y power/power_minimum_cut --x L --where law=coulomb
       bearings plot scan outputs/my-scan --y power --x spin_bottom --collapse 1.5,0 --log y
     """
-    from taichi_bearings.errors import FileError, InputError
-    from taichi_bearings.plots.style import save
+    from taichi_bearings.errors import InputError
+    from taichi_bearings.files.whole_file import refuse_standing
+    from taichi_bearings.plots.style import refuse_ending, save
     from taichi_bearings.runs.figures import draw_figure
     from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_file import read_run_file
@@ -82,10 +83,8 @@ def command(
         raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
     stored = read_run_file(Path(run))
     path = Path(out) if out else stored.path.parent / f"{kind}.png"
-    if path.suffix not in (".png", ".pdf", ".svg"):
-        raise InputError(f"out is {str(path)!r}; it must end in .png, .pdf or .svg")
-    if path.exists() and not (force or out is None):
-        raise FileError(f"{path} already exists; choose another --out or add --force")
+    refuse_ending(path)
+    refuse_standing([path], force or out is None)
     save(draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold), path)
     click.echo(path)
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.benchmarks.accuracy import Entry, SceneResult
-from taichi_bearings.errors import FileError
-from taichi_bearings.files.whole_file import write_csv, write_text
+from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_csv, write_text
 from taichi_bearings.plots.accuracy import Curve, Panel, draw_accuracy
 from taichi_bearings.plots.style import save
 
@@ -28,13 +27,8 @@ class ReportFiles:
     def __init__(self, folder: Path, force: bool = False) -> None:
         self.folder = folder
         self.csv, self.table, self.figure = (folder / f"accuracy.{ending}" for ending in ("csv", "md", "png"))
-        standing = [path for path in self.paths if path.exists()]
-        if standing and not force:
-            raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
+        refuse_standing(self.paths, force)
+        make_folder(folder)
 
     @property
     def paths(self) -> tuple[Path, Path, Path]:

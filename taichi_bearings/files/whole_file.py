@@ -25,6 +25,13 @@ def make_folder(path: Path) -> None:
         raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
+def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
+    """FileError for the first of these files that exists, unless `force`."""
+    standing = [] if force else [path for path in paths if path.exists()]
+    if standing:
+        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+
+
 def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
     """Replace `path` by a file with this content in one move; WriteError if that cannot be done.
 

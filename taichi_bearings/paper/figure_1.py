@@ -14,7 +14,7 @@ contact off the cut can slip by s of the jump, or one of the cut by 1 - s, only 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -24,16 +24,12 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.numerics.minimum_cut import MinimumCut, flow_cut, next_cut
 from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share
 from taichi_bearings.paper.relaxation import relax
+from taichi_bearings.paper.samples import save_both, solved
 from taichi_bearings.plots.configurations import draw_configurations
-from taichi_bearings.plots.style import save
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import build_scene
-from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights, initial_spin
+from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
 from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, PlanarCut
-from taichi_bearings.solvers.drive import solve, uninterrupted
-from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted, share
@@ -57,22 +53,21 @@ END = 1e-6  # of the jump: spins at rest this close to one of the driven ones be
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write fig1.png, fig1.pdf, fig1.csv and fig1-samples.csv into `folder`; returns the claims with their verdicts."""
     runtime.start("cpu", "f64")
+    draw = partial(Scene.random, seed=effort.seed)
     with stage("viscous states"):
-        viscous = _solved(draw_scene(effort.seed, effort.samples, law="viscous"), LinearSolver().build())
-        cubes = _solved(draw_scene(effort.seed, min(CUBES, effort.samples), CUBE, "viscous"), LinearSolver().build())
+        viscous = solved(draw(SHAPE, replicas=effort.samples, law="viscous"), LinearSolver())
+        cubes = solved(draw(CUBE, replicas=min(CUBES, effort.samples), law="viscous"), LinearSolver())
     with stage("minimum cuts"):
-        coulomb = Minimum.of(draw_scene(effort.seed, CHEAP * effort.samples))
+        coulomb = Minimum.of(draw(SHAPE, replicas=CHEAP * effort.samples))
     with stage("descents"):
         descent = Descent.of(coulomb)
     with stage("minima without cuts"):
-        settled = Settled.of(draw_scene(effort.seed, effort.samples))
-    few = min(FEW, effort.samples)
-    others = [
-        Settled.of(draw_scene(effort.seed, few, distribution=name)) for name in each(DISTRIBUTIONS, "distribution")
-    ]
-    driven = [Settled.of(draw_scene(effort.seed, few, spin_bottom=bottom)) for bottom in each(BOTTOMS, "driving")]
+        settled = Settled.of(draw(SHAPE, replicas=effort.samples))
+    draw_few = partial(draw, SHAPE, replicas=min(FEW, effort.samples))
+    others = [Settled.of(draw_few(distribution=name)) for name in each(DISTRIBUTIONS, "distribution")]
+    driven = [Settled.of(draw_few(spin_bottom=bottom)) for bottom in each(BOTTOMS, "driving")]
     with stage("relaxations"):
-        any_start = _any_start(draw_scene(effort.seed, few))
+        any_start = _any_start(draw_few())
     shown = shown_sample(coulomb, len(viscous.spin))
     write_spins(folder / "fig1.csv", shown, viscous, coulomb.solution)
     write_samples(folder / "fig1-samples.csv", coulomb, descent)
@@ -84,8 +79,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
             coulomb.distance,
             descent.differs,
         )
-        for ending in ("png", "pdf"):
-            save(figure, folder / f"fig1.{ending}")
+        save_both(figure, folder, "fig1")
     return [
         _continuous(viscous, cubes),
         _least_power(coulomb, settled),
@@ -96,26 +90,6 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
         _any_distribution(others),
         _any_bottom(driven),
     ]
-
-
-def draw_scene(
-    seed: int,
-    samples: int,
-    shape: tuple[int, ...] = SHAPE,
-    law: str = "coulomb",
-    distribution: str = "uniform:0.1,1.0",
-    spin_bottom: float = 0.0,
-) -> Scene:
-    """The paper's scene, the bottom at rest unless said otherwise; seeds seed ... seed + samples - 1."""
-    return build_scene(
-        RunSettings(
-            shape=shape, law=law, distribution=distribution, spin_bottom=spin_bottom, seed=seed, replicas=samples
-        )
-    )
-
-
-def _solved(scene: Scene, method: Method, rule: StopRule | None = None, start: str = "linear") -> Solution:
-    return uninterrupted(solve(scene, method, initial_spin(scene, start), rule or StopRule(1e-12)))
 
 
 def contacts_between(above: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -142,7 +116,7 @@ class Minimum:
 
     @classmethod
     def of(cls, scene: Scene) -> "Minimum":
-        return cls(_solved(scene, PlanarCut().build()), cut_of(scene), flow_cut(cut_weights(scene)))
+        return cls(solved(scene, PlanarCut()), cut_of(scene), flow_cut(cut_weights(scene)))
 
     @cached_property
     def contacts(self) -> tuple[np.ndarray, ...]:
@@ -175,7 +149,7 @@ class Settled:
 
     @classmethod
     def of(cls, scene: Scene) -> "Settled":
-        return cls(_solved(scene, InteriorPoint().build(), StopRule(1e-10)), cut_of(scene))
+        return cls(solved(scene, InteriorPoint(), StopRule(1e-10)), cut_of(scene))
 
     @property
     def cut_power(self) -> np.ndarray:
@@ -205,7 +179,7 @@ class Descent:
     @classmethod
     def of(cls, minimum: Minimum) -> "Descent":
         scene = minimum.solution.scene
-        ended = _solved(scene, GradientDescent().build(), StopRule(1e-12, DESCENT), "random")
+        ended = solved(scene, GradientDescent(), StopRule(1e-12, DESCENT), "random")
         visible = tuple(slip > VISIBLE * scene.lattice.radius * scene.jump for slip in ended.slip)
         differing = count([slips != cut for slips, cut in zip(visible, minimum.contacts, strict=True)])
         return cls(visible, ended.power / minimum.solution.power - 1, differing > 0)

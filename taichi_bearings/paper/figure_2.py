@@ -15,15 +15,14 @@ from taichi_bearings.paper.relaxation import (
     SAME,
     Minima,
     Run,
-    draw_scene,
     intermediate_spheres,
     minima_of,
     relax,
     relax_rigidly,
     without_idle_spin,
 )
+from taichi_bearings.paper.samples import save_both
 from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
-from taichi_bearings.plots.style import save
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.stages import each, stage
@@ -44,16 +43,16 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write fig2.png, fig2.pdf and fig2.csv into `folder`; returns the claims with their verdicts."""
     runtime.start("cpu", "f64")
     runs_of = min(RUNS, effort.samples)
-    scene = draw_scene(SHAPE, effort.seed, runs_of)
+    scene = Scene.random(SHAPE, effort.seed, replicas=runs_of)
     runs = [relax(scene, start) for start in each(tuple(STARTS), "relaxation")]
     stiff = STIFFER * CundallStrack().damping
     stiffer = [relax(scene, start, stiff, STIFFER_STEPS) for start in each(list(STARTS), "stiffer relaxation")]
-    rigid_scene = draw_scene(SHAPE, effort.seed, min(RIGID_RUNS, effort.samples))
+    rigid_scene = Scene.random(SHAPE, effort.seed, replicas=min(RIGID_RUNS, effort.samples))
     rigid = [relax_rigidly(rigid_scene, start) for start in each(list(STARTS), "rigid relaxation")]
     with stage(f"minima of {counted(effort.samples, 'sample')}"):
-        minima = minima_of(draw_scene(SHAPE, effort.seed, effort.samples))
+        minima = minima_of(Scene.random(SHAPE, effort.seed, replicas=effort.samples))
     with stage("minima of larger samples"):
-        larger = minima_of(draw_scene(LARGER, effort.seed, min(LARGER_SAMPLES, effort.samples)))
+        larger = minima_of(Scene.random(LARGER, effort.seed, replicas=min(LARGER_SAMPLES, effort.samples)))
     write_curves(folder / "fig2.csv", scene, {"cundall-strack": runs, "rigid-limit": rigid}, minima)
     largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
     shown = shown_sample(minima, rigid_scene.replicas)
@@ -71,8 +70,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     ]
     with stage("drawing"):
         figure = draw_relaxation(drawn, float(minima.power[shown]), float(minima.cut_power[shown]))
-        for ending in ("png", "pdf"):
-            save(figure, folder / f"fig2.{ending}")
+        save_both(figure, folder, "fig2")
     return [
         _falls_rigidly(rigid_scene, rigid),
         *(_falls(scene, *three) for three in zip(runs, stiffer, rigid, strict=True)),

@@ -15,8 +15,8 @@ from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.paper.claims import FEWEST, Claim, Effort, Share
 from taichi_bearings.paper.network import MOST, certified, mean
+from taichi_bearings.paper.samples import save_both
 from taichi_bearings.plots.network import draw_network
-from taichi_bearings.plots.style import save
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import counted
@@ -36,8 +36,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     scene = shown.scene
     with stage("drawing"):
         figure = draw_network(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
-        for ending in ("png", "pdf"):
-            save(figure, folder / f"fig3.{ending}")
+        save_both(figure, folder, "fig3")
     write_path(folder / "fig3.csv", shown)
     if not shown.network.spans:
         return [_intermediate(shown), _no_network(effort)]

@@ -6,8 +6,8 @@ import numpy as np
 
 from taichi_bearings.paper.claims import Claim, Effort
 from taichi_bearings.paper.figure_3 import spanning_samples
+from taichi_bearings.paper.samples import save_both
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, planes_of
-from taichi_bearings.plots.style import save
 from taichi_bearings.stages import stage
 
 
@@ -18,8 +18,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     scene, path = shown.scene, shown.network.shortest_path
     with stage("drawing"):
         figure = draw_plane_cuts(shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
-        for ending in ("png", "pdf"):
-            save(figure, folder / f"fig4.{ending}")
+        save_both(figure, folder, "fig4")
     if not shown.network.spans:
         return []
     within = [bool(sample.network.spans_within_planes(axis).any()) for sample in samples for axis in (0, 1)]

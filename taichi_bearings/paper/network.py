@@ -19,14 +19,12 @@ from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share
+from taichi_bearings.paper.samples import save_both, solved
 from taichi_bearings.plots.sizes import Column, draw_sizes
-from taichi_bearings.plots.style import save
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.estimate import seconds_of
-from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
-from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import counted, with_error
@@ -96,8 +94,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     paths = {"shortest_path": columns_of([sample for sample in samples if sample.spans])["shortest_path"]}
     with stage("drawing"):
         figure = draw_sizes(columns_of(samples) | paths, {side: by_threshold(seen) for side, seen in views.items()})
-        for ending in ("png", "pdf"):
-            save(figure, folder / f"network.{ending}")
+        save_both(figure, folder, "network")
     only_disorder = _only_disorder(effort)
     (folder / JOURNAL).unlink()
     bulk = [sample for sample in samples if sample.side >= BULK]
@@ -144,9 +141,7 @@ def _plain(numbers: Sample | View) -> dict[str, Any]:
 
 def certified(settings: RunSettings) -> Structure:
     """Structure of the sample that the settings name, at its certified minimum."""
-    scene = build_scene(settings)
-    solution = uninterrupted(solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9)))
-    return structure_of(solution)
+    return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
 
 def sample_of(structure: Structure) -> Sample:

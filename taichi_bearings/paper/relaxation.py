@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.runs.run import build_scene
-from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.paper.samples import solved
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers import CundallStrack, InteriorPoint, RigidLimit
@@ -63,11 +62,6 @@ class Minima:
         return self.cut_power - self.lower_bound <= SAME * self.cut_power
 
 
-def draw_scene(shape: tuple[int, ...], seed: int, samples: int) -> Scene:
-    """The paper's Coulomb scene with the bottom at rest, seeds seed ... seed + samples - 1."""
-    return build_scene(RunSettings(shape=shape, seed=seed, replicas=samples))
-
-
 def relax(scene: Scene, start: str, damping: float = 1e3, steps: int = STEPS) -> Run:
     """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps."""
     method = CundallStrack(damping=damping).build()
@@ -93,8 +87,7 @@ def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recordin
 
 def minima_of(scene: Scene) -> Minima:
     """Certified minima by the interior-point method, and the minimum cuts."""
-    method = InteriorPoint(settle=False).build()
-    solution = uninterrupted(solve(scene, method, initial_spin(scene, "linear"), StopRule(1e-10)))
+    solution = solved(scene, InteriorPoint(settle=False), StopRule(1e-10))
     cut = cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     return Minima(solution.power, solution.lower_bound, unit * cut.weight, unit * cut.lower_bound, solution.spin)

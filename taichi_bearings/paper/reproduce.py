@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.whole_file import write_text
+from taichi_bearings.files.whole_file import refuse_standing, write_text
 from taichi_bearings.paper.claims import KINDS, VERDICTS, Claim, Effort
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.stages import each, stage
+from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted
 
 
@@ -75,8 +76,8 @@ def reproduce(
     done = {name: found for name, found in before["figures"].items() if all(map(Path.exists, _files(name, folder)))}
     asked = {*chosen, *before["figures"], *before["missing"]}
     missing = [name for name in FIGURES if name in asked and name not in done]
-    if not force:
-        _refuse_files([name for name in missing if name not in (*before["figures"], *before["missing"])], folder)
+    unknown = [name for name in missing if name not in (*before["figures"], *before["missing"])]
+    refuse_standing([path for name in unknown for path in _files(name, folder)], force)  # they are somebody else's
     interrupted = False
     with writable_folder(folder):
         for name in chosen if force else ():
@@ -98,21 +99,12 @@ def _files(name: str, folder: Path) -> list[Path]:
     return [folder / file for file in FIGURES[name].files]
 
 
-def _refuse_files(names: Sequence[str], folder: Path) -> None:
-    """FileError if there are files of figures that no report mentions: they are somebody else's."""
-    standing = [path for name in names for path in _files(name, folder) if path.exists()]
-    if standing:
-        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-
-
 def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
     """The report that a folder has: figures and those missing. FileError if its effort or version differ."""
-    from taichi_bearings import __version__
-
     path = folder / "report.json"
     if not path.exists():
         return {"figures": {}, "missing": []}
-    ours = {"seed": effort.seed, "samples": effort.samples, "version": __version__}
+    ours = {"seed": effort.seed, "samples": effort.samples, "version": VERSION}
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         theirs = {name: report[name] for name in ours}
@@ -144,8 +136,6 @@ def _tally(figure: dict[str, Any]) -> str:
 
 def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> dict[str, Any]:
     """The report as plain data, figures in the order of FIGURES."""
-    from taichi_bearings import __version__
-
     figures = {name: done[name] | {"files": list(map(str, _files(name, folder)))} for name in FIGURES if name in done}
     verdicts = Counter(claim["verdict"] for found in figures.values() for claim in found["claims"])
     return {
@@ -155,7 +145,7 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
         "seed": effort.seed,
         "samples": effort.samples,
         "files": [str(folder / file) for file in REPORTS],
-        "version": __version__,
+        "version": VERSION,
     }
 
 

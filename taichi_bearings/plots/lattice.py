@@ -3,6 +3,7 @@
 A plane has its first index to the right and its second one up. Blocks are seen from large x, small y and above.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,27 +89,21 @@ def box_driven_rows(axes: Any, shape: tuple[int, ...]) -> None:
         axes.add_patch(Rectangle((-0.55, y - 0.55), shape[0] + 0.1, 1.1, fill=False, lw=1.0))
 
 
-def draw_walls(axes: Any, walls: tuple[np.ndarray, ...], **look: Any) -> LineCollection:
+def draw_walls(axes: Any, walls: Sequence[np.ndarray], **look: Any) -> LineCollection:
     """A line across each contact of a plane where `walls` is True, between its two discs."""
-    lines = []
-    for axis, chosen in enumerate(walls):
-        middle = np.argwhere(chosen) + 0.5 * np.eye(2)[axis]
-        half = 0.5 * np.eye(2)[1 - axis]
-        lines.append(np.stack([middle - half, middle + half], axis=1))
-    drawn = LineCollection(list(np.concatenate(lines)), **look)
-    axes.add_collection(drawn)
-    return drawn
+    return _draw_lines(axes, walls, lambda along, across: [(along - across) / 2, (along + across) / 2], look)
 
 
-def draw_contacts(axes: Any, contacts: tuple[np.ndarray, ...], **look: Any) -> LineCollection:
+def draw_contacts(axes: Any, contacts: Sequence[np.ndarray], **look: Any) -> LineCollection:
     """A line along each contact of a plane where `contacts` is True, between the two centres."""
-    lines = []
-    for axis, chosen in enumerate(contacts):
-        lower = np.argwhere(chosen)
-        lines.append(np.stack([lower, lower + np.eye(2, dtype=int)[axis]], axis=1))
-    drawn = LineCollection(list(np.concatenate(lines)), **look)
-    axes.add_collection(drawn)
-    return drawn
+    return _draw_lines(axes, contacts, lambda along, across: [0 * along, along], look)
+
+
+def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], ends: Callable[..., Any], look: dict[str, Any]) -> Any:
+    """One line a contact; ends : of the unit vectors along and across it, from its lower disc."""
+    unit = np.eye(2)
+    lines = [np.argwhere(chosen)[:, None] + ends(unit[axis], unit[1 - axis]) for axis, chosen in enumerate(contacts)]
+    return axes.add_collection(LineCollection(list(np.concatenate(lines)), **look))
 
 
 def squares(centre: np.ndarray, axis: int) -> np.ndarray:

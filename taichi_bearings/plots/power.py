@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from taichi_bearings.plots.lattice import draw_contacts, frame_plane
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
@@ -54,20 +54,10 @@ def _draw_plane(
     axes: Any, power: list[np.ndarray], state: list[np.ndarray], shape: tuple[int, ...], norm: LogNorm
 ) -> Any:
     """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey."""
-    segments, values = [], []
-    for axis, (p, s) in enumerate(zip(power, state, strict=True)):
-        i, j = np.indices(p.shape)
-        ends = np.stack([np.stack([i, j], -1), np.stack([i + (axis == 0), j + (axis == 1)], -1)], -2)
-        segments.append(ends.reshape(-1, 2, 2))
-        values.append(np.where((s == ContactState.SLIPPING) & (p > 0), p, np.nan).ravel())
-    lines, value = np.concatenate(segments), np.concatenate(values)
-    slips = np.isfinite(value)
+    slips = [(s == ContactState.SLIPPING) & (p > 0) for p, s in zip(power, state, strict=True)]
     width = float(np.clip(60.0 / max(shape), 0.3, 3.0))
-    axes.add_collection(LineCollection(lines[~slips], colors=GREY, lw=0.25 * width))
-    drawn = LineCollection(lines[slips], cmap="viridis", norm=norm, lw=width)
-    drawn.set_array(value[slips])
-    axes.add_collection(drawn)
-    axes.set(xlim=(-0.7, shape[0] - 0.3), ylim=(-0.7, shape[1] - 0.3), aspect="equal", xticks=[], yticks=[])
-    for side in axes.spines.values():
-        side.set_visible(False)
+    draw_contacts(axes, [~chosen for chosen in slips], colors=GREY, lw=0.25 * width)
+    drawn = draw_contacts(axes, slips, cmap="viridis", norm=norm, lw=width)
+    drawn.set_array(np.concatenate([p[chosen] for p, chosen in zip(power, slips, strict=True)]))
+    frame_plane(axes, shape)
     return drawn

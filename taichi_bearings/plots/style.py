@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import replace_file
 
 RC: dict[Any, Any] = {
@@ -61,6 +62,15 @@ def label_in_plain_text(*axes: Any) -> None:
 def shades(number: int) -> list[Any]:
     """Colours of curves in an order, dark to light."""
     return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
+
+
+ENDINGS = (".png", ".pdf", ".svg")
+
+
+def refuse_ending(path: Path) -> None:
+    """InputError for the name of a figure of a kind that is not written."""
+    if path.suffix not in ENDINGS:
+        raise InputError(f"out is {str(path)!r}; it must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
 
 
 @in_our_style

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.torque_flow import ForceDistribution, FrictionLoad, PlaneFlow
+from taichi_bearings.plots.lattice import draw_contacts, frame_plane
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
@@ -71,23 +71,17 @@ def _draw_distribution(axes: Any, distribution: ForceDistribution) -> None:
 def _draw_current(axes: Any, plane: PlaneFlow) -> None:
     """Contacts as lines between the centres of their spheres, as wide as they carry torque."""
     columns, layers = plane.upright.shape[0], plane.upright.shape[1] + 1
-    lines = [((a, b), (a + 1, b)) for a, b in np.ndindex(plane.sideways.shape)]
-    lines += [((a, b), (a, b + 1)) for a, b in np.ndindex(plane.upright.shape)]
-    torque = np.abs(np.concatenate([plane.sideways.ravel(), plane.upright.ravel()]))
-    state = np.concatenate([plane.sideways_state.ravel(), plane.upright_state.ravel()])
-    largest = float(torque[state != ContactState.DRIVEN].max(initial=0.0)) or 1.0
-    axes.set(xlim=(-0.7, columns - 0.3), ylim=(-0.7, layers - 0.3), aspect="equal", xticks=[], yticks=[])
+    torque, states = (plane.sideways, plane.upright), (plane.sideways_state, plane.upright_state)
+    state = np.concatenate([values.ravel() for values in states])
+    sizes = np.abs(np.concatenate([values.ravel() for values in torque]))
+    largest = float(sizes[state != ContactState.DRIVEN].max(initial=0.0)) or 1.0
+    frame_plane(axes, (columns, layers))
     point = 200.0 / max(columns, layers)  # about the lattice spacing in points
     for which, colour, _ in COLOURS:
-        chosen = np.flatnonzero(state == which)
-        width = WIDEST * point * torque[chosen] / largest
-        axes.add_collection(
-            LineCollection([lines[i] for i in chosen], colors=colour, linewidths=width, capstyle="round")
-        )
+        width = WIDEST * point * sizes[state == which] / largest
+        draw_contacts(axes, [values == which for values in states], colors=colour, linewidths=width, capstyle="round")
     for layer in (0, layers - 1):
         axes.plot([-0.5, columns - 0.5], [layer, layer], color="black", lw=2.5, solid_capstyle="butt")
-    for side in axes.spines.values():
-        side.set_visible(False)
     place = "" if plane.normal is None else f", plane {AXES[plane.normal]} = {plane.index}"
     axes.set_title(f"torque about {AXES[plane.component]} through each contact{place}", fontsize=9)
     shown = [(colour, label) for which, colour, label in COLOURS if (state == which).any()]

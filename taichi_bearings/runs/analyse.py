@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure, structure_of
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
+from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.plots.style import save
 from taichi_bearings.runs.run import settings_of, statuses
 from taichi_bearings.runs.run_directory import writable_folder
@@ -19,6 +20,7 @@ from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each, stage
+from taichi_bearings.version import VERSION
 
 
 class Analysis:
@@ -123,9 +125,7 @@ def analyse(
         ended = statuses(run.solution, settings_of(run))
     target = run.path if out is None else out / "analysis.h5"
     paths = [target.parent / f"{name}.png" for name in ((*FIGURES, *FIGURES_OF_ALL) if figures else ())]
-    standing = [file for file in (target, *paths) if file.exists()] if out is not None else []
-    if standing and not force:
-        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    refuse_standing((target, *paths), force or out is None)
     with writable_folder(target.parent):
         found = Analysis(run.solution, ended, threshold, replica)
         if out is None or force:
@@ -146,8 +146,6 @@ def _report(
     solution: Solution, status: Sequence[str], numbers: Sequence[Mapping[str, Any]], threshold: float | None
 ) -> dict[str, Any]:
     """Numbers of all samples; with several of them lists, one entry a sample."""
-    from taichi_bearings import __version__
-
     scene, together = solution.scene, {key: [sample[key] for sample in numbers] for key in numbers[0]}
     proven = "proven" if solution.resolved.all() else "decided"
     return {
@@ -161,7 +159,7 @@ def _report(
         "spin_top": scene.spin_top,
         "spin_bottom": scene.spin_bottom,
         "shape": list(scene.lattice.shape),
-        "version": __version__,
+        "version": VERSION,
     }
 
 

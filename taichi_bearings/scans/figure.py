@@ -17,11 +17,11 @@ from taichi_bearings.analysis.statistics import (
     independent,
     ratio_interval,
 )
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
-from taichi_bearings.files.whole_file import write_csv
+from taichi_bearings.files.whole_file import refuse_standing, write_csv
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
-from taichi_bearings.plots.style import save
+from taichi_bearings.plots.style import refuse_ending, save
 from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
 from taichi_bearings.scans.systems import disorder_of, mixture, numbered
 from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
@@ -107,12 +107,9 @@ def plot_scan(
     """
     scan = open_scan(path)
     figure = out or scan.path.parent / f"{request.stem}.png"
-    if figure.suffix not in (".png", ".pdf", ".svg"):
-        raise InputError(f"out is {str(figure)!r}; it must end in .png, .pdf or .svg")
+    refuse_ending(figure)
     table = figure.with_suffix(".csv")
-    standing = [file for file in (figure, table) if file.exists()] if out is not None else []
-    if standing and not force:
-        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    refuse_standing((figure, table), force or out is None)
     columns = columns_of(scan, request)
     points = points_of(columns, request)
     for line in accounts_of(columns, request):

@@ -20,9 +20,10 @@ from taichi_bearings.analysis.histogram import (
     together,
 )
 from taichi_bearings.analysis.statistics import groups
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
+from taichi_bearings.files.whole_file import make_folder, refuse_standing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path
@@ -211,15 +212,10 @@ def histogram(
         raise InputError(f"the runs {', '.join(map(str, paths))} name the same run twice")
     folder = out or default_run_path("histogram")
     table, arrays, figure = (folder / f"power_histogram.{ending}" for ending in ("csv", "h5", "png"))
-    standing = [path for path in (table, arrays, figure) if path.exists()]
-    if standing and not force:
-        raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
+    refuse_standing((table, arrays, figure), force)
     with stage("counting"):
         found = pooled(sources, bins_per_decade, normalise, by)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
+    make_folder(folder)
     with stage("writing"):
         write_table(table, found, by)
         write_arrays(arrays, found, by)

@@ -8,6 +8,7 @@ from taichi_bearings.files.scan_file import MISSING, Column, SampleHistograms, c
 from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import Sample, ScanPlan, written
+from taichi_bearings.version import VERSION
 
 FIRST = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")  # after the scanned keys
 MEANING = {  # column -> (unit, description); others are described in docs/structure.md
@@ -62,10 +63,8 @@ def with_missing(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> di
 
 def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
     """What a table says of itself. journals : bytes of those that it was made from."""
-    from taichi_bearings import __version__
-
     known = {"scan": plan.text, "scanned": list(plan.scanned), "asked": len(plan.samples), "journals": journals}
-    return {**known, "taichi_bearings": __version__, **versions()}
+    return {**known, "taichi_bearings": VERSION, **versions()}
 
 
 def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list[Column]:

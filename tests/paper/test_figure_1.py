@@ -9,10 +9,12 @@ from matplotlib import colormaps
 
 from taichi_bearings.paper import figure_1
 from taichi_bearings.paper.claims import Effort
-from taichi_bearings.paper.figure_1 import Descent, Minimum, Settled, draw_scene
+from taichi_bearings.paper.figure_1 import Descent, Minimum, Settled
 from taichi_bearings.paper.relaxation import TIMES, Run
+from taichi_bearings.paper.samples import solved
 from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.plots.lattice import COLOURS
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import LinearSolver, PlanarCut
 
@@ -21,14 +23,14 @@ SHAPE = (5, 6)
 
 @pytest.fixture(scope="module")
 def minimum():
-    return Minimum.of(draw_scene(3, 12, SHAPE))
+    return Minimum.of(Scene.random(SHAPE, 3, replicas=12))
 
 
 @pytest.fixture(scope="module")
 def settled(taichi_runtime, precision):
     if precision != "f64":
         pytest.skip("a statement about double precision")
-    return Settled.of(draw_scene(3, 12, SHAPE))
+    return Settled.of(Scene.random(SHAPE, 3, replicas=12))
 
 
 def moved(cut, replica=0):
@@ -40,21 +42,21 @@ def moved(cut, replica=0):
 
 
 def test_a_viscous_state_is_continuous_and_a_coulomb_state_is_not():
-    flat = figure_1._solved(draw_scene(1, 3, SHAPE, "viscous"), LinearSolver().build())
-    cube = figure_1._solved(draw_scene(1, 2, (3, 4, 5), "viscous"), LinearSolver().build())
+    flat = solved(Scene.random(SHAPE, 1, replicas=3, law="viscous"), LinearSolver())
+    cube = solved(Scene.random((3, 4, 5), 1, replicas=2, law="viscous"), LinearSolver())
     assert figure_1._continuous(flat, cube).confirmed
-    domains = figure_1._solved(draw_scene(1, 3, SHAPE), PlanarCut().build())
+    domains = solved(Scene.random(SHAPE, 1, replicas=3), PlanarCut())
     assert not figure_1._continuous(domains, cube).confirmed
     assert figure_1.slip_range(domains) == (0.0, 1.0)
 
 
 def test_the_rise_is_that_of_the_layer_means_whatever_the_driving():
     for shape in (SHAPE, (3, 4, 5)):
-        scene = draw_scene(1, 2, shape, spin_bottom=0.25)
-        state = figure_1._solved(scene, PlanarCut().build()) if len(shape) == 2 else None
+        scene = Scene.random(shape, 1, replicas=2, spin_bottom=0.25)
+        state = solved(scene, PlanarCut()) if len(shape) == 2 else None
         spin = initial_spin(scene, "linear")
         if state is None:
-            flat = figure_1._solved(draw_scene(1, 2, SHAPE), PlanarCut().build())
+            flat = solved(Scene.random(SHAPE, 1, replicas=2), PlanarCut())
             state = replace(flat, scene=scene)
         assert figure_1.least_rise(replace(state, spin=spin)) == pytest.approx(1 / (shape[-1] - 1), rel=1e-13)
 

@@ -9,7 +9,6 @@ from taichi_bearings.paper import figure_2
 from taichi_bearings.paper.relaxation import (
     Minima,
     Run,
-    draw_scene,
     intermediate_spheres,
     minima_of,
     relax,
@@ -17,6 +16,7 @@ from taichi_bearings.paper.relaxation import (
     without_idle_spin,
 )
 from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 
 
@@ -42,7 +42,7 @@ def test_the_largest_rise_is_measured_from_the_lowest_power_before():
 
 
 def test_verdicts_follow_the_numbers():
-    scene = draw_scene((3, 3, 3), 0, 1)
+    scene = Scene.random((3, 3, 3), 0, replicas=1)
     falls = run_of(10, 4, 3, 1)
     assert figure_2._falls_rigidly(scene, [falls, run_of(10, 5, 5 + 1e-12, 1)]).confirmed
     assert not figure_2._falls_rigidly(scene, [falls, run_of(10, 5, 5 + 1e-10, 1)]).confirmed
@@ -57,7 +57,7 @@ def test_verdicts_follow_the_numbers():
 
 @pytest.mark.parametrize("samples", [1, 5])
 def test_what_most_samples_do_takes_samples_to_judge(samples):
-    scene = draw_scene((3, 3, 3), 0, 1)
+    scene = Scene.random((3, 3, 3), 0, replicas=1)
     for claim in (lambda minima: figure_2._below_cut(minima, scene, 0), figure_2._larger_systems):
         lower, equal = minima_like(1.0, 1.1, samples), minima_like(1.1, 1.1, samples)
         wanted = ("confirmed", "refuted") if samples == 5 else ("too few samples",) * 2
@@ -67,7 +67,7 @@ def test_what_most_samples_do_takes_samples_to_judge(samples):
 
 def test_a_rise_is_measured_against_the_fall():
     """Of 10 to 9.9, where 0.05 is half a per cent of the power but half of the fall."""
-    scene = draw_scene((3, 3, 3), 0, 5)
+    scene = Scene.random((3, 3, 3), 0, replicas=5)
     falls, creeps = repeated(run_of(10, 9.95, 9.9)), repeated(run_of(10, 10.05, 9.9))
     less = repeated(run_of(10, 10.005, 9.9))
     assert figure_2._falls(scene, falls, falls, falls).verdict == "confirmed"
@@ -77,7 +77,7 @@ def test_a_rise_is_measured_against_the_fall():
     still = repeated(run_of(10, 10.05, 10))
     assert figure_2._falls(scene, still, still, falls).verdict == "too few samples"  # no fall to compare with
     one = run_of(10, 9.95, 9.9)
-    assert figure_2._falls(draw_scene((3, 3, 3), 0, 1), one, one, one).verdict == "too few samples"
+    assert figure_2._falls(Scene.random((3, 3, 3), 0, replicas=1), one, one, one).verdict == "too few samples"
 
 
 def test_powers_are_compared_at_equal_times_as_long_as_both_runs_last():
@@ -86,20 +86,20 @@ def test_powers_are_compared_at_equal_times_as_long_as_both_runs_last():
 
 
 def test_a_minimum_is_below_its_cut_or_is_the_cut(needs_f64):
-    minima = minima_of(draw_scene((3, 3, 3), 0, 12))
+    minima = minima_of(Scene.random((3, 3, 3), 0, replicas=12))
     assert (minima.lower_bound <= minima.cut_power).all()
     assert (minima.below_cut ^ minima.cut_is_minimum).all()
     assert 0 < minima.below_cut.sum() < 12  # both kinds are common at this size
 
 
 def test_only_spins_of_neither_plane_count_as_intermediate():
-    scene = draw_scene((3, 4, 5), 3, 2)
+    scene = Scene.random((3, 4, 5), 3, replicas=2)
     assert (intermediate_spheres(scene, initial_spin(scene, "minimum-cut")) == 0).all()
     assert (intermediate_spheres(scene, initial_spin(scene, "linear")) == 3 * 4 * 3).all()
 
 
 def test_idle_spin_makes_nothing_slip():
-    scene = draw_scene((3, 4, 5), 3, 2)
+    scene = Scene.random((3, 4, 5), 3, replicas=2)
     axes = scene.lattice.all_spin_axes
     staggered = scene.staggered_spin(initial_spin(scene, "random"), axes)
     rest = without_idle_spin(staggered)
@@ -109,7 +109,7 @@ def test_idle_spin_makes_nothing_slip():
 
 
 def test_a_relaxation_is_seen_from_its_first_step_to_its_certified_end(needs_f64):
-    scene = draw_scene((3, 3, 3), 0, 1)
+    scene = Scene.random((3, 3, 3), 0, replicas=1)
     run, minima = relax(scene, "minimum-cut"), minima_of(scene)
     assert run.power[0] == pytest.approx(minima.cut_power, rel=1e-13)
     assert minima.lower_bound[0] <= run.power[-1, 0] <= minima.power[0] * (1 + 2e-8)
@@ -120,7 +120,7 @@ def test_a_relaxation_is_seen_from_its_first_step_to_its_certified_end(needs_f64
 
 @pytest.mark.parametrize("start", ["random", "minimum-cut"])
 def test_rigid_friction_lowers_the_power_in_every_step_to_the_same_end(start, needs_f64):
-    scene = draw_scene((3, 3, 3), 0, 1)
+    scene = Scene.random((3, 3, 3), 0, replicas=1)
     run, minima = relax_rigidly(scene, start), minima_of(scene)
     assert len(run.time) > 30  # steps
     assert run.largest_rise[0] < 1e-14
