@@ -1,31 +1,61 @@
 """Options shared by commands; those of a run come from the one table in runs/settings.py."""
 
-from collections.abc import Callable
-from dataclasses import fields
-from typing import Any
-
 import click
 
-from taichi_bearings.runs.settings import Kind, RunSettings
+from taichi_bearings.options import Option, options_of
+from taichi_bearings.runs.settings import settings_table, users_of
+from taichi_bearings.scene.law import LAWS
+from taichi_bearings.solvers.table import METHODS
 
 
-def run_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add every setting of a run as an option. Values stay text here: RunSettings reads and checks them."""
-    for item in reversed(fields(RunSettings)):
-        kind: Kind = item.metadata["kind"]
-        name = "--" + item.name.replace("_", "-")
-        text = item.metadata["help"]
-        if isinstance(item.default, bool):
-            both = f"{name}/--no-{item.name.replace('_', '-')}"
-            shown = f"{text} [default: {'on' if item.default else 'off'}]"
-            decorate = click.option(both, item.name, default=None, help=shown)
-        else:
-            if item.default is not None:
-                shown = ",".join(map(str, item.default)) if isinstance(item.default, tuple) else str(item.default)
-                text = f"{text} [default: {shown}]"
-            decorate = click.option(name, item.name, default=None, metavar=kind.metavar, help=text)
-        function = decorate(function)
-    return function
+class SettingsCommand(click.Command):
+    """A command that takes all settings of a run beside options of its own. Values stay text: RunSettings reads them.
+
+    Its help lists the settings by the methods that use them.
+    """
+
+    def get_params(self, context: click.Context) -> list[click.Parameter]:
+        return [*(_click_option(key, item) for key, item in settings_table().items()), *super().get_params(context)]
+
+    def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        table, groups = settings_table(), {tuple(METHODS): list[tuple[str, str]]()}
+        for parameter in self.get_params(context):
+            record = parameter.get_help_record(context) if isinstance(parameter, click.Option) else None
+            owners = users_of(table[parameter.name])[0] if parameter.name in table else tuple(METHODS)
+            if record:
+                groups.setdefault(owners, []).append(record)
+        for owners, records in groups.items():
+            title = "Options" if owners == tuple(METHODS) else f"Options of {', '.join(owners)}"
+            with formatter.section(title):
+                formatter.write_dl(records)
+
+
+def _click_option(key: str, item: Option) -> click.Option:
+    name = "--" + key.replace("_", "-")
+    text = f"{item.help} [{'; '.join(facts)}]" if (facts := _facts(key, item)) else item.help
+    if isinstance(item.default, bool):
+        return click.Option([f"{name}/--no-{key.replace('_', '-')}", key], default=None, help=text)
+    return click.Option([name, key], default=None, metavar=item.kind.metavar, help=text)
+
+
+def _facts(key: str, item: Option) -> list[str]:
+    """Unit, laws and default of an option, in words."""
+    laws = users_of(item)[1]
+    facts = [item.unit] if item.unit != "1" else []
+    facts += [f"law {' or '.join(laws)}"] if len(laws) < len(LAWS) else []
+    own = {name: options_of(row)[key].default for name, row in METHODS.items() if key in options_of(row)}
+    defaults = {_shown(default) for default in own.values()} or {_shown(item.default)}
+    if defaults == {""}:
+        return facts
+    if len(defaults) == 1:
+        return [*facts, f"default: {defaults.pop()}"]
+    return [*facts, "default: " + ", ".join(f"{_shown(default)} with {name}" for name, default in own.items())]
+
+
+def _shown(default: object) -> str:
+    if isinstance(default, bool):
+        return "on" if default else "off"
+    return "" if default is None else ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")

@@ -5,15 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option, run_options
+from taichi_bearings_cli.options import SettingsCommand, json_option
 
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.words import counted
 
 
-@click.command()
+@click.command(cls=SettingsCommand)
 @click.argument("scene", required=False, metavar="[SCENE.toml]")
-@run_options
 @click.option("--out", metavar="DIR", default=None, help="Run directory. [default: outputs/<time>-run-<id>]")
 @click.option("--force", is_flag=True, default=None, help="Replace an existing run directory.")
 @click.option("--resume", metavar="RUN", default=None, help="Go on with a run that has a checkpoint, in its directory.")

@@ -1,21 +1,20 @@
 """What can be given: an option is declared once, by the run, the method or the law that owns it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import InputError
 
 
-@dataclass(frozen=True)
 class Kind:
     """How a value is read and what is allowed, in words that complete "it must be ..."."""
 
-    read: Callable[[Any], Any]
-    allowed: str
-    metavar: str
-    choices: tuple[str, ...] = ()
+    def __init__(self, read: Callable[[Any], Any], allowed: str, metavar: str) -> None:
+        self.read, self.allowed, self.metavar = read, allowed, metavar
 
 
 def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
@@ -73,13 +72,24 @@ def _text(value: Any) -> str:
     return value
 
 
-def one_of(*choices: str) -> Kind:
-    def read(value: Any) -> str:
-        if value not in choices:
+class OneOf(Kind):
+    """One of some names. table : of more of them, which can grow."""
+
+    def __init__(self, *names: str, table: Mapping[str, Any] = MappingProxyType({})) -> None:
+        self.names, self.table = names, table
+
+    def read(self, value: Any) -> str:
+        if value not in (*self.names, *self.table):
             raise ValueError
         return value
 
-    return Kind(read, "one of " + ", ".join(choices), "|".join(choices), choices)
+    @property
+    def allowed(self) -> str:  # type: ignore[override]
+        return "one of " + ", ".join((*self.names, *self.table))
+
+    @property
+    def metavar(self) -> str:  # type: ignore[override]
+        return "|".join((*self.names, *self.table))
 
 
 LEAST, MOST = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
@@ -98,7 +108,9 @@ class Option:
     """One thing that can be given.
 
     default : None where it is left to what uses it. unit : "1" for a pure number.
-    laws : True for one that uses it; None for all. of_solving : it says how a system is solved, not which one it is.
+    methods, laws : True for a method or law that uses it; None for all.
+    of_solving : it says how a system is solved, not which one it is.
+    not_scanned : why a scan cannot vary it: it changes no result; empty if it can.
     unset : wherever a run is described None stands for the default, as if it were not given.
     """
 
@@ -106,8 +118,10 @@ class Option:
     kind: Kind
     help: str
     unit: str = "1"
+    methods: Callable[[Any], bool] | None = None
     laws: Callable[[Any], bool] | None = None
     of_solving: bool = False
+    not_scanned: str = ""
     unset: bool = False
 
     def read(self, name: str, value: Any) -> Any:
@@ -120,12 +134,20 @@ class Option:
             shown = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
             raise InputError(f"{name} is {shown!r}; it must be {self.kind.allowed}") from None
 
+    def is_used_by(self, method: Any, law: Any) -> bool:
+        """method : None for one that is not known, which uses what all use."""
+        by_method = self.methods is None or (method is not None and self.methods(method))
+        return by_method and (self.laws is None or self.laws(law))
+
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
     """A field of a dataclass that is an :class:`Option`, whose other facts can be given by name."""
     return field(default=default, metadata={"option": Option(default, kind, help, **facts)})
 
 
+how = partial(option, of_solving=True)
+
+
 def options_of(owner: Any) -> dict[str, Option]:
     """The options that a dataclass declares, by name."""
-    return {item.name: item.metadata["option"] for item in fields(owner)}
+    return {item.name: item.metadata["option"] for item in fields(owner) if "option" in item.metadata}

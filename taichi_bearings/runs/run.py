@@ -9,7 +9,8 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,10 @@ from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
 from taichi_bearings.runs.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
 from taichi_bearings.runs.run_file import StoredRun, write_run_file
-from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
@@ -74,9 +76,19 @@ def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
     return METHODS[settings.method]
 
 
-def method_options(settings: RunSettings, scene: Scene) -> MethodOptions:
+def row_of(settings: RunSettings) -> type[MethodOptions]:
+    """The method that the settings lead to. Raises InputError for a scene that cannot be."""
+    return _row_of(replace(settings, seed=0))
+
+
+@lru_cache(maxsize=4096)
+def _row_of(settings: RunSettings) -> type[MethodOptions]:
+    Distribution.parse(settings.distribution)
+    return method_row(settings, build_scene(replace(settings, distribution="constant:1")))
+
+
+def method_options(settings: RunSettings, row: type[MethodOptions]) -> MethodOptions:
     """The method with the options that the settings give to it."""
-    row = method_row(settings, scene)
     given = {key: getattr(settings, key) for key in options_of(row)}
     return row(**{key: value for key, value in given.items() if value is not None})
 
@@ -91,23 +103,20 @@ class Job:
     method: Any
 
 
-def prepare(settings: RunSettings) -> Job:
-    """Build everything the settings describe; every input error is raised here, before anything is computed."""
+def prepare(settings: RunSettings, strict: bool = True) -> Job:
+    """Build everything the settings describe; every input error is raised here, before anything is computed.
+
+    strict : refuse what neither the method nor the law uses; else, as in a scan that compares methods, leave it out.
+    """
     compiler.name()  # refuses one that is unknown or absent
     with stage("reading"):
         scene = build_scene(settings)
-        options = method_options(settings, scene)
-        _refuse_time_without_dynamics(settings, options)
-        return Job(settings, scene, initial_spin(scene, settings.initial), options.build())
-
-
-def _refuse_time_without_dynamics(settings: RunSettings, options: MethodOptions) -> None:
-    dynamics = " or ".join(name for name, row in METHODS.items() if row.is_dynamics)
-    for key in ("duration", "record", "snapshots", "checkpoint_every"):
-        if getattr(settings, key) is not None and not options.is_dynamics:
-            raise InputError(
-                f"{key} is {getattr(settings, key)}, but {options.name} is not a dynamics; it needs --method {dynamics}"
-            )
+        row = method_row(settings, scene)
+        if unused := settings.unused(row):
+            if strict:
+                raise InputError(next(iter(unused.values())))
+            settings = replace(settings, **{key: settings_table()[key].default for key in unused})
+        return Job(settings, scene, initial_spin(scene, settings.initial), method_options(settings, row).build())
 
 
 MOST_ITERATIONS = 1_000_000  # unless the settings say otherwise
@@ -318,7 +327,9 @@ def resume(
         stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
         if "duration" in changes and stored.duration is not None:
             _refuse_past(path, stored.duration, checkpoint.arrays or {})
-        job = prepare(RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"))
+        job = prepare(
+            RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
+        )
         return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
 
 
@@ -372,7 +383,7 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
         stored = _self_contained(job, folder)
         summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
         write_text(folder / "scene.toml", stored.to_toml())
-        full = summary | {"settings": asdict(job.settings), "versions": versions()}
+        full = summary | {"settings": job.settings.values, "versions": versions()}
         write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
     try:
         histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)

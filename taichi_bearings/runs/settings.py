@@ -1,8 +1,13 @@
-"""Everything a run can be told, once: the command line, the TOML file and the stored scene all read this table."""
+"""Everything a run can be told, flat: the command line, the TOML file and the stored scene all read this table.
+
+What belongs to every run is declared here; the options of a method are those that its row in solvers/table.py declares.
+"""
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +15,23 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.options import (
     COUNT,
     FILE,
-    NOT_NEGATIVE,
     POSITIVE,
     REAL,
     SEED,
     TEXT,
-    TRUTH,
     Kind,
+    OneOf,
+    Option,
     bounded,
+    how,
     integer,
     numbers,
-    one_of,
+    option,
+    options_of,
     real,
 )
-from taichi_bearings.scene.law import LAWS
-from taichi_bearings.solvers import METHODS
-
-METHOD_NAMES = ("auto", *METHODS)
+from taichi_bearings.scene.law import LAWS, Law
+from taichi_bearings.solvers.table import METHODS, MethodOptions, Springs
 
 
 def _times(value: Any) -> str:
@@ -45,130 +50,123 @@ VECTOR = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z"
 TIMES = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 
-def setting(default: Any, kind: Kind, help: str) -> Any:
-    return field(default=default, metadata={"kind": kind, "help": help})
+motion = partial(option, methods=attrgetter("is_dynamics"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class RunSettings:
-    """One run, fully described. Values are checked when it is built; InputError names the key and what is allowed."""
+    """One run, fully described. Values are checked when it is built; InputError names the key and what is allowed.
 
-    shape: tuple[int, ...] = setting((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
-    law: str = setting("coulomb", one_of(*LAWS), "Contact law.")
-    method: str = setting("auto", one_of(*METHOD_NAMES), "auto is the fastest certified route for the scene.")
-    tolerance: float = setting(
+    The options of methods are attributes too. owned : their names and values.
+    """
+
+    shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
+    law: str = option("coulomb", OneOf(table=LAWS), "Contact law.")
+    method: str = how("auto", OneOf("auto", table=METHODS), "auto is the fastest certified route for the scene.")
+    tolerance: float = how(
         1e-8,
         Kind(bounded(real, 0, 1, True), "above 0 and at most 1", "NUMBER"),
         "Relative gap (P - lower bound)/P at which the run counts as done.",
     )
-    seed: int = setting(0, SEED, "Seed of the disorder.")
-    replicas: int = setting(1, COUNT, "Solve seeds seed ... seed + replicas - 1 together.")
-    spin_top: float = setting(1.0, REAL, "Imposed spin of the top.")
-    spin_bottom: float = setting(0.0, REAL, "Imposed spin of the bottom.")
-    direction: tuple[float, ...] = setting((1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.")
-    coefficients: str | None = setting(
+    seed: int = option(0, SEED, "Seed of the disorder.")
+    replicas: int = how(
+        1,
+        COUNT,
+        "Solve seeds seed ... seed + replicas - 1 together.",
+        not_scanned="every seed is a sample of its own, so give seed a range",
+    )
+    spin_top: float = option(1.0, REAL, "Imposed spin of the top.", unit="1/time")
+    spin_bottom: float = option(0.0, REAL, "Imposed spin of the bottom.", unit="1/time")
+    direction: tuple[float, ...] = option((1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.")
+    coefficients: str | None = option(
         None,
         FILE,
         "Read the coefficients instead of drawing them: an npz file with arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z "
         "(NX,NY,NZ-1), or a run. docs/scenes.md says more.",
     )
-    distribution: str = setting(
+    distribution: str = option(
         "uniform:0.1,1.0",
         TEXT,
         "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
         "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.",
     )
-    viscosity: str = setting(
-        "uniform:0.1,1.0", TEXT, "coulomb-viscous: distribution of the viscosities, as that of the coefficients."
+    viscosity: str = option(
+        "uniform:0.1,1.0",
+        TEXT,
+        "Distribution of the viscosities, as that of the coefficients.",
+        unit="force*time/length",
+        laws=lambda law: len(law.quantities) > 1,
     )
-    initial: str = setting(
+    initial: str = how(
         "linear", TEXT, "Spins to start from: random, zero, linear, minimum-cut, or a file with an array `spin`."
     )
-    normal_force: float = setting(50.0, POSITIVE, "Normal force at every contact.")
-    radius: float = setting(0.5, POSITIVE, "Radius of the spheres.")
-    iterations: int | None = setting(
+    normal_force: float = option(
+        50.0, POSITIVE, "Normal force at every contact.", unit="force", laws=attrgetter("holds")
+    )
+    radius: float = option(0.5, POSITIVE, "Radius of the spheres.", unit="length")
+    iterations: int | None = how(
         None,
         SEED,
         "Limit on iterations (sweeps, which come in pairs, or time steps). Default: 1000000, none with --duration.",
     )
-    time_limit: float | None = setting(None, POSITIVE, "Limit on the wall time of the solve, in seconds.")
-    duration: float | None = setting(
-        None, POSITIVE, "dynamics: simulated time to go on for, whatever is reached. Default: until done."
+    time_limit: float | None = how(None, POSITIVE, "Limit on the wall time of the solve.", unit="s")
+    duration: float | None = motion(
+        None, POSITIVE, "Simulated time to go on for, whatever is reached. Default: until done.", unit="time"
     )
-    record: str | None = setting(
+    record: str | None = motion(
         None,
         TIMES,
-        "dynamics: simulated times of the rows of the history; the end gets one too. Default: at every check.",
+        "Simulated times of the rows of the history; the end gets one too. Default: at every check.",
+        unit="time",
+        of_solving=True,
     )
-    snapshots: str | None = setting(None, TIMES, "dynamics: simulated times at which the spins are kept.")
-    energy: bool = setting(False, TRUTH, "cundall-strack with gear: keep energy books; a step takes a third longer.")
-    checkpoint_every: float | None = setting(
-        None, POSITIVE, "dynamics: seconds between checkpoints, from which `bearings run --resume RUN` goes on."
+    snapshots: str | None = motion(
+        None, TIMES, "Simulated times at which the spins are kept.", unit="time", of_solving=True
     )
-    slip_threshold: float | None = setting(
-        None, POSITIVE, "Slip speed up to which a contact counts as slipless. Default: what the method can resolve."
-    )
-    settle: bool = setting(
-        True, TRUTH, "interior-point: once certified, go on until every contact is known to slip or not."
-    )
-    momentum: bool = setting(True, TRUTH, "gradient-descent: accelerate; --no-momentum is the paper's plain method.")
-    stiffness: float = setting(1e5, POSITIVE, "cundall-strack: tangential stiffness K_t.")
-    damping: float = setting(1e3, NOT_NEGATIVE, "cundall-strack: tangential damping A_t.")
-    mass: float = setting(1.0, POSITIVE, "dynamics: mass of a sphere.")
-    inertia: float | None = setting(
-        None, POSITIVE, "dynamics: moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere)."
-    )
-    static_ratio: float = setting(
-        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "cundall-strack: static over kinetic friction, mu_s/mu_k."
-    )
-    slipping_spring: str = setting(
-        "reset",
-        one_of("reset", "relax"),
-        "cundall-strack: while a contact slips its spring is reset to carry the friction alone, as in the paper, or "
-        "relaxes to that through its damper.",
-    )
-    integrator: str = setting(
-        "gear",
-        one_of("gear", "implicit"),
-        "cundall-strack: gear is explicit, implicit has no stability limit and chooses its steps.",
-    )
-    gear_order: int = setting(
-        2,
-        Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"),
-        "cundall-strack with gear: derivatives kept by the predictor-corrector.",
-    )
-    time_step: float | None = setting(
-        None, POSITIVE, "dynamics: fixed step. Default: 0.8 of the computed stability bound with gear, else by error."
-    )
-    error_tolerance: float | None = setting(
+    checkpoint_every: float | None = motion(
         None,
         POSITIVE,
-        "dynamics with steps chosen by error: root mean square error of the spins in a step, relative to the largest "
-        "spin. Default: 1e-3.",
+        "Time between checkpoints, from which `bearings run --resume RUN` goes on.",
+        unit="s",
+        of_solving=True,
+        not_scanned="a scan keeps whole samples, not checkpoints",
     )
-    rest_tolerance: float | None = setting(
-        None, POSITIVE, "dynamics: change of P that counts as rest. Default: 1e-9, rigid-limit 1e-12."
+    slip_threshold: float | None = how(
+        None,
+        POSITIVE,
+        "Slip speed up to which a contact counts as slipless. Default: what the method can resolve.",
+        unit="length/time",
     )
-    arch: str = setting("cpu", one_of("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
-    precision: str = setting("f64", one_of("f64", "f32"), "Precision of the fields; bounds are always f64.")
-    threads: int = setting(0, SEED, "CPU threads; 0 for all.")
-    figures: str = setting("all", one_of("all", "none"), "Figures to draw into the run directory.")
+    integrator: str = how(
+        "gear",
+        OneOf("gear", "implicit"),
+        "gear is explicit; implicit has no stability limit and chooses its steps: --method implicit-cundall-strack.",
+        methods=lambda row: issubclass(row, Springs),
+    )
+    arch: str = how("cpu", OneOf("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
+    precision: str = how("f64", OneOf("f64", "f32"), "Precision of the fields; bounds are always f64.")
+    threads: int = how(
+        0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples"
+    )
+    figures: str = how("all", OneOf("all", "none"), "Figures to draw into the run directory.")
+    owned: tuple[tuple[str, Any], ...] = ()
 
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value is None and item.default is None:
-                continue
-            kind: Kind = item.metadata["kind"]
-            try:
-                object.__setattr__(self, item.name, kind.read(value))
-            except (ValueError, TypeError, KeyError, OverflowError):
-                shown = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-                raise InputError(f"{item.name} is {shown!r}; it must be {kind.allowed}") from None
+    def __init__(self, owned: tuple[tuple[str, Any], ...] = (), **given: Any) -> None:
+        given = dict(owned) | given
+        for key, item in settings_table().items():
+            object.__setattr__(self, key, item.read(key, given.pop(key, item.default)))
+        if given:
+            raise TypeError(f"a run has no {', '.join(given)}")
+        object.__setattr__(self, "owned", tuple((key, getattr(self, key)) for key in _owned(tuple(METHODS.values()))))
 
     @classmethod
     def keys(cls) -> tuple[str, ...]:
-        return tuple(item.name for item in fields(cls))
+        return tuple(settings_table())
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Every key with its value."""
+        return {key: getattr(self, key) for key in self.keys()}
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
@@ -182,8 +180,56 @@ class RunSettings:
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
-        lines = [f"{key} = {toml_value(getattr(self, key))}" for key in self.keys() if getattr(self, key) is not None]
+        lines = [f"{key} = {toml_value(value)}" for key, value in self.values.items() if value is not None]
         return "\n".join(lines) + "\n"
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The keys whose values are not the defaults, with these values."""
+        return {key: value for key, value in self.values.items() if value != settings_table()[key].default}
+
+    def unused(self, method: type[MethodOptions]) -> dict[str, str]:
+        """The given keys that this method or the law does not use, each with a sentence that says so."""
+        table, law = settings_table(), LAWS[self.law]
+        return {
+            key: f"{key} is {value}, but {method.name} with the law {law.name} does not use it; it needs {needs}"
+            for key, value in self.given.items()
+            if (needs := _missing(table[key], method, law))
+        }
+
+
+def _missing(item: Option, method: type[MethodOptions], law: Law) -> str:
+    """What an option needs to be used; empty if it is used."""
+    methods, laws = users_of(item)
+    words = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
+    return " and ".join(words if law.name in laws else [*words, f"--law {' or '.join(laws)}"])
+
+
+def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the methods and of the laws that use an option."""
+    methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
+    return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
+
+
+def settings_table() -> dict[str, Option]:
+    """Every key of a run: what belongs to all, then the options of the methods, in the order of these."""
+    return options_of(RunSettings) | _owned(tuple(METHODS.values()))
+
+
+def _owns(key: str, row: type[MethodOptions]) -> bool:
+    return key in options_of(row)
+
+
+@lru_cache(maxsize=8)
+def _owned(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
+    """The options that methods own. One that several own with unlike defaults is None unless it is given."""
+    found: dict[str, Option] = {}
+    for key in dict.fromkeys(key for row in rows for key in options_of(row)):
+        items = [options_of(row)[key] for row in rows if key in options_of(row)]
+        is_alike = len({item.default for item in items}) == 1 and not items[0].unset
+        default = items[0].default if is_alike else None
+        found[key] = replace(items[0], default=default, methods=partial(_owns, key))
+    return found
 
 
 def toml_value(value: Any) -> str:

@@ -5,15 +5,10 @@ They serve `--dry-run`, and to make units of work that are worth sending to a wo
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import lru_cache
 
-from taichi_bearings.runs.run import build_scene, method_row
+from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
-from taichi_bearings.scans.systems import knows
-from taichi_bearings.scene.disorder import Distribution
-from taichi_bearings.solvers.table import METHODS
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
@@ -23,29 +18,22 @@ MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
 
 
-def method_of(settings: RunSettings) -> str:
-    """The method that the settings lead to. Raises InputError for a scene that cannot be."""
-    return _method_of(replace(settings, seed=0))
-
-
-@lru_cache(maxsize=4096)
-def _method_of(settings: RunSettings) -> str:
-    Distribution.parse(settings.distribution)
-    scene = build_scene(replace(settings, distribution="constant:1"))
-    return method_row(settings, scene).name
-
-
-def ignored_keys(plan: ScanPlan) -> dict[str, list[str]]:
-    """Scanned keys that none of the methods of a scan knows, with these: such samples are the same."""
-    methods = sorted({method_of(group[0].settings) for group in groups_of(plan.samples)})
-    unknown = (key for key in RunSettings.keys() if not any(knows(method, key) for method in methods))
-    return {key: methods for key in unknown if key in plan.scanned}
+def unused_keys(plan: ScanPlan) -> list[str]:
+    """What no method and no law of a scan uses although it is given, a sentence each."""
+    found: dict[str, str] = {}
+    used: set[str] = set()
+    for group in groups_of(plan.samples):
+        settings = group[0].settings
+        unused = settings.unused(row_of(settings))
+        found = unused | found
+        used |= settings.given.keys() - unused.keys()
+    return [sentence for key, sentence in found.items() if key not in used]
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:
     """Time to solve one sample; None where it is not known, as for dynamics."""
     sites = math.prod(settings.shape)
-    solve = METHODS[method_of(settings)].seconds(settings.shape, settings.tolerance)
+    solve = row_of(settings).seconds(settings.shape, settings.tolerance)
     if solve is None:
         return None
     return OVERHEAD + min(solve, settings.time_limit or math.inf) + (0.06 + 6e-5 * sites if structure else 0.0)
@@ -54,7 +42,7 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:
 def bytes_of(settings: RunSettings) -> float:
     """Memory of a worker that solves such samples."""
     sites = math.prod(settings.shape)
-    return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + METHODS[method_of(settings)].bytes(sites)
+    return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + row_of(settings).bytes(sites)
 
 
 def units_of(samples: Sequence[Sample], structure: bool = False) -> list[tuple[Sample, ...]]:

@@ -4,17 +4,18 @@ import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.runs.settings import RunSettings, parse_assignment, read_toml, toml_value
+from taichi_bearings.runs.run import row_of
+from taichi_bearings.runs.settings import RunSettings, parse_assignment, read_toml, settings_table, toml_value
 from taichi_bearings.scene.initial_spins import STARTS
+from taichi_bearings.solvers.table import METHODS
 
 MOST_SAMPLES = 5_000_000
-UNSHAPING = ("threads", "checkpoint_every", "replicas")  # settings that change no result of a sample
 NAMING = (
     "shape", "law", "method", "tolerance", "seed", "spin_top", "spin_bottom", "direction", "coefficients",
     "distribution", "initial", "normal_force", "radius", "iterations", "time_limit", "duration", "record",
@@ -22,13 +23,8 @@ NAMING = (
     "static_ratio", "slipping_spring", "integrator", "gear_order", "time_step", "error_tolerance", "rest_tolerance",
     "arch", "precision",
 )  # fmt: skip
-"""Settings that are in the name of every sample. One that is added to `run` later is in it only where it differs from
-its default, so that the samples in folders of users keep their names."""
-NOT_SCANNED = {  # key -> why not
-    "replicas": "every seed is a sample of its own, so give seed a range",
-    "threads": "it changes no result, so set it for all samples",
-    "checkpoint_every": "a scan keeps whole samples, not checkpoints",
-}
+"""Settings that are in the name of every sample in folders of users. The list never grows: any other setting is in a
+name only where it differs from its default and the method and the law of the sample use it."""
 RANGES = (
     "{ start, stop } with an optional step (stop excluded), or { start, stop, number } with spacing = "
     '"linear" or "log" (both ends included)'
@@ -162,17 +158,17 @@ def _override(text: str, document: dict[str, Any], single: dict[str, Any], table
 
 
 def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
-    wishes = Wishes.taken_from(document)
+    wishes, table = Wishes.taken_from(document), settings_table()
     axes = [_zip({key: given}) for key, given in single.items()] + [_zip(table) for table in tables]
     scanned = tuple(key for keys, _ in axes for key in keys)
     for key in scanned:
-        if key in NOT_SCANNED:
-            raise InputError(f"{key} cannot be scanned: {NOT_SCANNED[key]}")
+        if key in table and table[key].not_scanned:
+            raise InputError(f"{key} cannot be scanned: {table[key].not_scanned}")
         if key in document or scanned.count(key) > 1:
             raise InputError(f"{key} is given more than once in {path}; give it above [scan] or in one place of it")
     for key in ("replicas", "checkpoint_every"):
         if key in document:
-            raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {NOT_SCANNED[key]}")
+            raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
     number = math.prod(len(values) for _, values in axes)
     if number > MOST_SAMPLES:
         raise InputError(f"the scan has {number:,} samples; at most {MOST_SAMPLES:,} are allowed")
@@ -258,12 +254,14 @@ def _spaced(table: Mapping[str, Any], bad: InputError) -> list[Any]:
 
 
 def sample_key(settings: RunSettings) -> str:
-    """Hash of what shapes the result of a sample: every setting but threads and the like, files by their content."""
+    """Hash of what shapes the result of a sample, files by their content."""
     values = {name: getattr(settings, name) for name in NAMING}
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        if item.name not in (*NAMING, *UNSHAPING) and value != item.default:
-            values[item.name] = value
+    if settings.method in METHODS:
+        values |= METHODS[settings.method].also_named
+    later = [key for key in settings.given if key not in NAMING and not settings_table()[key].not_scanned]
+    if later:
+        unused = settings.unused(row_of(settings))
+        values |= {key: getattr(settings, key) for key in later if key not in unused}
     for name in ("coefficients", "initial"):
         if values[name] is not None and values[name] not in STARTS:
             values[name] = _content(values[name])

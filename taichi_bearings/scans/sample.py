@@ -14,11 +14,9 @@ from taichi_bearings.files.scan_file import FAILED, bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import prepare, solve_job, summarise, write_state
-from taichi_bearings.scans.estimate import method_of
+from taichi_bearings.runs.run import prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.scans.plan import Sample, groups_of
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.solvers.table import METHODS
 
 STATES = "states"  # folder of the full states
 
@@ -79,9 +77,7 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
         block: list[Sample] = []
         for sample in sorted(group, key=lambda sample: sample.settings.seed):
             follows = block and sample.settings.seed == block[-1].settings.seed + 1
-            if block and not (
-                follows and settings.coefficients is None and METHODS[method_of(settings)].alike_in_a_block
-            ):
+            if block and not (follows and settings.coefficients is None and row_of(settings).alike_in_a_block):
                 yield block
                 block = []
             block.append(sample)
@@ -91,7 +87,7 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
 def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
     first = block[0].settings
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
-    job = prepare(settings)
+    job = prepare(settings, strict=False)
     solution = solve_job(job)
     if solution.status is Status.INTERRUPTED:
         raise Interrupted

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan, write_scan_csv
 from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
@@ -24,11 +24,11 @@ from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work
 from taichi_bearings.scans.estimate import (
     WORKER_START,
     bytes_of,
-    ignored_keys,
     paying_workers,
     seconds_of,
     total_seconds,
     units_of,
+    unused_keys,
 )
 from taichi_bearings.scans.parts import (
     Part,
@@ -150,6 +150,14 @@ def _with_wishes_of(folder: Path, plan: ScanPlan, *wishes: Any) -> tuple[ScanPla
     return replace(plan, wishes=known), wanted
 
 
+def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
+    """InputError for what no sample uses; a scan that a folder holds already goes on with a warning."""
+    for sentence in unused_keys(plan):
+        if not (folder / "scan.toml").is_file():
+            raise InputError(sentence)
+        _say(f"{sentence}: it changes nothing here")
+
+
 def estimate(
     plan: ScanPlan,
     folder: Path | None,
@@ -209,8 +217,7 @@ def scan(
     plan, wanted = _with_wishes_of(folder, plan, structure, keep_states, sample_timeout)
     for group in groups_of(plan.samples):
         seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
-    for key, methods in ignored_keys(plan).items():
-        _say(f"{key} is scanned, but {' and '.join(methods)} know nothing of it: such samples are the same")
+    _refuse_unused(plan, folder)
     name = "" if part is None else part.name
     with writable_folder(folder, name):
         journals = journal_bytes(folder) or 0

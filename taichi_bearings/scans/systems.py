@@ -1,47 +1,38 @@
 """Which samples are of one disorder in one system, and which different systems a point or a histogram mixes."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings.analysis.statistics import natural
-from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.options import Option
+from taichi_bearings.runs.settings import RunSettings, settings_table
 from taichi_bearings.scans.plan import written
+from taichi_bearings.scene.law import COULOMB, LAWS
 from taichi_bearings.solvers import METHODS
 
-DYNAMICS = tuple(name for name, row in METHODS.items() if row.is_dynamics)
 DRAWN = ("seed", "coefficients")  # what a disorder comes from
-OF_SOLVING = (
-    "method", "tolerance", "replicas", "initial", "iterations", "time_limit", "record", "snapshots", "energy",
-    "checkpoint_every", "slip_threshold", "settle", "momentum", "integrator", "gear_order", "time_step",
-    "error_tolerance", "rest_tolerance", "arch", "precision", "threads", "figures",
-)  # fmt: skip
-"""Settings that say how a system is solved, not which one it is: samples depend on each other whatever these are."""
-OF_SYSTEM = tuple(key for key in RunSettings.keys() if key not in (*DRAWN, *OF_SOLVING))
-HELP = {item.name: item.metadata["help"] for item in fields(RunSettings)}
 MOST_NAMED = 3  # values that a sentence names
 
 
-def knows(method: str, key: str) -> bool:
-    """False for a setting of other methods alone, which its help names before the colon."""
-    whose = HELP[key].partition(":")[0].split(" ")[0]
-    return whose not in ("dynamics", *METHODS) or method in (
-        DYNAMICS if whose == "dynamics" else (whose, f"implicit-{whose}")
-    )
+def of_system() -> dict[str, Option]:
+    """The settings that say which system a sample is: samples depend on each other whatever the others are."""
+    return {key: item for key, item in settings_table().items() if key not in DRAWN and not item.of_solving}
 
 
 def system_columns(columns: Mapping[str, np.ndarray]) -> dict[str, list[Any]]:
-    """The columns that say which system a sample is, with None where its method knows nothing of the setting."""
-    found = {key: columns[key].tolist() for key in OF_SYSTEM if key in columns}
+    """The columns that say which system a sample is, with None where its method or law does not use the setting."""
+    found = {key: columns[key].tolist() for key in of_system() if key in columns}
     methods = columns.get("method_found", columns.get("method"))
     if methods is None:
         return found
-    listed = methods.tolist()
+    laws = columns["law"].tolist() if "law" in columns else [COULOMB.name] * len(methods)
+    solved = list(zip(methods.tolist(), laws, strict=True))
     for key, values in found.items():
-        known = {method: knows(method, key) for method in set(listed)}
-        found[key] = [value if known[method] else None for value, method in zip(values, listed, strict=True)]
+        item = settings_table()[key]
+        used = {pair: item.is_used_by(METHODS.get(pair[0]), LAWS[pair[1]]) for pair in set(solved)}
+        found[key] = [value if used[pair] else None for value, pair in zip(values, solved, strict=True)]
     return found
 
 
@@ -54,7 +45,7 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
     """
     rows = len(next(iter(columns.values())))
     if settings is not None:
-        values = {key: written(getattr(settings, key)) for key in OF_SYSTEM}
+        values = {key: written(getattr(settings, key)) for key in of_system()}
         columns = {**{key: np.full(rows, value, dtype=object) for key, value in values.items()}, **columns}
     seeds = columns.get("seed", np.arange(rows))
     drawn = (seeds.tolist(), columns.get("coefficients", seeds).tolist())

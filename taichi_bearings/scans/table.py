@@ -1,12 +1,11 @@
 """The table of a scan from the records of its samples: columns, their units and what they mean."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 from taichi_bearings.files.scan_file import MISSING, Column, SampleHistograms, column, dense_histograms
 from taichi_bearings.runs.run import versions
-from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.settings import settings_table
 from taichi_bearings.scans.plan import Sample, ScanPlan, written
 from taichi_bearings.version import VERSION
 
@@ -75,11 +74,11 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
     samples = [sample for sample in plan.samples if sample.key in records]
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
     names = dict.fromkeys([*FIRST, *(name for numbers in scalars for name in numbers)])
-    settings = {item.name: item.metadata["help"] for item in fields(RunSettings)}
+    settings = settings_table()
     columns = []
     for key in plan.scanned:
-        units, text = MEANING.get(key, ("1", settings[key]))
-        text = settings[key] if key in ("method", "slip_threshold") else text
+        units, text = MEANING.get(key, (settings[key].unit, settings[key].help))
+        text = settings[key].help if key in ("method", "slip_threshold") else text
         columns.append(column(key, [written(sample.point[key]) for sample in samples], units, text))
     for name in names:
         values = [numbers.get(name) for numbers in scalars]

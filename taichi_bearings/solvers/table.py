@@ -7,7 +7,9 @@ loads what does the work. Nothing here loads Taichi or SciPy.
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import prod
+from operator import attrgetter
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from taichi_bearings.errors import InputError
@@ -16,9 +18,10 @@ from taichi_bearings.options import (
     POSITIVE,
     TRUTH,
     Kind,
+    OneOf,
     bounded,
+    how,
     integer,
-    one_of,
     option,
     options_of,
     real,
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
 ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a force without slipping
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +81,7 @@ class MethodOptions:
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
         """True if `auto` should take it, unless it comes to another method earlier in the table."""
-        return False
+        return not cls.is_dynamics and not (cls.cpu_only and on_gpu) and not cls.refusal(scene)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
@@ -130,10 +134,6 @@ class PlanarCut(MethodOptions):
         )
 
     @classmethod
-    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        return not cls.refusal(scene)
-
-    @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         return 1e-6 * prod(shape) if len(shape) == 2 else 2e-6 * prod(shape) ** 1.15
 
@@ -148,9 +148,7 @@ class InteriorPoint(MethodOptions):
     cpu_only = True
     colour, marker = "#D55E00", "^"
 
-    settle: bool = option(
-        True, TRUTH, "Once certified, go on until every contact is known to slip or not.", of_solving=True
-    )
+    settle: bool = how(True, TRUTH, "Once certified, go on until every contact is known to slip or not.")
 
     @staticmethod
     def solves(law: Law) -> bool:
@@ -159,7 +157,7 @@ class InteriorPoint(MethodOptions):
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
         pays = (tolerance < ROUGH or scene.law.flows) and scene.lattice.sites <= MOST_FACTORISED
-        return pays and not on_gpu and not cls.refusal(scene)
+        return pays and super().suits(scene, tolerance, on_gpu)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
@@ -185,10 +183,6 @@ class OperatorSplitting(MethodOptions):
         return law.is_rate_independent
 
     @classmethod
-    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        return not on_gpu and not cls.refusal(scene)
-
-    @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
         return 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
@@ -209,10 +203,6 @@ class LinearSolver(MethodOptions):
         return not law.holds
 
     @classmethod
-    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        return not cls.refusal(scene)
-
-    @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         return 0.003 + 4e-6 * prod(shape)
 
@@ -226,27 +216,16 @@ class GradientDescent(MethodOptions):
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
     colour, marker = "#E69F00", "P"
 
-    momentum: bool = option(
-        True, TRUTH, "Accelerate (and, for Coulomb, regularise); without it the paper's plain method.", of_solving=True
-    )
-
-    @classmethod
-    def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        return not cls.refusal(scene)
-
-
-def holding(law: Law) -> bool:
-    """Of laws under which a contact bears a force without slipping."""
-    return law.holds
+    momentum: bool = how(True, TRUTH, "Accelerate, and regularise friction; without it the paper's plain method.")
 
 
 def _rest_tolerance(default: float) -> float:
-    return option(default, POSITIVE, "Relative change of P that counts as rest.", of_solving=True, unset=True)
+    return how(default, POSITIVE, "Relative change of P that counts as rest.", unset=True)
 
 
 def _error_tolerance() -> float:
     help = "Steps chosen by error: root mean square error of the spins in a step, relative to the largest spin."
-    return option(1e-3, POSITIVE, help, of_solving=True, unset=True)
+    return how(1e-3, POSITIVE, help, unset=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,12 +238,11 @@ class _Dynamics(MethodOptions):
     inertia: float | None = option(
         None, POSITIVE, "Moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).", unit="mass*length^2"
     )
-    time_step: float | None = option(
+    time_step: float | None = how(
         None,
         POSITIVE,
-        "Fixed step. Default: 0.8 of the computed stability bound with gear, which is the most allowed, else by error.",
+        "Fixed step. Default: 0.8 of the computed stability bound with gear, else by error.",
         unit="time",
-        of_solving=True,
     )
 
 
@@ -297,14 +275,13 @@ class Springs(_Dynamics):
     sticking and slipping, and no free sphere feels more than this share of the typical friction torque.
     """
 
-    stiffness: float = option(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length", laws=holding)
-    damping: float = option(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length", laws=holding)
-    slipping_spring: str = option(
+    stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
+    damping: float = material(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length")
+    slipping_spring: str = material(
         "reset",
-        one_of("reset", "relax"),
+        OneOf("reset", "relax"),
         "While a contact slips its spring is reset to carry the friction alone, as in the paper, or relaxes to that "
         "through its damper, so that no spring jumps and the course has a limit for short time steps.",
-        laws=holding,
     )
     rest_tolerance: float = _rest_tolerance(1e-9)
 
@@ -328,16 +305,13 @@ class CundallStrack(Springs):
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
     colour, marker = "#8C6BB1", ">"
 
-    static_ratio: float = option(
-        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", laws=holding
+    static_ratio: float = material(
+        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k."
     )
-    gear_order: int = option(
-        2,
-        Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"),
-        "Derivatives kept by the predictor-corrector.",
-        of_solving=True,
+    gear_order: int = how(
+        2, Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"), "Derivatives that the predictor keeps."
     )
-    energy: bool = option(False, TRUTH, "Keep energy books; a step takes a third longer.", of_solving=True)
+    energy: bool = how(False, TRUTH, "Keep energy books; a step takes a third longer.")
 
 
 @register

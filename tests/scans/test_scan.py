@@ -20,7 +20,7 @@ from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
-from taichi_bearings.scans.estimate import ignored_keys, paying_workers, units_of
+from taichi_bearings.scans.estimate import paying_workers, units_of, unused_keys
 from taichi_bearings.scans.plan import Wishes, read_plan
 from taichi_bearings.scans.sample import Wanted, failure, solve_samples
 from taichi_bearings.scans.scan import estimate, scan
@@ -376,15 +376,19 @@ def test_a_scanned_method_stands_beside_the_one_that_solved(plan_of, tmp_path):
         assert file["table/method"].attrs["description"].startswith("auto is")
 
 
-def test_a_scanned_key_that_no_method_knows_is_named(plan_of, tmp_path, caplog):
-    minima = plan_of("shape = [4, 4]\n[scan]\nstiffness = [1e4, 1e5]\nmass = [1.0, 2.0]\nradius = [0.5, 1.0]\n")
-    assert ignored_keys(minima) == {"stiffness": ["planar-cut"], "mass": ["planar-cut"]}
-    scan(minima, tmp_path / "scan", engine=Here())
-    assert "stiffness is scanned, but planar-cut" in caplog.text
-    both = plan_of(
-        'shape = [4, 4]\n[scan]\nmethod = ["auto", "rigid-limit"]\nstiffness = [1e4, 1e5]\nmass = [1.0, 2.0]\n'
-    )
-    assert list(ignored_keys(both)) == ["stiffness"]
+def test_what_no_sample_uses_is_refused_before_anything_is_computed(plan_of, tmp_path):
+    minima = plan_of("shape = [4, 4]\nmass = 2.0\n[scan]\nstiffness = [1e4, 1e5]\nradius = [0.5, 1.0]\n")
+    assert [sentence.split(" ")[0] for sentence in unused_keys(minima)] == ["mass", "stiffness"]
+    with pytest.raises(InputError, match=r"mass is 2\.0, but planar-cut with the law coulomb does not use it"):
+        scan(minima, tmp_path / "scan", engine=Here())
+    assert not (tmp_path / "scan").exists()
+    viscous = plan_of('shape = [4, 4]\nlaw = "viscous"\nnormal_force = 2.0\n')
+    with pytest.raises(InputError, match=r"it needs --law coulomb or coulomb-viscous"):
+        scan(viscous, tmp_path / "scan", engine=Here())
+    both = 'shape = [4, 4]\nmass = 2.0\nnormal_force = 2.0\n[[scan.zip]]\nmethod = ["auto", "rigid-limit"]\n'
+    assert unused_keys(plan_of(both + 'law = ["viscous", "coulomb"]\n')) == []
+    report = scan(plan_of(both), tmp_path / "scan", engine=Here())
+    assert report["reached"] == 2
 
 
 def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):

@@ -1,13 +1,12 @@
 """What a scan file says: grids, ranges, keys that advance together, and names of samples that mean their results."""
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.runs.settings import REAL, RunSettings, setting
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import sample_key, written
 
 
@@ -91,16 +90,6 @@ def test_the_name_of_a_sample_is_that_of_its_result():
         {"method": "gradient-descent"}, {"settle": False}, {"time_limit": 1.0},
     )]  # fmt: skip
     assert len({sample_key(s) for s in [settings, *others, RunSettings(shape=(10, 10), seed=4)]}) == 9
-
-
-def test_settings_that_are_added_to_run_rename_no_sample():
-    @dataclass(frozen=True)
-    class Later(RunSettings):
-        viscosity: float = setting(0.0, REAL, "Added later.")
-
-    same, other = Later(shape=(10, 10), seed=3), Later(shape=(10, 10), seed=3, viscosity=1.0)
-    assert sample_key(same) == sample_key(RunSettings(shape=(10, 10), seed=3)) == "aa478816baceaf09"
-    assert sample_key(other) != sample_key(same)
 
 
 def test_files_count_by_their_content_and_lie_beside_the_scan(plan_of, tmp_path):

@@ -13,7 +13,7 @@ from taichi_bearings.scans.figure import Request, columns_of, look_of, plot_scan
 from taichi_bearings.scans.histogram import histogram, pooled, read_source
 from taichi_bearings.scans.scan import scan
 from taichi_bearings.scans.stored_scans import open_scan
-from taichi_bearings.scans.systems import disorder_of, knows
+from taichi_bearings.scans.systems import disorder_of, system_columns
 from tests.scans.scan_faults import Here
 
 LAWS = "shape = [4, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 6 }\n"
@@ -131,9 +131,11 @@ def test_what_does_not_span_has_no_path_and_is_not_averaged_in(plan_of, tmp_path
 
 
 def test_one_seed_at_two_values_of_an_irrelevant_parameter_is_one_sample(plan_of, tmp_path):
-    """A minimisation knows no stiffness."""
+    """A minimisation uses no stiffness, as scans of earlier versions could have it."""
     once = plan_of("shape = [4, 4]\n[scan]\nseed = { start = 0, stop = 8 }\n")
     thrice = plan_of("shape = [4, 4]\n[scan]\nstiffness = [1e4, 1e5, 1e6]\nseed = { start = 0, stop = 8 }\n")
+    (tmp_path / "thrice").mkdir()
+    (tmp_path / "thrice" / "scan.toml").write_text(thrice.text)
     found = []
     for name, plan in (("once", once), ("thrice", thrice)):
         scan(plan, tmp_path / name, engine=Here())
@@ -176,11 +178,17 @@ def test_settings_of_a_dynamics_are_systems_to_it_alone(plan_of, tmp_path):
         "shape = [4, 4]\nmethod = 'planar-cut'\n[scan]\nspin_bottom = [0.0, 0.1]\nstiffness = [1e4, 1e5]\n"
         "seed = { start = 0, stop = 3 }\n"
     )
+    (tmp_path / "scan").mkdir()
+    (tmp_path / "scan" / "scan.toml").write_text(plan.text)
     scan(plan, tmp_path / "scan", engine=Here())
     lines, (row,) = told(tmp_path / "scan", "power", "L")
     assert row["number"] == "6"
     assert lines[1] == "a point mixes spin_bottom 0.0 and 0.1: --by spin_bottom keeps them apart"
-    assert [knows(method, "stiffness") for method in ("planar-cut", "cundall-strack")] == [False, True]
+    mixed = {"stiffness": np.array([1e4, 1e5]), "method": np.array(["planar-cut", "cundall-strack"])}
+    assert system_columns(mixed) == {"stiffness": [None, 1e5]}
+    assert system_columns(mixed | {"law": np.array(["coulomb", "viscous"])}) == {
+        "law": ["coulomb", "viscous"], "stiffness": [None, None],
+    }  # fmt: skip
     table = {"seed": np.array([0, 0]), "stiffness": np.array([1e4, 1e5]), "method": np.array(["cundall-strack"] * 2)}
     assert len(set(disorder_of(table))) == 2
     distributions = [RunSettings(distribution=f"constant:{value}") for value in (1, 2)]
