@@ -115,7 +115,12 @@ class InteriorPointMethod:
         friction, viscosity = self.system.gather(scene.coefficient, replica), None
         strength = friction
         if scene.viscosity:
-            flow = scene.lattice.radius * scene.jump / scene.normal_force * self.system.gather(scene.viscosity, replica)
+            flow = (
+                scene.lattice.radius
+                * scene.jump
+                / scene.normal_force
+                * self.system.gather(scene.acting_viscosity, replica)
+            )
             strength = friction + flow
         unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*strength]))))))  # dividing by it rounds nothing
         if scene.viscosity and self.frustrated:
