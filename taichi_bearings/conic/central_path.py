@@ -230,15 +230,26 @@ def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     return directions.taken(directions.refined(step))
 
 
-def flowing(system: ContactSystem, viscosity: Arrays, matrix: NewtonMatrix, spins: np.ndarray) -> np.ndarray:
-    """Spins (unknowns,) at which viscous forces alone are in balance; a path from there leaves no torque on the way.
+def flowing(
+    system: ContactSystem, viscosity: Arrays, matrix: NewtonMatrix, spins: np.ndarray, inertia: Inertia | None = None
+) -> np.ndarray:
+    """Spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps.
 
-    spins : where to begin. Raises NotPositiveDefinite if the contrast of the viscosities is too large.
+    A path that begins there leaves no torque on its way. spins : where to begin. Raises NotPositiveDefinite if the
+    contrast of the viscosities is too large.
     """
-    matrix.factorise(isotropic(system.offset, viscosity))
-    for _ in range(REFINEMENTS):
-        spins = spins - matrix.solve(system.torques(viscosity * system.differences(spins)))
-    return spins
+    matrix.factorise(isotropic(system.offset, viscosity), inertia.weight if inertia else 0.0)
+    best, least = spins, np.inf
+    for _ in range(REFINEMENTS + 1):
+        left_over = system.torques(-viscosity * system.differences(spins))
+        left_over = left_over if inertia is None else left_over - inertia.torques(spins)
+        size, last = float(np.abs(left_over).max(initial=0.0)), least
+        if size < last:
+            best, least = spins, size
+        if not size < last / 2:
+            break
+        spins = spins + matrix.solve(left_over)
+    return best
 
 
 def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:

@@ -1,10 +1,10 @@
-"""One implicit Euler step of spheres under rigid friction or damping, solved as the minimum that it is.
+"""One implicit Euler step of spheres under rigid friction, damping or both, solved as the minimum that it is.
 
-    spins after = argmin P(spins) + I / (2 h) |spins - spins before|^2        (half of P for the viscous law)
+    spins after = argmin Phi(spins) + I / (2 h) |spins - spins before|^2        with the potential Phi of the contacts
 
-The contact forces of the minimum are those that act during the step: I (after - before) = h R pull. For friction the
-minimum lies at the end of the central path of the least power with the inertia of the spins added (central_path.py);
-for damping it is one linear system. Both use one pattern, analysed once for all steps and samples.
+The contact forces of the minimum are those that act during the step: I (after - before) = h R pull. With friction the
+minimum lies at the end of the central path of the least potential with the inertia of the spins added
+(central_path.py); for damping it is one linear system. Both use one pattern, analysed once for all steps and samples.
 
 A step works with spins above the bottom plane in a given unit, and with forces in units of the sample's mean
 coefficient (times the normal force, or times radius and unit of spin for damping). One number is then left of inertia
@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Inertia, Iterate, balance, newton_step
+from taichi_bearings.conic.central_path import Inertia, Iterate, balance, flowing, newton_step
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Arrays, each, isotropic
+from taichi_bearings.conic.grouped import Arrays
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
@@ -27,7 +27,6 @@ CLOSEST = 1e-13  # or relative to the power, where double precision ends
 ENOUGH, LAST_RESORT = 1e-3, 1e-9  # the same where the path cannot be followed to the end: with less a step has failed
 BALANCED = 1e-13  # torque, of the mean friction, that may be left on a sphere
 MOST_STEPS, PATIENCE = 60, 3  # Newton steps, and those in a row that gain nothing
-REFINEMENTS = 5  # of a linear system, at most; two do
 
 
 @dataclass(frozen=True)
@@ -49,11 +48,12 @@ class Step:
 
 @dataclass
 class _Answer:
-    """A step of one sample in its own units: spins (unknowns,), difference and dual (d, n) a group."""
+    """A step of one sample in its own units: spins (unknowns,), a group dual (d, n), slip and what slips (n,)."""
 
     spins: np.ndarray
-    difference: Arrays
     dual: Arrays
+    slip: Arrays
+    slips: Arrays
     newton_steps: int = 0
     solved: bool = True
 
@@ -71,8 +71,12 @@ class ProximalSteps:
         acting = [self._system.gather(scene.coefficient, replica) for replica in range(scene.replicas)]
         mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])
         self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]
-        damping = scene.lattice.radius * unit if not scene.law.holds else 1.0
-        self._force_unit = scene.strength * damping * mean
+        flow = scene.lattice.radius * unit
+        self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
+        self._viscosity: list[Arrays | None] = [
+            flow / own * self._system.gather(scene.viscosity, replica) if scene.viscosity else None
+            for replica, own in enumerate(self._force_unit)
+        ]
         self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
@@ -81,16 +85,16 @@ class ProximalSteps:
         after = staggered.copy()
         force = scene.no_force(self.spin_axes)
         slipping, creep, newton_steps, solved = np.zeros(scene.replicas, dtype=int), 0.0, 0, True
-        solve = self._damped if not scene.law.holds else self._rubbed
-        for replica in range(scene.replicas):
-            coefficient, before = self._coefficient[replica], free_spins(staggered / self.unit)[replica]
-            answer = solve(coefficient, before, self._slowness[replica] / duration)
+        for replica, before in enumerate(free_spins(staggered / self.unit)):
+            coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
+            if scene.law.holds:
+                answer = self._rubbed(coefficient, self._viscosity[replica], inertia)
+            else:
+                answer = self._damped(coefficient, inertia)
             self._put_spins(after, replica, answer.spins)
             self._system.scatter(-answer.dual * self._force_unit[replica], force, replica)
-            slip = answer.difference.length()
-            slips = slip > (0.0 if not scene.law.holds else 1 - answer.dual.length() / coefficient)
-            slipping[replica] = int(slips.sum())
-            creep = max(creep, self.unit * slip[~slips].max())
+            slipping[replica] = int(answer.slips.sum())
+            creep = max(creep, self.unit * answer.slip[~answer.slips].max())
             newton_steps += answer.newton_steps
             solved &= answer.solved
         return Step(after, force, slipping, creep, newton_steps, solved)
@@ -105,14 +109,16 @@ class ProximalSteps:
             new = staggered[slot, replica, ..., 1:-1]
             new -= (new - before[slot]).mean(axis=(0, 1))
 
-    def _rubbed(self, friction: Arrays, before: np.ndarray, q: float) -> _Answer:
-        """A step with friction: Newton steps from bounds well above the slips and no forces."""
-        difference = self._system.differences(before)
-        if not difference.any():
-            return _Answer(before, difference, difference)
-        slip = np.concatenate([*difference.length()])
-        slack = float(np.sqrt(np.mean(slip**2)))
-        iterate = replace(Iterate.start(self._system, before, friction, slack), inertia=Inertia(q, before))
+    def _rubbed(self, friction: Arrays, viscosity: Arrays | None, inertia: Inertia) -> _Answer:
+        """A step with friction: Newton steps from bounds well above the slips and no forces of friction."""
+        spins, difference = inertia.origin, self._system.differences(inertia.origin)
+        slip = difference.length()
+        if not slip.any():
+            return _Answer(spins, difference, slip, slip > 0)
+        slack = float(np.sqrt(np.mean(np.concatenate([*slip]) ** 2)))
+        if viscosity is not None:
+            spins = flowing(self._system, viscosity, self._matrix, spins, inertia)
+        iterate = replace(Iterate.start(self._system, spins, friction, slack, viscosity), inertia=inertia)
         best, steps, patience = iterate, 0, PATIENCE
         with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
             try:
@@ -129,28 +135,19 @@ class ProximalSteps:
             except NotPositiveDefinite:
                 pass
         solved = _excess(best, ENOUGH, LAST_RESORT) <= 1.0
-        return _Answer(best.spins, best.difference, best.dual, steps, solved)
+        slip, margin = best.difference.length(), 1 - best.dual.length() / friction
+        return _Answer(best.spins, best.whole_dual, slip, slip > margin, steps, solved)
 
-    def _damped(self, damping: Arrays, before: np.ndarray, q: float) -> _Answer:
-        """A step with damping: one linear system, refined as long as that helps."""
-        inertia, none = Inertia(q, before), each(np.zeros_like, self._system.offset)
-        self._matrix.factorise(isotropic(none, damping), q)
-        spins, answer, last = before, _Answer(before, none, none), np.inf
-        for _ in range(REFINEMENTS):
-            difference = self._system.differences(spins)
-            dual = -damping * difference
-            left_over = self._system.torques(dual) - inertia.torques(spins)
-            size = float(np.abs(left_over).max(initial=0.0))
-            if size < last:
-                answer = _Answer(spins, difference, dual, 1)
-            if not size < last / 2:
-                break
-            spins, last = spins + self._matrix.solve(left_over), size
-        return answer
+    def _damped(self, damping: Arrays, inertia: Inertia) -> _Answer:
+        """A step with damping alone."""
+        spins = flowing(self._system, damping, self._matrix, inertia.origin, inertia)
+        difference = self._system.differences(spins)
+        slip = difference.length()
+        return _Answer(spins, -damping * difference, slip, slip > 0, 1)
 
 
 def _excess(iterate: Iterate, sharp: float = SHARP, closest: float = CLOSEST) -> float:
     """Excess of the cost over its dual, relative to what is allowed."""
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin
-    return iterate.excess / max(sharp * iterate.inertia.weight * float(moved @ moved), closest * iterate.power)
+    return iterate.excess / max(sharp * iterate.inertia.weight * float(moved @ moved), closest * iterate.cost)

@@ -81,6 +81,9 @@ class RigidLimitMethod:
         acting = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.coefficient)]
         speed = scene.lattice.radius * self.largest if not scene.law.holds else 1.0
         force = scene.strength * float(np.mean(np.concatenate(acting))) * speed
+        if scene.viscosity:
+            flow = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.viscosity)]
+            force += float(np.mean(np.concatenate(flow))) * scene.lattice.radius * self.largest
         return self.inertia * self.largest / (scene.lattice.radius * force)
 
     def _force_at_start(self) -> tuple[np.ndarray, ...]:
@@ -88,7 +91,9 @@ class RigidLimitMethod:
         scene, forces = self.scene, []
         for axis, difference in enumerate(contact_differences(self.staggered, scene.lattice, self.spin_axes)):
             size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
-            forces.append(scene.strength * scene.acting_coefficient[axis] * size * difference)
+            force = scene.strength * scene.acting_coefficient[axis] * size * difference
+            flow = scene.lattice.radius * scene.acting_viscosity[axis] * difference if scene.viscosity else 0.0
+            forces.append(force + flow)
         return tuple(forces)
 
     def next_check(self, iteration: int) -> int:
@@ -149,7 +154,7 @@ class RigidLimitMethod:
 
     def _take(self, step: Step, duration: float, time: float) -> None:
         scene = self.scene
-        before, power_before = self.staggered, scene.power(self.staggered, self.spin_axes)
+        before, objective_before = self.staggered, scene.objective(self.staggered, self.spin_axes)
         self.staggered, self.force = step.staggered, step.force
         self._book(before, duration)
         self._lay_to_rest()
@@ -157,8 +162,8 @@ class RigidLimitMethod:
         self.slipping, self.creep = step.slipping, step.creep
         self.iteration += 1
         self.newton_steps += step.newton_steps
-        fall = power_before - scene.power(self.staggered, self.spin_axes)
-        falls = fall > self.options.rest_tolerance * power_before
+        fall = objective_before - scene.objective(self.staggered, self.spin_axes)
+        falls = fall > self.options.rest_tolerance * objective_before
         self.rest_time = np.where(falls, time, self.rest_time)
         self.still = 0 if falls.any() else self.still + 1
 

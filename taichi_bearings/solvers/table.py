@@ -262,10 +262,6 @@ class RigidLimit(_Dynamics):
     error_tolerance: float = _error_tolerance()
     rest_tolerance: float = _rest_tolerance(1e-12)
 
-    @staticmethod
-    def solves(law: Law) -> bool:
-        return not (law.holds and law.flows)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Springs(_Dynamics):

@@ -130,9 +130,10 @@ def test_a_step_is_the_minimum_that_clarabel_finds(shape, driving, relative_step
     assert method.staggered[:, 0] == pytest.approx(expected, abs=2e-5 * np.abs(expected - before).max() + 1e-7)
 
 
+@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous"])
 @pytest.mark.parametrize("relative_step", [1e-6, 1e-2, 1.0, 1e3])
-def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step):
-    scene = make_scene((4, 3, 5), seeds=(8, 9))
+def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step, law):
+    scene = make_scene((4, 3, 5), law, seeds=(8, 9), viscosity="uniform:5,60")
     spin = initial_spin(scene, "random")
     duration = relative_step * begun(scene, spin).relaxation_time
     method = begun(scene, spin, time_step=duration)
@@ -144,6 +145,8 @@ def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step):
     differences = contact_differences(method.staggered, scene.lattice, method.spin_axes)
     for axis, (force, difference) in enumerate(zip(method.force, differences, strict=True)):
         limit = scene.normal_force * scene.acting_coefficient[axis]
+        if law == "coulomb-viscous":
+            limit = (limit + scene.acting_viscosity[axis] * RADIUS * vector_length(difference)) * (1 + 1e-14)
         assert (vector_length(force) <= limit).all()
         slips = vector_length(difference) > 1e-3
         along = limit * difference / np.maximum(vector_length(difference), 1e-300)
@@ -151,20 +154,36 @@ def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step):
 
 
 @pytest.mark.parametrize("relative_step", [1e-6, 1e-3, 0.1, 10.0, 1e3])
-@pytest.mark.parametrize("odd", [{"shape": (5, 7)}, {"shape": (3, 4, 5)}, {"shape": (3, 3, 4), "law": "viscous"}])
-def test_the_power_never_rises(odd, relative_step):
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"shape": (5, 7)},
+        {"shape": (3, 4, 5)},
+        {"shape": (3, 3, 4), "law": "viscous"},
+        {"shape": (3, 2, 4), "law": "coulomb-viscous"},
+    ],
+)
+def test_what_is_least_at_rest_never_rises(odd, relative_step):
     scene = make_scene(**odd, seeds=(21, 22))
     spin = initial_spin(scene, "random")
     method = begun(scene, spin, time_step=relative_step * begun(scene, spin).relaxation_time)
-    power = scene.power(method.staggered, method.spin_axes)
+    objective = scene.objective(method.staggered, method.spin_axes)
     for _ in range(8):
         method.advance(1)
-        new = scene.power(method.staggered, method.spin_axes)
-        assert (new <= power * (1 + 1e-13)).all()
-        power = new
+        new = scene.objective(method.staggered, method.spin_axes)
+        assert (new <= objective * (1 + 1e-13)).all()
+        objective = new
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_friction_and_viscosity_come_to_rest_at_the_least_potential():
+    scene = make_scene((4, 3, 5), "coulomb-viscous", seeds=(8,), viscosity="uniform:5,60", spin_bottom=-0.3)
+    least = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-11))
+    solution = solve(scene, RigidLimit().build(), initial_spin(scene, "random"), StopRule(1e-9))
+    assert solution.status is Status.CERTIFIED
+    assert solution.objective == pytest.approx(least.objective, rel=1e-9)
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
 def test_energy_books_and_layer_means_are_kept_to_round_off(law):
     """No contact turns a whole layer about the height, so a random start keeps the layers' means (PHYSICS 3.3)."""
     scene = make_scene((4, 3, 5), law, spin_bottom=-0.3, seeds=(5, 6))
