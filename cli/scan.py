@@ -57,24 +57,7 @@ from taichi_bearings.words import counted
 )  # fmt: skip
 @json_option
 @click.pass_context
-def command(
-    context: click.Context,
-    scan: str,
-    overrides: tuple[str, ...],
-    workers: int | None,
-    scheduler: str | None,
-    cluster: str | None,
-    cluster_options: tuple[str, ...],
-    part: str | None,
-    merge: bool,
-    analyse: bool | None,
-    keep_states: bool | None,
-    sample_timeout: float | None,
-    dry_run: bool,
-    heartbeat: float | None,
-    out: str | None,
-    as_json: bool,
-) -> None:
+def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **asked: Any) -> None:
     """Solve many scenes: SCAN is a TOML file with keys of `run` and a table [scan] with a list or a range for each key
     that varies; or the folder of a scan, which goes on there.
 
@@ -108,47 +91,53 @@ def command(
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.parts import Part
-    from taichi_bearings.scans.plan import read_plan
+    from taichi_bearings.scans.plan import Wishes, read_plan
 
-    path, folder = Path(scan), Path(out) if out else None
+    path, folder = Path(scan), Path(asked["out"]) if asked["out"] else None
     if path.is_dir():  # the folder of a scan: go on there
         path, folder = path / "scan.toml", folder or path
-    on_cluster = scheduler is not None or cluster is not None
-    if cluster_options and not on_cluster:
-        raise InputError("--cluster-option needs --cluster slurm, pbs, sge or lsf")
-    if merge and (part is not None or on_cluster):
-        raise InputError("--merge solves nothing; leave out --part, --scheduler and --cluster")
-    if folder is None and (merge or part is not None):
-        raise InputError("--part and --merge need --out DIR, the same for all parts")
-    only = None if part is None else Part.parse(part)
-    plan = read_plan(path, overrides)
+    _refuse_contradictions(folder, **asked)
+    workers, part = asked["workers"] or 0, asked["part"] and Part.parse(asked["part"])
+    plan = read_plan(path, asked["overrides"])
+    wishes = Wishes(asked["analyse"], asked["keep_states"], asked["sample_timeout"])
     if dry_run:
-        expected = study.estimate(plan, folder, workers or 0, analyse, keep_states, only)
+        expected = study.estimate(plan, folder, workers, wishes, part)
         click.echo(json.dumps(expected) if as_json else describe_estimate(expected))
         return
-    if merge and folder is not None:
+    if asked["merge"] and folder is not None:
         report = study.merge(plan, folder)
     else:
         folder = folder or default_run_path("scan")
-        with ScanDisplay(heartbeat) as display, _client(scheduler, cluster, workers, cluster_options) as client:
-            report = study.scan(
-                plan, folder, workers or 0, analyse, keep_states, sample_timeout, display, client=client, part=only
-            )
+        with ScanDisplay(asked["heartbeat"]) as display, _client(**asked) as client:
+            report = study.scan(plan, folder, workers, wishes, display, client=client, part=part)
     click.echo(json.dumps(report) if as_json else describe(report))
     if report["interrupted"]:
         context.exit(130)
     context.exit(0 if report["reached"] == report["samples"] and not report["lacking"] else 1)
 
 
+def _refuse_contradictions(
+    folder: Path | None, merge: bool, part: str | None, cluster_options: Sequence[str], **asked: Any
+) -> None:
+    """InputError for options that do not go together."""
+    on_cluster = asked["scheduler"] is not None or asked["cluster"] is not None
+    if cluster_options and not on_cluster:
+        raise InputError("--cluster-option needs --cluster slurm, pbs, sge or lsf")
+    if merge and (part is not None or on_cluster):
+        raise InputError("--merge solves nothing; leave out --part, --scheduler and --cluster")
+    if folder is None and (merge or part is not None):
+        raise InputError("--part and --merge need --out DIR, the same for all parts")
+
+
 def _client(
-    scheduler: str | None, cluster: str | None, workers: int | None, options: Sequence[str]
+    scheduler: str | None, cluster: str | None, workers: int | None, cluster_options: Sequence[str], **_: Any
 ) -> AbstractContextManager[Any]:
     """The client of the Dask cluster that was asked for, or None."""
     if scheduler is None and cluster is None:
         return nullcontext()
     from taichi_bearings.scans.cluster import connected
 
-    return connected(scheduler, cluster, workers, options)
+    return connected(scheduler, cluster, workers, cluster_options)
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:

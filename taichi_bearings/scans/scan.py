@@ -140,12 +140,15 @@ def _is_whole(state: Path) -> bool:
     return True
 
 
-def _with_wishes_of(folder: Path, plan: ScanPlan, *wishes: Any) -> tuple[ScanPlan, Wanted]:
+NO_WISHES = Wishes()
+
+
+def _with_wishes_of(folder: Path, plan: ScanPlan, wishes: Wishes = NO_WISHES) -> tuple[ScanPlan, Wanted]:
     """The plan with all that the scan in a folder is asked for, and what that means for each sample.
 
-    wishes : those of this call, in the order of :class:`Wishes`; where they say nothing the plan does, then the folder.
+    wishes : those of this call; where they say nothing the plan does, then the folder.
     """
-    known = Wishes(*wishes).or_else(plan.wishes).or_else(stored_wishes(folder))
+    known = wishes.or_else(plan.wishes).or_else(stored_wishes(folder))
     wanted = Wanted(bool(known.analyse), (folder / STATES).absolute() if known.keep_states else None)
     return replace(plan, wishes=known), wanted
 
@@ -162,15 +165,14 @@ def estimate(
     plan: ScanPlan,
     folder: Path | None,
     workers: int = 0,
-    structure: bool | None = None,
-    keep_states: bool | None = None,
+    wishes: Wishes = NO_WISHES,
     part: Part | None = None,
 ) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
-    ours, structure = _samples_of(plan, part), structure or plan.wishes.analyse or False
+    ours, structure = _samples_of(plan, part), bool(wishes.or_else(plan.wishes).analyse)
     missing = list(ours.samples)
     if folder is not None:
-        plan, wanted = _with_wishes_of(folder, plan, structure or None, keep_states)
+        plan, wanted = _with_wishes_of(folder, plan, wishes)
         missing, structure = missing_samples(plan, folder, wanted, part)[0], wanted.structure
     number = _number_of_workers(missing, workers, structure)
     work = total_seconds(missing, structure)
@@ -194,9 +196,7 @@ def scan(
     plan: ScanPlan,
     folder: Path,
     workers: int = 0,
-    structure: bool | None = None,
-    keep_states: bool | None = None,
-    sample_timeout: float | None = None,
+    wishes: Wishes = NO_WISHES,
     monitor: Monitor = lambda _: None,
     engine: Engine | None = None,
     client: "Client | None" = None,
@@ -204,17 +204,16 @@ def scan(
 ) -> dict[str, Any]:
     """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
 
-    workers : processes at most; 0 for one a processor. structure : the numbers of `analyse` too. keep_states : full
-    states in ``states/<sample>.h5``. sample_timeout : seconds a sample may take. Default of these three: what the plan
-    says, then what the folder was asked for before; the time else 100 times what is expected, at least 600, and no
-    limit for dynamics. Samples that lack what is asked for are solved again. client : of a Dask
-    cluster that solves; default: processes on this machine.
+    workers : processes at most; 0 for one a processor. wishes : where they say nothing the plan does, then what the
+    folder was asked for before; the time else 100 times what is expected, at least 600, and no limit for dynamics.
+    Samples that lack what is asked for are solved again. client : of a Dask cluster that solves; default: processes on
+    this machine.
     engine : where to solve instead of either. part : solve those samples alone, and write nothing but their journal.
     returns : the report of `--json`. Ctrl-C and SIGTERM end it; finished samples are kept.
     Raises InputError or FileError before anything is computed.
     """
     began = time.monotonic()
-    plan, wanted = _with_wishes_of(folder, plan, structure, keep_states, sample_timeout)
+    plan, wanted = _with_wishes_of(folder, plan, wishes)
     for group in groups_of(plan.samples):
         seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
     _refuse_unused(plan, folder)

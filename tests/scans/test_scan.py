@@ -106,7 +106,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     plan = plan_of("shape = [4, 4, 4]\n[scan]\nseed = [1, 2, 3]\n")
     scan(plan, tmp_path / "scan")
     assert "spans" not in read_scan(tmp_path / "scan").table
-    report = scan(plan, tmp_path / "scan", structure=True, keep_states=True)
+    report = scan(plan, tmp_path / "scan", wishes=Wishes(True, True))
     assert report["solved_now"] == 3
     stored = read_scan(tmp_path / "scan")
     for row, sample in enumerate(plan.samples):
@@ -121,7 +121,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
             "disjoint_paths",
         ):
             assert stored.table[name][row] == numbers[name], name
-    assert scan(plan, tmp_path / "scan", structure=True, keep_states=True)["solved_now"] == 0
+    assert scan(plan, tmp_path / "scan", wishes=Wishes(True, True))["solved_now"] == 0
     damaged = tmp_path / "scan" / "states" / f"{plan.samples[1].key}.h5"
     whole = damaged.read_bytes()
     with h5py.File(damaged, "r") as file:
@@ -153,7 +153,7 @@ def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
     assert not np.isnan(read_scan(folder).table["power_minimum_cut"]).any()
     assert {file.stem for file in (folder / "states").iterdir()} == {sample.key for sample in four.samples}
     five = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 5 }\n")
-    report = scan(five, folder, structure=False, keep_states=False)
+    report = scan(five, folder, wishes=Wishes(False, False))
     assert (report["lacking"], report["unanalysed"]) == (0, 1)
     assert np.isnan(read_scan(folder).table["power_minimum_cut"]).sum() == 1
     assert read_plan(folder / "scan.toml").wishes == Wishes(False, False, 50)
@@ -170,7 +170,7 @@ def test_bad_wishes_are_named(plan_of, line):
 def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
     plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 2, stop = 5 }\n"), tmp_path / "scan"
     scan(plan, folder, engine=Here())
-    report = scan(plan, folder, structure=True, engine=LocalEngine(scan_faults.lack_memory, 1))
+    report = scan(plan, folder, wishes=Wishes(True), engine=LocalEngine(scan_faults.lack_memory, 1))
     assert (report["done"], report["failed"], report["lacking"]) == (3, 0, 3)
     assert caplog.text.count("failed: MemoryError: no room") == 3
     assert np.isfinite(read_scan(folder).table["power"]).all()
