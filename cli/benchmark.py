@@ -76,14 +76,12 @@ def accuracy(
     context: click.Context,
     shape: tuple[str, ...],
     law: tuple[str, ...],
-    seed: str,
     methods: str | None,
     peers: bool,
-    time_limit: str,
-    threads: str,
     out: str | None,
     force: bool,
     as_json: bool,
+    **of_runs: str,
 ) -> None:
     """Run time against error: every method and two general conic solvers on the same scenes, by the same certificate.
 
@@ -103,7 +101,7 @@ def accuracy(
     from taichi_bearings.benchmarks.peers import find_peers
     from taichi_bearings.runs.run_directory import default_run_path
 
-    scenes = choose_scenes(shape, law, seed=seed, threads=threads, time_limit=time_limit)
+    scenes = choose_scenes(shape, law, **of_runs)
     chosen = choose_methods(methods)
     files = ReportFiles(Path(out) if out else default_run_path("accuracy"), force)
     here, missing = find_peers() if peers else ([], {})
