@@ -66,7 +66,10 @@ class Samples:
 
     @property
     def can_be_judged(self) -> bool:
-        """False if a number is not finite, too large or small for products, or not positive where it must be."""
+        """False for a law that is not known here, and for numbers that are not finite, too large or small for products,
+        or not positive where they must be."""
+        if self.law not in LAWS:
+            return False
         scales = [self.normal_force, self.radius, abs(self.spin_top - self.spin_bottom) or 1.0]
         strengths = [self.normal_force * c for c in self.coefficient]
         strengths += [self.radius * self.spin_unit * values for values in self.viscosity]

@@ -1,0 +1,65 @@
+"""A law and a method are added in one file each: tests/agreement/toy.py has both, and nothing else knows them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taichi_bearings.scene import LAWS, Scene, Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import METHODS, LinearSolver
+
+BEARINGS = "import tests.agreement.toy; from taichi_bearings_cli.main import main; main()"
+
+
+@pytest.fixture(scope="module")
+def toy():
+    """The tables have both of them, as long as the tests of this file run."""
+    from tests.agreement import toy
+
+    yield toy
+    del LAWS["shear-thinning"], METHODS["minimise"]
+
+
+@pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)], ids=str)
+def test_a_new_law_is_certified_by_a_new_method(toy, shape):
+    scene = Scene.random(shape, seed=3, law="shear-thinning", spin_bottom=0.3)
+    solution = solve(scene, toy.Minimise().build(), initial_spin(scene, "random"), StopRule(1e-4))
+    assert solution.status is Status.CERTIFIED
+    assert 0 < solution.lower_bound[0] <= solution.power[0]
+    assert solution.power[0] == pytest.approx(sum(float(p.sum()) for p in solution.power_per_contact))
+    worse = scene.power(scene.staggered_spin(initial_spin(scene, "linear"), (2,) if len(shape) == 2 else (0, 1)),
+                        (2,) if len(shape) == 2 else (0, 1))  # fmt: skip
+    assert solution.power[0] < worse[0]
+
+
+def test_a_new_method_agrees_with_the_old_ones(toy):
+    scene = Scene.random((4, 5, 6), seed=1, law="viscous")
+    ours = solve(scene, toy.Minimise().build(), initial_spin(scene, "random"), StopRule(1e-8))
+    theirs = solve(scene, LinearSolver().build(), initial_spin(scene, "linear"), StopRule(1e-8))
+    assert ours.status is Status.CERTIFIED
+    assert ours.power == pytest.approx(theirs.power, rel=1e-8)
+
+
+def run(*words):
+    command = [sys.executable, "-c", BEARINGS, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2], timeout=120)
+
+
+def test_the_command_line_has_both(tmp_path):
+    done = run(
+        "run", "--shape", "5,6", "--law", "shear-thinning", "--method", "minimise", "--tolerance", "1e-4",
+        "--figures", "none", "--json", "--out", tmp_path / "a",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["law"], summary["method"], summary["status"]) == ("shear-thinning", "minimise", "certified")
+    assert np.isfinite(summary["gap"])
+    refused = run("run", "--shape", "5,6", "--law", "shear-thinning", "--method", "planar-cut", "--out", tmp_path / "b")
+    assert refused.returncode == 2
+    assert "it must be coulomb" in refused.stderr
