@@ -133,8 +133,8 @@ def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
     assert bearings("run", *stopped, cwd=tmp_path).returncode == 1
     assert "seed cannot change" in refused("--resume", "run", "--seed", "4")
     assert "leave them out" in refused("scene.toml", "--resume", "run")
-    assert "is not a dynamics" in refused("--shape", "3,3,4", "--checkpoint-every", "5")
-    assert "is not a dynamics" in refused("--shape", "3,3,4", "--duration", "5")
+    assert "does not use it; it needs --method rigid-limit" in refused("--shape", "3,3,4", "--checkpoint-every", "5")
+    assert "does not use it; it needs --method rigid-limit" in refused("--shape", "3,3,4", "--duration", "5")
     assert "record is 'soon'" in refused(*SCENE, "--record", "soon")
     longer = ("--iterations", "1000000", "--duration")
     assert bearings("run", "--resume", "run", *longer, "0.5", cwd=tmp_path).returncode == 0

@@ -1,0 +1,32 @@
+"""The table of methods on small scenes: each against the least that the others reach, and by its own proof."""
+
+import pytest
+
+from taichi_bearings.scene.law import LAWS
+from taichi_bearings.solvers import METHODS
+from tests.agreement.methods import assert_agreement
+from tests.scenes import make_scene
+
+DRIVINGS = {
+    "discs": {"shape": (5, 4)},
+    "discs, rotating bottom": {"shape": (3, 6), "spin_bottom": -0.4},
+    "spheres": {"shape": (3, 4, 4)},
+    "spheres about x": {"shape": (3, 2, 4), "direction": (1, 0, 0), "spin_bottom": 0.3},
+    "spheres about an odd axis": {"shape": (2, 3, 4), "direction": (1, -2, 3)},
+}
+LEAST_METHODS = {"coulomb": 6, "viscous": 4, "coulomb-viscous": 3}
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("driving", DRIVINGS)
+@pytest.mark.parametrize("law", LAWS)
+def test_every_method_agrees_with_the_others(law, driving):
+    answers = assert_agreement(make_scene(law=law, **DRIVINGS[driving]))
+    assert len(answers) >= LEAST_METHODS[law]
+
+
+def test_every_method_solves_some_law_and_names_itself():
+    for name, row in METHODS.items():
+        assert row.name == name
+        assert any(row.solves(law) for law in LAWS.values())
+        assert row().build().options == row()
