@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.sparse.linalg import LinearOperator, cg
 
 from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 
 DENSE = 4.5  # links a sphere from which the factor grows too large and conjugate gradients need few steps
 ITERATION_TOLERANCE = 1e-13  # of the residual, relative to the current that flows in
@@ -53,9 +54,9 @@ def _voltages(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
     """Voltage of each body, 1 at the first one and 0 at the last one; also 0 where no link leads."""
     degree = np.bincount(low, minlength=bodies) + np.bincount(high, minlength=bodies)
     inner = np.flatnonzero(degree[1:-1]) + 1
-    rows, columns = np.concatenate([low, high, inner]), np.concatenate([high, low, inner])
-    values = np.concatenate([np.full(2 * len(low), -1.0), degree[inner]])
-    laplacian = csc_array((values, (rows, columns)), shape=(bodies, bodies))[:, inner][inner]
+    held = degree == 0
+    held[[0, -1]] = True
+    laplacian = graph_laplacian([(low, high, np.ones(len(low)))], bodies, held)
     fed = np.zeros(bodies)
     fed[np.concatenate([high[low == 0], low[high == 0]])] = 1.0
     voltage = np.zeros(bodies)
@@ -67,8 +68,7 @@ def _voltages(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
 def _solve(laplacian: csc_array, degree: np.ndarray, right: np.ndarray) -> np.ndarray:
     """By a sparse factorisation with minimum degree ordering; by conjugate gradients where links are dense."""
     if degree.mean() < DENSE:
-        options = {"SymmetricMode": True}
-        return splu(laplacian, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve(right)
+        return factorised(laplacian).solve(right)
     jacobi = LinearOperator(laplacian.shape, matvec=lambda values: values.ravel() / degree, dtype=float)
     solution = np.zeros(len(right))
     for _ in range(MOST_REFINEMENTS):

@@ -145,17 +145,6 @@ class ContactSystem:
         pairs = list(self._entries())
         return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
-    def laplacian(self, stiffness: Arrays) -> sparse.csr_matrix:
-        """Weighted Laplacian (unknowns, unknowns) of stiffnesses (d, d, n) a group."""
-        values, rows, columns, signed = stacked(stiffness), [], [], []
-        for first, second, source, sign in self._entries():
-            other = first != second
-            rows += [first, second[other]]
-            columns += [second, first[other]]
-            signed += [sign * values[source], sign * values[source][other]]
-        entries = (np.concatenate(signed), (np.concatenate(rows), np.concatenate(columns)))
-        return sparse.coo_matrix(entries, shape=(self.unknowns, self.unknowns)).tocsr()
-
     def laplacian_map(self, entry: Callable, entries: int) -> sparse.csr_matrix:
         """Matrix from the stacked stiffnesses of all contacts to the stored entries of the weighted Laplacian.
 

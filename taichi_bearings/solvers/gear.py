@@ -9,10 +9,10 @@ from math import comb
 import numpy as np
 from scipy.sparse.linalg import eigsh
 
-from taichi_bearings.conic.contact_system import lattice_system
-from taichi_bearings.conic.grouped import isotropic
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.incidence import ends
 from taichi_bearings.lattice.laplacian import eigenvalues
+from taichi_bearings.numerics.graph_laplacian import graph_laplacian
 from taichi_bearings.scene import Scene
 
 # order -> corrector coefficients of the 0th ... order-th scaled derivative
@@ -96,15 +96,19 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
 
     Lanczos to a relative 1e-3, raised by as much.
     """
-    largest, jump = 0.0, np.zeros(1)
+    lattice, largest = scene.lattice, 0.0
+    sphere = np.arange(lattice.sites).reshape(lattice.shape)
+    pairs = [[end.ravel() for end in ends(sphere, axis, lattice.dimension)] for axis in range(lattice.dimension)]
     for component in spin_axes:
-        system = lattice_system(scene.lattice, (component,), jump)
         for replica in range(scene.replicas):
-            matrix = system.laplacian(isotropic(system.offset, system.gather(scene.viscosities, replica)))
-            if system.unknowns < 3:
+            weights = (values[replica].ravel() for values in scene.viscosities)
+            edges = [(*pair, weight) for pair, weight in zip(pairs, weights, strict=True)]
+            edges = [edge for axis, edge in enumerate(edges) if axis != component]
+            matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())
+            if matrix.shape[0] < 3:
                 found = np.linalg.eigvalsh(matrix.toarray())
             else:
-                start = np.cos(np.arange(system.unknowns))  # fixed, so that the default time step is reproducible
+                start = np.cos(np.arange(matrix.shape[0]))  # fixed, so that the default time step is reproducible
                 found = eigsh(matrix, k=1, tol=1e-3, v0=start, return_eigenvectors=False)
             largest = max(largest, float(found.max()))
     return largest * (1 + 1e-3)

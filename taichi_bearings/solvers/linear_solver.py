@@ -2,8 +2,7 @@
 
 The system falls apart (PHYSICS 3). Spin components decouple; component k is coupled only by the contacts that are not
 along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas are
-independent anyway. All planes have the same pattern and are factorised together (nested_dissection.py), bundle by
-bundle.
+independent anyway. The planes of a bundle are factorised together, as one sparse matrix.
 
 With coefficients over many decades the difference of two spins that a stiff contact ties together drowns in the
 rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and
@@ -12,11 +11,12 @@ balance to the rounding of the forces, however large the contrast.
 """
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
+from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference, ends
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.nested_dissection import GridFactor
+from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import LinearSolver
@@ -75,12 +75,9 @@ class LinearSolverMethod:
             for axis in range(scene.lattice.dimension)
             if axis != component
         )
-        anchor = np.zeros((len(first), second.shape[1], second.shape[2] - 1))
-        anchor[..., 0] += second[..., 0]
-        anchor[..., -1] += second[..., -1]
         try:
-            factor = GridFactor(first[..., 1:-1], second[..., 1:-1], anchor)
-        except np.linalg.LinAlgError:  # a contrast beyond float64: these spins stay as they are
+            factor = factorised(_laplacian(first, second))
+        except RuntimeError:  # a contrast beyond float64: these spins stay as they are
             return
         spins, rests = self._by_plane(self.spin[slot], slot), self._by_plane(self.rest[slot], slot)
         spin, rest = spins[planes], rests[planes]
@@ -88,7 +85,9 @@ class LinearSolverMethod:
         size = _total(load)
         for _ in range(MOST_REFINEMENTS):
             new_spin, new_rest = spin.copy(), rest.copy()
-            new_spin[..., 1:-1], new_rest[..., 1:-1] = _add(spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load))
+            new_spin[..., 1:-1], new_rest[..., 1:-1] = _add(
+                spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load.ravel()).reshape(load.shape)
+            )
             new_load = _free_torques(first, second, new_spin, new_rest)
             new_size = _total(new_load)
             better = new_size < size  # False for NaN
@@ -125,6 +124,16 @@ class LinearSolverMethod:
             exhausted=self.iteration == len(self.bundles),
             needed=len(self.bundles),
         )
+
+
+def _laplacian(first: np.ndarray, second: np.ndarray) -> csc_array:
+    """Of the free nodes of planes (B, m, n), whose weights along either axis are given."""
+    shape = (*second.shape[:2], first.shape[2])
+    node, held = np.arange(np.prod(shape)).reshape(shape), np.ones(shape, dtype=bool)
+    held[..., 1:-1] = False
+    pairs = zip((ends(node, axis, 2) for axis in range(2)), (first, second), strict=True)
+    edges = ((low.ravel(), high.ravel(), weight.ravel()) for (low, high), weight in pairs)
+    return graph_laplacian(edges, node.size, held.ravel())
 
 
 def _free_torques(first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray) -> np.ndarray:

@@ -1,0 +1,27 @@
+"""The weighted Laplacian of a graph as a sparse matrix, and its factorisation by SuperLU."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.linalg import SuperLU, splu
+
+Edges = tuple[np.ndarray, np.ndarray, np.ndarray]  # node at either end, weight: (E,) each
+
+
+def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc_array:
+    """Laplacian over the nodes that are not held at a fixed value, in their order; held : (nodes,) bool."""
+    rows, columns, entries = [], [], []
+    for low, high, weight in edges:
+        rows += [low, high, low, high]
+        columns += [low, high, high, low]
+        entries += [weight, weight, -weight, -weight]
+    places = np.concatenate(rows), np.concatenate(columns)
+    whole = coo_array((np.concatenate(entries), places), shape=(nodes, nodes)).tocsr()
+    free = np.flatnonzero(~held)
+    return csc_array(whole[free][:, free])
+
+
+def factorised(laplacian: csc_array) -> SuperLU:
+    """Minimum degree ordering, no pivoting. Raises RuntimeError if the matrix is singular in float64."""
+    return splu(laplacian, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
