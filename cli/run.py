@@ -59,9 +59,9 @@ def command(
         if scene or out or force:
             raise InputError(f"resume is {resume!r}: a resumed run keeps its scene and its directory; leave them out")
         with Display(STARTED) as display:
-            solution, summary = study.resume(Path(resume), given)
-            verdict = _verdict(summary, verify)
-        _finish(context, solution, summary, resume, verdict, display.times(), as_json)
+            found = study.resume(Path(resume), given)
+            verdict = _verdict(found.path, verify)
+        _finish(context, found, resume, verdict, display.times(), as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
     out, force = out or stored_out, stored_force if force is None else force
@@ -69,30 +69,30 @@ def command(
         raise InputError(f"out is {out!r} and force is {force!r}; they must be a text, and true or false")
     settings = RunSettings.from_mapping(values | given, scene or "the options")
     with Display(STARTED) as display:
-        solution, summary = study.run(settings, Path(out) if out else None, force)
-        verdict = _verdict(summary, verify)
-    _finish(context, solution, summary, out, verdict, display.times(), as_json)
+        found = study.run(settings, Path(out) if out else None, force)
+        verdict = _verdict(found.path, verify)
+    _finish(context, found, out, verdict, display.times(), as_json)
 
 
-def _verdict(summary: dict[str, Any], asked: bool) -> dict[str, Any] | None:
+def _verdict(path: Path, asked: bool) -> dict[str, Any] | None:
     """What `bearings verify` says of the run, if it was asked for."""
     if not asked:
         return None
     from taichi_bearings.runs.verify import verify
 
-    return verify(Path(summary["run"]))
+    return verify(path)
 
 
 def _finish(
     context: click.Context,
-    solution: Any,
-    summary: dict[str, Any],
+    found: Any,
     out: str | None,
     verdict: dict[str, Any] | None,
     times: str,
     as_json: bool,
 ) -> None:
     """Print the summary and leave with the exit code that the status asks for; 1 too if the run is not in `out`."""
+    summary = found.summary
     if as_json:
         click.echo(json.dumps(summary | ({"verification": verdict} if verdict else {}), allow_nan=False))
     else:
@@ -101,12 +101,13 @@ def _finish(
             from taichi_bearings_cli.verify import describe as describe_verdict
 
             click.echo(describe_verdict(verdict))
-    if solution.status.value == "interrupted":
+    if any(status.value == "interrupted" for status in found.status):
         context.exit(130)
     is_verified = verdict is None or verdict["verified"]
-    place = Path(out or summary["run"]).resolve()  # of a directory, or of the run.h5 in it that is resumed
-    elsewhere = Path(summary["run"]).resolve() not in (place, place.parent)
-    context.exit(0 if solution.status.reached and is_verified and not elsewhere else 1)
+    place = Path(out or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
+    elsewhere = found.path.resolve() not in (place, place.parent)
+    reached = all(status.reached for status in found.status)
+    context.exit(0 if reached and is_verified and not elsewhere else 1)
 
 
 def describe(summary: dict[str, Any], times: str) -> str:

@@ -13,7 +13,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
 from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.plots.style import save
-from taichi_bearings.runs.run import settings_of, statuses
+from taichi_bearings.runs.run import Run, settings_of
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
@@ -122,12 +122,12 @@ def analyse(
     """
     with stage("reading"):
         run = read_run_file(path)
-        ended = statuses(run.solution, settings_of(run))
+        ended = Run(settings_of(run), run.solution).status
     target = run.path if out is None else out / "analysis.h5"
     paths = [target.parent / f"{name}.png" for name in ((*FIGURES, *FIGURES_OF_ALL) if figures else ())]
     refuse_standing((target, *paths), force or out is None)
     with writable_folder(target.parent):
-        found = Analysis(run.solution, ended, threshold, replica)
+        found = Analysis(run.solution, [status.value for status in ended], threshold, replica)
         if out is None or force:
             for name in (*FIGURES, *FIGURES_OF_ALL):  # of an earlier analysis; not all need come back
                 (target.parent / f"{name}.png").unlink(missing_ok=True)

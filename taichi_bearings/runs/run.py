@@ -1,6 +1,5 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
-import contextlib
 import io
 import json
 import logging
@@ -8,9 +7,9 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +22,18 @@ from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
-from taichi_bearings.runs.run_directory import completed, default_run_path, in_use, run_directory, undisturbed
+from taichi_bearings.runs.run_directory import (
+    RunDirectory,
+    completed,
+    default_run_path,
+    in_use,
+    run_directory,
+    undisturbed,
+)
 from taichi_bearings.runs.run_file import StoredRun, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.array_files import read_coefficients, short_name
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
@@ -103,6 +109,42 @@ class Job:
     method: Any
 
 
+@dataclass(frozen=True)
+class Run:
+    """A solved run. spin : that it started from; None for one that is read back. path : its directory or file, if any.
+    command : what made it, for the record."""
+
+    settings: RunSettings
+    solution: Solution
+    spin: np.ndarray | None = None
+    path: Path | None = None
+    command: str = ""
+
+    @property
+    def status(self) -> list[Status]:
+        """How each replica ended, (R,).
+
+        One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
+        before the simulated time that was asked for.
+        """
+        duration, solution = self.settings.duration, self.solution
+        cut_short = duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        close = (solution.gap <= self.settings.tolerance) & (not cut_short)
+        return [Status.CERTIFIED if certified else solution.status for certified in close]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of the run, as in `--json` of `run`."""
+        running = self.solution.running
+        return summarise(self) | {
+            "arch": running.arch,
+            "precision": running.precision,
+            "threads": running.threads,
+            "coefficients": self.settings.coefficients,
+            "run": None if self.path is None else str(self.path),
+        }
+
+
 def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """Build everything the settings describe; every input error is raised here, before anything is computed.
 
@@ -173,25 +215,14 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds)
 
 
-def statuses(solution: Solution, settings: RunSettings) -> list[str]:
-    """How each replica ended, (R,).
-
-    One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came before
-    the simulated time that was asked for.
-    """
-    cut_short = settings.duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-    certified = (solution.gap <= settings.tolerance) & (not cut_short)
-    return [Status.CERTIFIED.value if proven else solution.status.value for proven in certified]
-
-
-def summarise(solution: Solution, settings: RunSettings) -> dict[str, Any]:
-    """The numbers of a solution, as in `--json` of `run`; one value a seed becomes a list with several replicas.
+def summarise(run: Run) -> dict[str, Any]:
+    """The numbers of a run but for its files; one value a seed becomes a list with several replicas.
 
     Numbers that are not finite become None, so that the summary is valid JSON.
     """
     from taichi_bearings import __version__
 
-    scene = solution.scene
+    solution, settings, scene = run.solution, run.settings, run.solution.scene
 
     def per_seed(values: Any) -> Any:
         listed = [_plain(v) for v in values]
@@ -205,7 +236,7 @@ def summarise(solution: Solution, settings: RunSettings) -> dict[str, Any]:
         **({} if scene.law.minimises == "power" else {"potential": per_seed(solution.objective)}),
         "lower_bound": per_seed(solution.lower_bound),
         "gap": per_seed(solution.gap),
-        "status": per_seed(statuses(solution, settings)),
+        "status": per_seed([status.value for status in run.status]),
         "method": solution.method,
         "law": scene.law.name,
         "shape": list(scene.lattice.shape),
@@ -256,25 +287,19 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **found}
 
 
-def run(
-    settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()
-) -> tuple[Solution, dict[str, Any]]:
+def run(settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()) -> Run:
     """Solve and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and its figures.
 
     With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
-    returns : the solution and the summary, which has the directory as "run".
     Raises InputError or FileError before anything is computed or overwritten.
     """
     job = prepare(settings)
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
-            solution = solve_job(job, monitors)
-            with undisturbed(), _rescued(directory.path, job, solution, "the result is lost") as summary:
-                summary |= write_run(directory.partial, directory.path, job, solution)
-                while not directory.publish():
-                    summary |= write_run(directory.partial, directory.path, job, solution)
-            return solution, summary
-        stored = _self_contained(job, directory.partial)
+            found = Run(settings, solve_job(job, monitors), job.spin, directory.path, _command())
+            with undisturbed():
+                return _rescued(found, partial(publish, directory, found), "the result is lost")
+        stored = _self_contained(settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         while not directory.publish():
@@ -283,24 +308,38 @@ def run(
             return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
 
 
-@contextlib.contextmanager
-def _rescued(path: Path, job: Job, solution: Solution, otherwise: str) -> Iterator[dict[str, Any]]:
-    """The summary of a run that is written within; if `path` cannot be written, the run goes to a temporary folder.
+def _command() -> str:
+    return " ".join(["bearings", *sys.argv[1:]])
+
+
+def publish(directory: RunDirectory, found: Run) -> Run:
+    """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
+    while True:
+        found = replace(found, path=directory.path)
+        write_run(directory.partial, found)
+        if directory.publish():
+            return found
+
+
+def _rescued(found: Run, write: Callable[[], Run], otherwise: str) -> Run:
+    """The run as it is written; if its path cannot be written, into a temporary folder.
 
     WriteError if not even that is possible. otherwise : what then, for people.
     """
-    summary: dict[str, Any] = {}
     try:
-        yield summary
+        return write()
     except WriteError as error:
-        folder = Path(tempfile.gettempdir()) / f"bearings-{secrets.token_hex(4)}" / path.name
+        assert found.path is not None
+        folder = Path(tempfile.gettempdir()) / f"bearings-{secrets.token_hex(4)}" / found.path.name
         try:
             folder.mkdir(parents=True)
-            summary |= write_run(folder, folder, job, solution)
+            found = replace(found, path=folder)
+            write_run(folder, found)
         except (WriteError, OSError):
             shutil.rmtree(folder.parent, ignore_errors=True)
             raise WriteError(f"{error}, nor can {folder.parent.parent}; {otherwise}") from None
         logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
+        return found
 
 
 CHANGEABLE = (
@@ -308,9 +347,7 @@ CHANGEABLE = (
 )  # fmt: skip
 
 
-def resume(
-    path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()
-) -> tuple[Solution, dict[str, Any]]:
+def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()) -> Run:
     """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
@@ -345,7 +382,7 @@ def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) 
 
 def _solve_with_checkpoints(
     path: Path, job: Job, stored: RunSettings, arrays: Mapping[str, np.ndarray] | None, monitors: Sequence[Any]
-) -> tuple[Solution, dict[str, Any]]:
+) -> Run:
     """Solve in a run directory that is there already and in our use, and complete it.
 
     stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
@@ -360,10 +397,15 @@ def _solve_with_checkpoints(
 
     assert stored.checkpoint_every is not None
     solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
-    otherwise = f"`bearings run --resume {path}` goes on from the last checkpoint"
-    with undisturbed(), _rescued(path, job, solution, otherwise) as summary, completed(path, _drawn()) as folder:
-        summary |= write_run(folder, path, job, solution)
-    return solution, summary
+    found = Run(job.settings, solution, job.spin, path, _command())
+
+    def complete() -> Run:
+        with completed(path, _drawn()) as folder:
+            write_run(folder, found)
+        return found
+
+    with undisturbed():
+        return _rescued(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
 
 
 def _drawn() -> list[str]:
@@ -374,16 +416,21 @@ def _drawn() -> list[str]:
     return [*(f"{name}.png" for name in figures), "power_histogram.csv", "power_histogram.h5"]
 
 
-def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[str, Any]:
-    """Write every file of a run into `folder`, which will be renamed to `path`; returns the summary."""
+def write_run(folder: Path, found: Run) -> None:
+    """Write every file of a run into `folder`, which will be renamed to its path."""
     from taichi_bearings.analysis.histogram import power_histogram
     from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):
-        stored = _self_contained(job, folder)
-        summary = write_state(folder / "run.h5", job, solution, stored, path, " ".join(["bearings", *sys.argv[1:]]))
+        solution, spin = found.solution, found.spin
+        if spin is None:  # read back: it may lie beside what was read
+            start = found.settings.initial
+            beside = start if start in STARTS or found.path is None else str(found.path.parent / start)
+            spin = initial_spin(solution.scene, beside)
+        stored = _self_contained(found.settings, solution.scene, spin, folder)
+        write_state(folder / "run.h5", found, stored)
         write_text(folder / "scene.toml", stored.to_toml())
-        full = summary | {"settings": job.settings.values, "versions": versions()}
+        full = found.summary | {"settings": found.settings.values, "versions": versions()}
         write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
     try:
         histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
@@ -393,7 +440,6 @@ def write_run(folder: Path, path: Path, job: Job, solution: Solution) -> dict[st
                 _draw(folder, solution, histogram)
     except WriteError as error:  # a full disk: what was solved is written, and figures can be drawn again
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
-    return summary
 
 
 def _draw(folder: Path, solution: Solution, histogram: Any) -> None:
@@ -407,43 +453,30 @@ def _draw(folder: Path, solution: Solution, histogram: Any) -> None:
         save(draw_history(solution), folder / "history.png")
 
 
-def write_state(
-    file: Path, job: Job, solution: Solution, stored: RunSettings, path: Path, command: str
-) -> dict[str, Any]:
-    """Write a solution in the layout of run.h5; returns the summary.
-
-    solution : that of the job, or one of its seeds. stored : settings that solve it again. path : its name for people.
-    """
-    running = runtime.current() if job.method.options.needs_taichi else runtime.HOST
-    summary = summarise(solution, job.settings) | {
-        "arch": running.arch,
-        "precision": running.precision,
-        "threads": running.threads,
-        "coefficients": job.settings.coefficients,
-        "run": str(path),
-    }
-    write_run_file(file, solution, summary | {"command": command, "scene": stored.to_toml(), **versions()})
-    return summary
+def write_state(file: Path, found: Run, stored: RunSettings) -> None:
+    """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
+    origin = {"command": found.command, "scene": stored.to_toml()}
+    write_run_file(file, found.solution, found.summary | origin | versions())
 
 
-def _self_contained(job: Job, folder: Path) -> RunSettings:
+def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folder: Path) -> RunSettings:
     """Settings whose files lie in the run directory itself, so that it can be moved and run again.
 
     With checkpoints that must be possible while there is no run.h5 yet.
     """
-    settings = job.settings
+    one = scene.replicas == 1
     if settings.coefficients is not None and settings.checkpoint_every is None:
         settings = replace(settings, coefficients="run.h5")
     elif settings.coefficients is not None:
-        one = job.scene.replicas == 1
         arrays: dict[str, Any] = {
-            axis: c[0] if one else c for axis, c in zip("xyz", job.scene.coefficient, strict=False)
+            short_name(f"{kind}/{axis}"): values[0] if one else values
+            for kind, parts in scene.named_coefficients.items()
+            for axis, values in zip("xyz", parts, strict=False)
         }
         _write_arrays(folder / "coefficients.npz", arrays)
         settings = replace(settings, coefficients="coefficients.npz")
     if settings.initial not in STARTS:
-        spin = job.spin[0] if job.scene.replicas == 1 else job.spin
-        _write_arrays(folder / "initial_spin.npz", {"spin": spin})
+        _write_arrays(folder / "initial_spin.npz", {"spin": spin[0] if one else spin})
         settings = replace(settings, initial="initial_spin.npz")
     return settings
 

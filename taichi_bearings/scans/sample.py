@@ -14,9 +14,9 @@ from taichi_bearings.files.scan_file import FAILED, bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import prepare, row_of, solve_job, summarise, write_state
+from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.scans.plan import Sample, groups_of
-from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene import Status
 
 STATES = "states"  # folder of the full states
 
@@ -91,18 +91,18 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
     solution = solve_job(job)
     if solution.status is Status.INTERRUPTED:
         raise Interrupted
-    parts = [solution.sample(number) for number in range(len(block))]
+    found = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
     if wanted.states is not None:
         make_folder(wanted.states)
-        for sample, part in zip(block, parts, strict=True):
+        for sample, run in zip(block, found, strict=True):
             path = state_path(wanted.states, sample.key)
-            write_state(path, job, part, sample.settings, path, "bearings scan")
-    return [_record(sample, part, wanted) for sample, part in zip(block, parts, strict=True)]
+            write_state(path, replace(run, path=path, command="bearings scan"), sample.settings)
+    return [_record(sample, run, wanted) for sample, run in zip(block, found, strict=True)]
 
 
-def _record(sample: Sample, solution: Solution, wanted: Wanted) -> dict[str, Any]:
-    summary = summarise(solution, sample.settings)
-    scalars = summary | {"slip_threshold": solution.slip_threshold}
+def _record(sample: Sample, run: Run, wanted: Wanted) -> dict[str, Any]:
+    solution = run.solution
+    scalars = summarise(run) | {"slip_threshold": solution.slip_threshold}
     if wanted.structure:
         from taichi_bearings.analysis.structure import structure_of
         from taichi_bearings.runs.structure_report import numbers_of

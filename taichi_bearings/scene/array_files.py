@@ -26,7 +26,7 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
             return {names[0]: np.load(path, allow_pickle=False)}
         if path.suffix == ".npz":
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                return {name: stored[name if name in stored else _short(name)] for name in names}
+                return {name: stored[name if name in stored else short_name(name)] for name in names}
         with h5py.File(path, "r") as file:
             check(path, file)
             return {name: file[name][()] for name in names}
@@ -38,7 +38,8 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         ) from None
 
 
-def _short(name: str) -> str:
+def short_name(name: str) -> str:
+    """What an array of run.h5 is called in an npz file."""
     kind, _, axis = name.rpartition("/")
     return f"{axis}_viscosity" if kind == "viscosity" else axis
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import BearingsError
+from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene.scene import Scene
 
 ROUNDING = 1e-11  # relative amount by which a lower bound may seem to lie above the power
@@ -155,6 +156,7 @@ class Solution:
     history : columns of equal length; power and lower_bound are (checks, R).
     snapshots : spins of a dynamics at the times asked for.
     interrupted : Ctrl-C or SIGTERM was heard, even if too late to change the answer.
+    running : device, precision and threads that it was computed with.
     """
 
     scene: Scene
@@ -182,6 +184,7 @@ class Solution:
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     snapshots: Snapshots | None = None
     interrupted: bool = False
+    running: Runtime = HOST
 
     def __post_init__(self) -> None:
         for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):

@@ -86,7 +86,8 @@ def solve(
             status, progress, seconds = course.follow([solving.tell, *monitors])
         with stage("proving contact states"):  # to its end: a first Ctrl-C costs nothing that was reached
             solution = course.answer(status, progress.iteration, seconds, compiled - began, slip_threshold)
-    return replace(solution, interrupted=interrupt.heard)
+    running = runtime.current() if method.options.needs_taichi else runtime.HOST
+    return replace(solution, interrupted=interrupt.heard, running=running)
 
 
 def uninterrupted(solution: Solution) -> Solution:

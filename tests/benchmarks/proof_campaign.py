@@ -42,7 +42,7 @@ from flint import arb
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.run import Run, prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
 from tests.truth import extended_precision as truths
@@ -293,7 +293,7 @@ def run_scene(words: dict, perturbations: int) -> dict:
         return {"refused": str(refused)}
     try:
         solution = solve_job(job)
-        summary = summarise(solution, settings)
+        summary = summarise(Run(settings, solution))
     except Exception as error:
         traceback.print_exc()
         return {"false": [["crash", 1.0, f"{type(error).__name__}: {error}"]], "method": words["method"]}

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from taichi_bearings.runs.run import summarise
+from taichi_bearings.runs.run import Run
 from taichi_bearings.runs.run_file import read_run_file, write_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -18,7 +18,7 @@ def test_friction_vectors_come_back_and_may_be_missing(tmp_path, shape, seeds):
     scene = make_scene(shape, "viscous", seeds=seeds)
     solution = solve(scene, LinearSolver().build(), initial_spin(scene, "linear"))
     path, settings = tmp_path / "run.h5", RunSettings(shape=shape, law="viscous")
-    write_run_file(path, solution, summarise(solution, settings) | {"scene": settings.to_toml()})
+    write_run_file(path, solution, Run(settings, solution).summary | {"scene": settings.to_toml()})
     stored = read_run_file(path).solution
     for axis, (given, found) in enumerate(zip(solution.friction, stored.friction, strict=True)):
         vector = (3,) if len(shape) == 3 else ()

@@ -15,7 +15,7 @@ import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
 from taichi_bearings.files.scan_file import bin_of, read_scan
-from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.run import Run, prepare, solve_job, summarise
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine
@@ -68,7 +68,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
     assert " ".join(stored.table).startswith(names)
     for row, sample in enumerate(plan.samples):
         solution = solve_job(prepare(replace(sample.settings, threads=1)))
-        summary = summarise(solution, sample.settings)
+        summary = summarise(Run(sample.settings, solution))
         for name, values in stored.table.items():
             if name in summary and name not in CLOCKS:
                 found = summary[name]

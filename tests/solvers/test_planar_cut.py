@@ -7,7 +7,7 @@ from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import summarise
+from taichi_bearings.runs.run import Run, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -173,7 +173,7 @@ def _plane(scene, x):
 
 
 def test_findings_are_in_the_summary():
-    summary = summarise(solved(make_scene((5, 6), seeds=(1, 2))), RunSettings(tolerance=1e-9))
+    summary = summarise(Run(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))))
     assert summary["cut_is_unique"] == [True, True]
     assert summary["tied_contacts"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1

@@ -6,7 +6,7 @@ Truth is an oracle in 200 digits that shares nothing with the package.
 import numpy as np
 import pytest
 
-from taichi_bearings.runs.run import prepare, solve_job, summarise
+from taichi_bearings.runs.run import Run, prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -44,7 +44,9 @@ def assert_true(solution, power, tolerance):
     assert solution.power[0] >= low * (1 - ROUNDING)
     missing = (solution.power[0] - low) / solution.power[0]
     assert solution.gap[0] >= missing - ROUNDING
-    assert (summarise(solution, RunSettings(tolerance=tolerance))["status"] == "certified") <= (missing <= tolerance)
+    assert (summarise(Run(RunSettings(tolerance=tolerance), solution))["status"] == "certified") <= (
+        missing <= tolerance
+    )
 
 
 @pytest.mark.parametrize("settings", COULOMB, ids=str)
@@ -91,7 +93,7 @@ def test_a_power_that_is_no_number_is_not_certified():
     solution = solve(job.scene, job.method, np.full_like(job.spin, np.nan), StopRule(1e-8, 10))
     assert solution.status is not Status.CERTIFIED
     assert not solution.gap[0] <= 1e-8
-    assert summarise(solution, RunSettings())["status"] != "certified"
+    assert summarise(Run(RunSettings(), solution))["status"] != "certified"
 
 
 def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():
