@@ -1,7 +1,52 @@
-"""Frustrated bearings on square and cubic lattices, solved on CPU and GPU, with proven error bounds."""
+"""Frustrated bearings on square and cubic lattices, solved on CPU and GPU, with proven error bounds.
+
+    import taichi_bearings as tb
+
+    scene = tb.Scene.random((10, 10, 10), seed=3, spin_bottom=0.1)  # or tb.Scene(coefficients=(x, y, z))
+    best = tb.solve(scene, tolerance=1e-9)
+    way = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=10)
+    net = tb.analyse(best)
+
+Scene : what is solved. solve, solve_many : to a :class:`Result`. load : one from a file. analyse : what it is made of.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import BearingsError, DeviceError, FileError, InputError
 from taichi_bearings.version import VERSION
 
+if TYPE_CHECKING:
+    from taichi_bearings.api import Result, Scene, analyse, load, solve, solve_many
+    from taichi_bearings.solvers import (
+        CundallStrack,
+        GradientDescent,
+        ImplicitCundallStrack,
+        InteriorPoint,
+        LinearSolver,
+        OperatorSplitting,
+        PlanarCut,
+        RigidLimit,
+    )
+
 __version__ = VERSION
-__all__ = ["BearingsError", "DeviceError", "FileError", "InputError", "__version__"]
+__all__ = [
+    "BearingsError", "CundallStrack", "DeviceError", "FileError", "GradientDescent", "ImplicitCundallStrack",
+    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "PlanarCut", "Result", "RigidLimit", "Scene",
+    "__version__", "analyse", "load", "solve", "solve_many",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """The front door, loaded when it is first used: importing the package takes no time."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    of_api = name in ("Result", "Scene", "analyse", "load", "solve", "solve_many")
+    found = getattr(importlib.import_module(f"{__name__}.{'api' if of_api else 'solvers'}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

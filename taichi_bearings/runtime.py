@@ -27,6 +27,9 @@ class Runtime:
     threads: int
     debug: bool = False
 
+    def __str__(self) -> str:
+        return f"{self.arch}, {self.precision}, threads {self.threads}{', debug' if self.debug else ''}"
+
     @property
     def is_gpu(self) -> bool:
         return self.arch != "cpu"
@@ -96,7 +99,10 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         if _owner != os.getpid():
             raise DeviceError("the Taichi runtime was started before this process was forked; start workers by spawn")
         if wanted != _current:
-            raise DeviceError(f"the Taichi runtime already runs as {_current}; {wanted} needs a process of its own")
+            raise DeviceError(
+                f"Taichi already runs in this process with {_current}, and a process starts it once; solve with "
+                f"{wanted} in a new one, or by taichi_bearings.solve_many, whose workers are processes of their own"
+            )
         return _current
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment():
         ti.init(

@@ -79,10 +79,9 @@ class Analysis:
         return [*super().__dir__(), *self.report]
 
     def __repr__(self) -> str:
-        words = [
-            f"{name} = {self.report[name]}" for name in ("power_over_cut", "slipless_fraction", "spans", "domains")
-        ]
-        return f"<Analysis of {'x'.join(map(str, self.report['shape']))} {self.report['law']}: {', '.join(words)}>"
+        names = ("power_over_cut", "slipless_fraction", "spans", "domains") if len(self.arrays) == 1 else ()
+        words = ", ".join(f"{name} = {self.report[name]}" for name in names) or f"{len(self.arrays)} samples"
+        return f"<Analysis of {'x'.join(map(str, self.report['shape']))} {self.report['law']}: {words}>"
 
     @property
     def figures(self) -> list[str]:

@@ -57,13 +57,12 @@ def build_scene(settings: RunSettings) -> Scene:
         )
     if len(law_named(settings.law).quantities) > 1:
         given["viscosity"] = read_coefficients(file, lattice.dimension, "viscosity")
-    scene = Scene(coefficients, **given)
-    if scene.lattice != lattice:
+    if coefficients[0].shape[-lattice.dimension :] != lattice.contact_shape(0):
         raise InputError(
             f"coefficients along x in {file} have shape {coefficients[0].shape}; this lattice needs "
             f"{lattice.contact_shape(0)}"
         )
-    return scene
+    return Scene(coefficients, **given)
 
 
 def settings_of(run: StoredRun) -> RunSettings:
@@ -111,14 +110,25 @@ class Job:
 
 @dataclass(frozen=True)
 class Run:
-    """A solved run. spin : that it started from; None for one that is read back. path : its directory or file, if any.
-    command : what made it, for the record."""
+    """A solved run. spin : that it started from; None where that lies in its directory.
+
+    path : of the directory or the file that has the run, if any. command : what made it, for the record.
+    """
 
     settings: RunSettings
     solution: Solution
     spin: np.ndarray | None = None
     path: Path | None = None
     command: str = ""
+
+    @property
+    def start(self) -> np.ndarray:
+        """Spins that it started from, (R, *N) or (R, *N, 3), 1/time."""
+        if self.spin is not None:
+            return self.spin
+        named, path = self.settings.initial, self.path
+        beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
+        return initial_spin(self.solution.scene, beside)
 
     @property
     def status(self) -> list[Status]:
@@ -153,12 +163,19 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
     compiler.name()  # refuses one that is unknown or absent
     with stage("reading"):
         scene = build_scene(settings)
-        row = method_row(settings, scene)
-        if unused := settings.unused(row):
-            if strict:
-                raise InputError(next(iter(unused.values())))
-            settings = replace(settings, **{key: settings_table()[key].default for key in unused})
-        return Job(settings, scene, initial_spin(scene, settings.initial), method_options(settings, row).build())
+        return job_of(settings, scene, initial_spin(scene, settings.initial), strict)
+
+
+def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
+    """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
+    row = method_row(settings, scene)
+    if unused := settings.unused(row):
+        if strict:
+            raise InputError(next(iter(unused.values())))
+        settings = replace(settings, **{key: settings_table()[key].default for key in unused})
+    if reason := row.refusal(scene):
+        raise InputError(reason)
+    return Job(settings, scene, spin, method_options(settings, row).build())
 
 
 MOST_ITERATIONS = 1_000_000  # unless the settings say otherwise
@@ -422,12 +439,8 @@ def write_run(folder: Path, found: Run) -> None:
     from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):
-        solution, spin = found.solution, found.spin
-        if spin is None:  # read back: it may lie beside what was read
-            start = found.settings.initial
-            beside = start if start in STARTS or found.path is None else str(found.path.parent / start)
-            spin = initial_spin(solution.scene, beside)
-        stored = _self_contained(found.settings, solution.scene, spin, folder)
+        solution = found.solution
+        stored = _self_contained(found.settings, solution.scene, found.start, folder)
         write_state(folder / "run.h5", found, stored)
         write_text(folder / "scene.toml", stored.to_toml())
         full = found.summary | {"settings": found.settings.values, "versions": versions()}

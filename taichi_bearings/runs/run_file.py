@@ -194,7 +194,9 @@ def _scene(
         keys = ("law", "spin_top", "spin_bottom", "direction", "normal_force", "radius")
         seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
         given = {key: getattr(settings, key) for key in keys}
-        return Scene(coefficient, viscosity=viscosity, seeds=seeds, **given)
+        scene = Scene(coefficient, viscosity=viscosity, seeds=seeds, **given)
+        drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
+        return scene.drawn_from(drawn)
     except (InputError, KeyError) as error:
         raise FileError(f"{path} is damaged or was changed: {error}") from None
 

@@ -10,23 +10,40 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
+import sys
 import threading
 import time
+import types
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from taichi_bearings.errors import BearingsError, WriteError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.scans.plan import Sample
+from taichi_bearings.runs.settings import RunSettings
 
-Unit = tuple[Sample, ...]
-Record = dict[str, Any]  # of a sample, as in scan_sample.solve_samples
-Work = Callable[[Sequence[Sample]], list[Record]]
+
+class Task(Protocol):
+    """What a worker solves: a sample of a scan, or a scene that somebody has made. It must be possible to pickle it."""
+
+    @property
+    def key(self) -> str: ...
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def settings(self) -> RunSettings: ...
+
+
+T = TypeVar("T", bound=Task)
+Unit = tuple[Any, ...]  # of tasks of one kind
+Record = dict[str, Any]  # of a task, as in sample.solve_samples
+Work = Callable[[Sequence[Any]], list[Record]]
 TRIES = 2  # of each sample
 HOPELESS = 10  # workers that end one after the other without any result
 PATIENCE = 0.2  # seconds between looks at what else is going on
@@ -71,18 +88,16 @@ class Engine(Protocol):
 
 
 def run_samples(
-    units: Sequence[Unit],
+    units: Sequence[tuple[T, ...]],
     engine: Engine,
-    keep: Callable[[list[Record]], None],
-    retry: Callable[[Sample, str], None],
-    look: Callable[[], bool],
-    failure: Callable[[Sample, str], Record],
-) -> None:
-    """Solve all units. A unit that fails as a whole is split into its samples; a sample that fails is tried once more,
-    at the end and alone, so that it has all memory for itself.
+    retry: Callable[[T, str], None],
+    failure: Callable[[T, str], Record],
+) -> Iterator[list[Record]]:
+    """Solve all units; gives records of finished samples, failed ones too, as they come, and often none of them.
 
-    keep : takes records of finished samples, failed ones too. retry : hears of a sample that will be tried again.
-    look : is called now and then; False ends it all. failure : makes the record of a sample that has no result.
+    A unit that fails as a whole is split into its samples; a sample that fails is tried once more, at the end and
+    alone, so that it has all memory for itself.
+    retry : hears of a sample that will be tried again. failure : makes the record of a sample that has no result.
     Raises BearingsError if worker after worker ends without any result, WriteError if results cannot be written.
     """
     waiting, last, tries = deque(units), deque[Unit](), Counter[str]()
@@ -92,8 +107,7 @@ def run_samples(
             engine.submit(waiting.popleft())
         if last and not waiting and not engine.running:
             engine.submit(last.popleft())
-        if not look():
-            return
+        yield []
         finished: list[Record] = []
         unwritten = ""
         for outcome in engine.collect(PATIENCE):
@@ -115,7 +129,7 @@ def run_samples(
                 else:
                     finished.append(record)
         if finished:
-            keep(finished)
+            yield finished
         if unwritten:
             raise WriteError(unwritten)
         if lost >= HOPELESS and not any_result:
@@ -128,7 +142,7 @@ class _Worker:
 
     process: BaseProcess
     pipe: Connection
-    device: tuple[str, str]
+    device: tuple[str, str, int]
     started: bool = False
     unit: Unit | None = None
     began: float = math.inf
@@ -162,7 +176,8 @@ class LocalEngine:
         return len(self.running) < self.workers
 
     def submit(self, unit: Unit) -> None:
-        device = (unit[0].settings.arch, unit[0].settings.precision)  # of the one Taichi runtime a process can have
+        settings = unit[0].settings
+        device = (settings.arch, settings.precision, settings.threads)  # of the one Taichi runtime a process can have
         idle = [worker for worker in self._pool if worker.unit is None]
         worker = next((worker for worker in idle if worker.device == device), None)
         if worker is None:
@@ -173,11 +188,12 @@ class LocalEngine:
         if worker.started:  # else when it says so: a large unit would block the pipe until then
             worker.send()
 
-    def _start(self, device: tuple[str, str]) -> _Worker:
+    def _start(self, device: tuple[str, str, int]) -> _Worker:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
-        process.start()
+        with _main_left_out():
+            process.start()
         theirs.close()
         worker = _Worker(process, ours, device)
         self._pool.append(worker)
@@ -244,6 +260,17 @@ class LocalEngine:
             worker.process.kill()
         for worker in list(self._pool):
             self._end(worker)
+
+
+@contextlib.contextmanager
+def _main_left_out() -> Iterator[None]:
+    """Processes that are started within do not run the user's script again, which needs no guard against that."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def serve(pipe: Connection, work: Work) -> None:

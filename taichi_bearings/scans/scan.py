@@ -354,7 +354,11 @@ class _Course:
                 self._write_meanwhile()
             return not stopped.is_set()
 
-        run_samples(units, engine, keep, self._retry, look, failure)
+        for finished in run_samples(units, engine, self._retry, failure):
+            if finished:
+                keep(finished)
+            elif not look():
+                return
 
     def _has_result(self, key: str) -> bool:
         return key in self.records and not is_failed(self.records[key])

@@ -67,12 +67,14 @@ def minimum_cut_spin(scene: Scene) -> np.ndarray:
     return scene.laboratory_spin(np.where(cut_of(scene).above, top, bottom), axes)
 
 
-def initial_spin(scene: Scene, start: str) -> np.ndarray:
+def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:
     """Laboratory spins (R, *N) or (R, *N, 3), 1/time.
 
-    start : "random", "zero", "linear", "minimum-cut", or a file with an array or data set ``spin`` (npy, npz, or HDF5
-        such as run.h5).
+    start : "random", "zero", "linear", "minimum-cut", a file with an array or data set ``spin`` (npy, npz, or HDF5
+        such as run.h5), or such an array; that of a single sample serves all.
     """
+    if not isinstance(start, str):
+        return _fitting(scene, np.asarray(start), "start")
     if start in STARTS:
         start_of = dict(zip(STARTS, (random_spin, zero_spin, linear_spin, minimum_cut_spin), strict=True))
         return start_of[start](scene)
@@ -80,12 +82,19 @@ def initial_spin(scene: Scene, start: str) -> np.ndarray:
         raise InputError(f"initial is {start!r}; allowed are {', '.join(STARTS)} or a file with an array `spin`")
     from taichi_bearings.scene.array_files import read_arrays
 
-    spin = np.asarray(read_arrays(Path(start), ["spin"])["spin"], dtype=np.float64)
+    return _fitting(scene, read_arrays(Path(start), ["spin"])["spin"], start)
+
+
+def _fitting(scene: Scene, given: np.ndarray, source: str) -> np.ndarray:
+    """Spins that users bring, checked. source : where they are from, for people."""
+    if given.dtype.kind not in "fiu":
+        raise InputError(f"spin in {source} is of type {given.dtype}; it must be real numbers")
+    spin = given.astype(np.float64)
     expected = zero_spin(scene).shape
     if spin.shape == expected[1:]:
         spin = np.broadcast_to(spin, expected)
     if spin.shape != expected:
-        raise InputError(f"spin in {start} has shape {spin.shape}; this scene needs {expected[1:]} or {expected}")
+        raise InputError(f"spin in {source} has shape {spin.shape}; this scene needs {expected[1:]} or {expected}")
     if not np.isfinite(spin).all():
-        raise InputError(f"spin in {start} holds a value that is not finite")
+        raise InputError(f"spin in {source} holds a value that is not finite")
     return spin

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -55,6 +55,7 @@ class Scene:
     seeds: tuple[int, ...] = ()
     viscosity: tuple[np.ndarray, ...] = ()
     drawn: Mapping[str, str] = field(init=False, default_factory=dict)
+    DRAWN: ClassVar = ("distribution", "viscosity")
 
     @classmethod
     def random(
@@ -82,7 +83,7 @@ class Scene:
             most = MOST_SITES // 8 // lattice.sites
             raise InputError(f"replicas is {replicas}; with this shape at least 1 and at most {most} can be indexed")
         others["seeds"] = tuple(range(seed, seed + replicas))
-        sources = {"distribution": distribution, "viscosity": others.pop("viscosity", "uniform:0.1,1.0")}
+        sources = dict(zip(cls.DRAWN, (distribution, others.pop("viscosity", "uniform:0.1,1.0")), strict=True))
         found = []
         for draw, source in zip((draw_coefficients, draw_viscosities), sources.values(), strict=True):
             values = Distribution.parse(source) if isinstance(source, str) else source
@@ -90,10 +91,14 @@ class Scene:
             found.append(tuple(np.stack(part) if replicas > 1 else part[0] for part in parts))
         if len(law.quantities) > 1:
             others["viscosity"] = found[1]
-        scene = cls(found[0], law, spin_top, spin_bottom, direction, **others)
         texts = {name: source for name, source in sources.items() if isinstance(source, str)}
-        object.__setattr__(scene, "drawn", texts if len(texts) == len(sources) else {})
-        return scene
+        scene = cls(found[0], law, spin_top, spin_bottom, direction, **others)
+        return scene.drawn_from(texts if len(texts) == len(sources) else {})
+
+    def drawn_from(self, distributions: Mapping[str, str]) -> "Scene":
+        """The scene, known to be drawn from its seeds. A scene that is made from it with changes is not."""
+        object.__setattr__(self, "drawn", distributions)
+        return self
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "law", law_named(self.law))
@@ -172,14 +177,13 @@ class Scene:
         """One of the samples alone."""
         if self.replicas == 1:
             return self
-        scene = replace(
+        one = replace(
             self,
             coefficients=tuple(values[number] for values in self.coefficients),
             viscosity=tuple(values[number] for values in self.viscosity),
             seeds=(self.seeds[number],),
         )
-        object.__setattr__(scene, "drawn", self.drawn)
-        return scene
+        return one.drawn_from(self.drawn)
 
     @property
     def replicas(self) -> int:

@@ -35,7 +35,8 @@ class Report:
     stop: StopRule
 
 
-Monitor = Callable[[Report], None]
+Monitor = Callable[[Report], bool | None]
+"""Hears of each check; the solve ends as if interrupted where it returns True."""
 IMPATIENCE = 5.0  # seconds
 STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 
@@ -157,11 +158,11 @@ class _Course:
             elapsed = self.elapsed
             self.recorder.take(progress, best.bound, elapsed)
             gap = relative_gap(scene, best.objective, best.bound)
-            for monitor in monitors:
-                monitor(Report(progress, best.objective, gap, elapsed, stop))
+            report = Report(progress, best.objective, gap, elapsed, stop)
+            unwanted = [monitor(report) for monitor in monitors].count(True) > 0
             stalled = progress.exhausted or best.has_stalled(iteration, float(gap.max()))
             status = stop.judge(scene, progress, best.objective, best.bound, self._seconds_of_this_call, stalled)
-            if status is None and self.interrupt.heard:
+            if status is None and (self.interrupt.heard or unwanted):
                 status = Status.INTERRUPTED
             if status is not None:
                 if not on_the_way:

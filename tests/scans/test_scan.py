@@ -229,7 +229,7 @@ def test_workers_that_never_work_end_the_scan_in_one_sentence(plan_of, monkeypat
     units = [(sample,) for sample in plan.samples]
     engine = LocalEngine(scan_faults.die, 2)
     with pytest.raises(BearingsError, match="ended one after the other"):
-        run_samples(units, engine, lambda _: None, lambda *_: None, lambda: True, failure)
+        list(run_samples(units, engine, lambda *_: None, failure))
     engine.close()
 
 

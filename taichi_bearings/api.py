@@ -1,0 +1,373 @@
+"""The front door: scenes, answers and what they are made of, with or without files. `bearings` calls the same.
+
+import taichi_bearings as tb
+
+scene = tb.Scene.random((10, 10, 10), seed=3, spin_bottom=0.1)
+best = tb.solve(scene, tolerance=1e-9)
+"""
+
+import html
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.options import options_of
+from taichi_bearings.proof.contact_state import ContactState, count
+from taichi_bearings.runs import run as runs
+from taichi_bearings.runs.analyse import Analysis
+from taichi_bearings.runs.figures import draw_figure
+from taichi_bearings.runs.run_directory import run_directory
+from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runtime import available_threads
+from taichi_bearings.scans.many import SceneTask, solve_all
+from taichi_bearings.scene import Scene, Snapshots
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import MethodOptions
+from taichi_bearings.solvers.drive import Report
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a callback is told at each check of a solve. A number, or with several samples (R,), where R is named.
+
+    iteration : of the method. seconds : wall time so far. time : simulated time of a dynamics, else None.
+    power : R, what the method brings down, energy/time (for "coulomb-viscous" its potential).
+    gap : R, proven relative distance to the least value. tolerance : of the gap, at which the solve is done.
+    """
+
+    iteration: int
+    seconds: float
+    time: float | None
+    power: Any
+    gap: Any
+    tolerance: float
+
+
+def _field(doc: str, find: Callable[[runs.Run], Any]) -> Any:
+    """A field of :class:`Result`; arrays lose the axis of replicas where there is a single sample."""
+    return property(lambda result: result._of_samples(find(result._run)), doc=doc)
+
+
+def _states(which: ContactState) -> Any:
+    return _field(
+        f"Number of contacts that are {which.name.lower()}; with several samples (R,).",
+        lambda run: np.array(count(run.solution.state, which)),
+    )
+
+
+class Result:
+    """An answer: what was solved, how it ended, and spins, slips and forces with what is proven of them.
+
+    It is the same whether it was solved just now or read from a file. A single sample has numbers and arrays without an
+    axis of replicas. Of several samples, (R,) are arrays with one number each, and every array has a leading axis R;
+    `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz).
+    What lies on contacts is a tuple with an array an axis, x, y(, z), of the shapes of `scene.coefficients`.
+    """
+
+    def __init__(self, run: runs.Run) -> None:
+        self._run = run
+
+    scene = property(lambda self: self._run.solution.scene, doc="The :class:`Scene` that was solved.")
+    settings = property(
+        lambda self: self._run.settings.given,
+        doc="Options that differ from their defaults, by name as in `bearings run`: how to solve the scene again.",
+    )
+    path = property(lambda self: self._run.path, doc="Directory or file of the run; None if it is in none.")
+    method = property(lambda self: self._run.solution.method, doc='Name of the method, such as "interior-point".')
+    status = _field(
+        'How it ended: "certified" (the gap is within the tolerance), "stationary" or "finished" (a dynamics), '
+        '"stalled", "step-limit", "time-limit", "interrupted" (by Ctrl-C or a callback), "not-finite"; a list with one '
+        "text a sample where there are several.",
+        lambda run: [status.value for status in run.status],
+    )
+    reached = property(
+        lambda self: all(status.reached for status in self._run.status), doc="True if what was asked for was reached."
+    )
+    power = _field("Dissipated power, energy/time; (R,).", lambda run: run.solution.power)
+    lower_bound = _field(
+        "Proven: no spins dissipate less, energy/time; (R,). Of the potential where the law has one of its own.",
+        lambda run: run.solution.lower_bound,
+    )
+    gap = _field(
+        "Proven relative distance to the minimum, (power - lower_bound) / power; (R,).", lambda r: r.solution.gap
+    )
+    potential = _field(
+        "What the stationary state minimises, energy/time; (R,). The power, but for the law coulomb-viscous.",
+        lambda run: run.solution.objective,
+    )
+    spin = _field(
+        "Spins in the laboratory frame, 1/time; (nx, ny) in 2D, (nx, ny, nz, 3) in 3D.", lambda run: run.solution.spin
+    )
+    spin_rounding = _field(
+        "What rounding leaves out of `spin`, the same shape and unit: the spins are the sums of both.",
+        lambda run: run.solution.spin_rounding,
+    )
+    slip = _field("Slip speed of each contact, length/time; an array an axis.", lambda run: run.solution.slip)
+    power_per_contact = _field(
+        "Power dissipated at each contact, energy/time; an array an axis.", lambda run: run.solution.power_per_contact
+    )
+    force = _field(
+        "Magnitude of the tangential force of each contact, force; an array an axis.", lambda run: run.solution.force
+    )
+    friction = _field(
+        "Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D "
+        "(*contacts), its component along z x n. The lower bound follows from it. Empty if the file has none.",
+        lambda run: run.solution.friction,
+    )
+    state = _field(
+        "State of each contact: 0 slipless, 1 slipping, 2 undecided, 3 between driven spheres; an array an axis.",
+        lambda run: run.solution.state,
+    )
+    slip_bound = _field(
+        "Proven: no minimum slips faster at a contact, length/time; an array an axis. Empty where nothing is known.",
+        lambda run: run.solution.slip_bound,
+    )
+    slipping, slipless, undecided = map(_states, (ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED))
+    states_proven = _field(
+        "True if the contact states are proven to be those of every minimum; (R,).", lambda run: run.solution.resolved
+    )
+    slip_threshold = property(
+        lambda self: self._run.solution.slip_threshold,
+        doc="Slip speed below which contacts count as slipless, length/time.",
+    )
+    largest_balance_residual = _field(
+        "Largest torque left over on a free sphere, force * length; (R,).", lambda run: run.solution.unbalanced_torque
+    )
+    iterations = property(lambda self: self._run.solution.iterations, doc="Iterations of the method, or time steps.")
+    seconds = property(lambda self: self._run.solution.seconds, doc="Wall time of the solve, s, compilation apart.")
+    seconds_compile = property(lambda self: self._run.solution.seconds_compile, doc="Wall time to get ready, s.")
+    findings = property(
+        lambda self: {name: self._of_samples(values) for name, values in self._run.solution.findings.items()},
+        doc="What else the method has found, by name; numbers, (R,).",
+    )
+    summary = property(lambda self: self._run.summary, doc="All numbers by name, as `bearings run --json` prints them.")
+
+    @property
+    def history(self) -> dict[str, np.ndarray]:
+        """The way to the answer: columns (checks,); of several samples (R, checks), but for these three.
+
+        iteration. seconds : wall time, s. time : simulated time of a dynamics. power, lower_bound : energy/time.
+        unbalanced_torque : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
+        dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps books.
+        """
+        columns = self._run.solution.history.items()
+        return {name: values if values.ndim == 1 else self._of_samples(values.T) for name, values in columns}
+
+    @property
+    def snapshots(self) -> Snapshots | None:
+        """Spins of a dynamics on its way, where they were asked for: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
+        1/time; of several samples (R, S, ...)."""
+        kept = self._run.solution.snapshots
+        return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
+
+    def _of_samples(self, values: Any) -> Any:
+        """The values of all samples, (R, ...) or tuples of such, as users meet them."""
+        if self._run.solution.scene.replicas > 1:
+            return values
+        if isinstance(values, tuple):
+            return tuple(part[0] for part in values)
+        return values[0].item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
+
+    def __len__(self) -> int:
+        return self._run.solution.scene.replicas
+
+    def __getitem__(self, number: int) -> "Result":
+        """One of the samples as if it had been solved alone."""
+        settings, samples = self._run.settings, len(self)
+        if not -samples <= number < samples:
+            raise IndexError(f"sample {number} of {samples}")
+        if samples == 1:
+            return self
+        solution, spin = self._run.solution.sample(number % samples), self._run.spin
+        settings = replace(settings, seed=solution.scene.seeds[0], replicas=1)
+        start = None if spin is None else spin[[number % samples]]
+        return Result(replace(self._run, settings=settings, solution=solution, spin=start))
+
+    def __iter__(self) -> Iterator["Result"]:
+        return (self[number] for number in range(len(self)))
+
+    def __repr__(self) -> str:
+        shape = "x".join(map(str, self.scene.lattice.shape))
+        words = f"<Result {shape} {self.scene.law}, {self.method}"
+        if len(self) > 1:
+            done = sum(status.reached for status in self._run.status)
+            return f"{words}: {len(self)} samples, {done} reached, gap at most {self.gap.max():.1e}>"
+        return f"{words}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s>"
+
+    def _repr_html_(self) -> str:
+        """A table for notebooks, a row a sample."""
+        names = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
+        columns = [np.atleast_1d(self.summary[name]).tolist() for name in names]
+        rows = list(zip(*columns, strict=True))[:MOST_ROWS]
+        cells = ("".join(f"<td>{html.escape(_short(value))}</td>" for value in row) for row in rows)
+        body = "".join(f"<tr>{row}</tr>" for row in cells)
+        head = "".join(f"<th>{name.replace('_', ' ')}</th>" for name in names)
+        more = f"<br>and {len(self) - MOST_ROWS} more samples" if len(self) > MOST_ROWS else ""
+        return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{more}"
+
+    def plot(self, kind: str = "spins", sample: int = 0, time: float | None = None) -> Figure:
+        """A figure, which neither shows itself nor changes a setting of matplotlib; `.savefig("a.png")` writes it.
+
+        kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network", "plane_cuts",
+            "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution".
+        sample : which of several. time : of the snapshot whose spins are drawn.
+        """
+        return draw_figure(kind, self._run.solution, sample, time, self._run.settings.slip_threshold)
+
+    def save(self, path: str | Path, force: bool = False) -> Path:
+        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
+
+        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
+        """
+        with run_directory(Path(path), force) as directory:
+            self._run = runs.publish(directory, replace(self._run, spin=self._run.start))
+        assert self._run.path is not None
+        return self._run.path
+
+
+MOST_ROWS = 20  # of a table in a notebook
+
+
+def _short(value: Any) -> str:
+    return format(value, ".10g") if isinstance(value, float) else str(value)
+
+
+OPTIONS = (
+    "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision", "threads",
+)  # fmt: skip
+"""What :func:`solve` takes beside its own arguments: settings of a run that belong to no method and no scene."""
+
+
+def solve(
+    scene: Scene,
+    method: str | MethodOptions = "auto",
+    tolerance: float = 1e-8,
+    start: str | np.ndarray = "linear",
+    callback: Callable[[Check], bool | None] | None = None,
+    **options: Any,
+) -> Result:
+    """Solve a scene; no file is read or written.
+
+    method : "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
+        `CundallStrack(stiffness=1e6)`.
+    tolerance : proven relative gap at which it is done.
+    start : spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
+        `Result.spin`.
+    callback : hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
+    options : `iterations` at most; `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the
+        simulated times `record` of the rows of the history and `snapshots` of spins that are kept, as numbers or as
+        "log:start,stop,count"; `slip_threshold`, length/time, up to which contacts count as slipless; `arch`, "cpu",
+        "cuda", "vulkan", "metal" or "auto"; `precision`, "f64" or "f32"; `threads`, 0 for all.
+
+    Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
+    """
+    monitors = [] if callback is None else [_monitor(scene, callback)]
+    settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
+    solution = runs.solve_job(runs.job_of(settings, scene, spin), monitors)
+    return Result(runs.Run(settings, solution, spin, command="taichi_bearings.solve"))
+
+
+def solve_many(
+    scenes: Iterable[Scene],
+    method: str | MethodOptions = "auto",
+    tolerance: float = 1e-8,
+    start: str | np.ndarray = "linear",
+    workers: int = 0,
+    **options: Any,
+) -> Iterator[Result]:
+    """Solve scenes in processes of their own; gives the answers as they come, in whatever order.
+
+    `answer.scene` is the very scene that was given, which tells them apart. The other arguments are those of
+    :func:`solve`; each process has one thread unless `threads` says otherwise.
+    workers : processes at most; 0 for one a processor.
+
+    Raises InputError before anything is computed, and BearingsError for the first scene that has no answer.
+    """
+    if workers < 0:
+        raise InputError(f"workers is {workers}; it must be 1 or more, or 0 for one a processor")
+    given = {"tolerance": tolerance, **options}
+    tasks = [SceneTask(number, *_task(scene, method, given, start)) for number, scene in enumerate(scenes)]
+    found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
+    return (Result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
+
+
+def analyse(result: Result | str | Path, threshold: float | None = None, sample: int = 0) -> Analysis:
+    """Minimum cut, slipless network, rigid domains, bottlenecks and forces of an answer, or of a run in a file.
+
+    threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
+    sample : the one of several that is shown in figures and as `structure`.
+    """
+    run = (result if isinstance(result, Result) else load(result))._run
+    return Analysis(run.solution, [status.value for status in run.status], threshold, sample)
+
+
+def load(path: str | Path) -> Result:
+    """Read a run directory or its run.h5, whatever wrote it; FileError if it is missing, damaged or was changed."""
+    stored = read_run_file(Path(path))
+    command = str(stored.attributes.get("command", ""))
+    place = stored.path.parent if stored.path.name == "run.h5" else stored.path
+    return Result(runs.Run(runs.settings_of(stored), stored.solution, path=place, command=command))
+
+
+def _task(
+    scene: Scene, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
+) -> tuple[RunSettings, Scene, np.ndarray]:
+    settings, spin = _settings(scene, method, options, start)
+    runs.job_of(settings, scene, spin)  # refuses what cannot be
+    return settings, scene, spin
+
+
+def _settings(
+    scene: Scene, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
+) -> tuple[RunSettings, np.ndarray]:
+    """The settings of `bearings run` that solve this scene, and the spins to start from; arrays lie beside it."""
+    if not isinstance(scene, Scene):
+        raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene")
+    for name in options:
+        if name not in ("tolerance", *OPTIONS):
+            raise InputError(
+                f"{name} is no option of solve, which has {', '.join(OPTIONS)}; "
+                "options of a method belong to it, as in CundallStrack(stiffness=1e6)"
+            )
+    values: dict[str, Any] = {name: getattr(scene, name) for name in OF_SCENE}
+    values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
+    values |= scene.drawn or {"coefficients": "run.h5"}
+    if isinstance(method, MethodOptions):
+        declared = options_of(method)
+        chosen = {name: getattr(method, name) for name in declared}
+        values |= {name: value for name, value in chosen.items() if value != declared[name].default}
+        method = method.name
+    named = start if isinstance(start, str) else "initial_spin.npz"
+    values |= {"method": method, "initial": named, **options}
+    return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start)
+
+
+OF_SCENE = ("spin_top", "spin_bottom", "direction", "normal_force", "radius")
+
+
+def _monitor(scene: Scene, callback: Callable[[Check], bool | None]) -> Callable[[Report], bool | None]:
+    """A callback of a user as the loop knows it."""
+
+    def plain(values: np.ndarray) -> Any:
+        return values if scene.replicas > 1 else float(values[0])
+
+    def monitor(report: Report) -> bool | None:
+        progress = report.progress
+        return callback(
+            Check(
+                iteration=progress.iteration,
+                seconds=report.seconds,
+                time=progress.time,
+                power=plain(report.objective),
+                gap=plain(report.gap),
+                tolerance=report.stop.tolerance,
+            )
+        )
+
+    return monitor

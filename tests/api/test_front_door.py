@@ -1,0 +1,264 @@
+"""The Python front door: scenes and answers without files, saved and read back, many at a time."""
+
+import pickle
+import re
+import threading
+from dataclasses import fields
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.runs.verify import verify
+
+ROOT = Path(__file__).parents[2]
+SCENES = {  # name -> how it is made
+    "2D": lambda: tb.Scene.random((4, 5), seed=3),
+    "3D": lambda: tb.Scene.random((3, 4, 5), seed=3, spin_bottom=0.1),
+    "2D replicas": lambda: tb.Scene.random((4, 5), seed=3, replicas=3),
+    "3D replicas": lambda: tb.Scene.random((3, 4, 5), seed=3, replicas=2, law="viscous"),
+    "both": lambda: tb.Scene.random((3, 3, 4), seed=3, law="coulomb-viscous", viscosity="uniform:0.5,1"),
+    "given": lambda: tb.Scene(tuple(values[0] for values in drawn((3, 4, 5), 7)), direction=(1, 0, 0), seeds=(9,)),
+}
+
+
+def drawn(shape, *seeds):
+    """Coefficients by the contract: one draw an axis from the seed, with an axis of replicas."""
+    lattice = Lattice(shape)
+    rngs = [np.random.default_rng(seed) for seed in seeds]
+    return [
+        np.stack([rng.uniform(0.1, 1.0, lattice.contact_shape(axis)) for rng in rngs]) for axis in range(len(shape))
+    ]
+
+
+def same(one, other):
+    """True if two values of a field are the same to the last bit."""
+    if isinstance(one, (tuple, list)):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, dict):
+        return set(one) == set(other) and all(same(one[name], other[name]) for name in one)
+    if hasattr(one, "spin"):
+        return same(one.time, other.time) and same(one.spin, other.spin)
+    return np.array_equal(one, other, equal_nan=np.asarray(one).dtype.kind == "f") and type(one) is type(other)
+
+
+def public(kind):
+    return [name for name, value in vars(kind).items() if isinstance(value, property)]
+
+
+@pytest.fixture(params=SCENES)
+def solved(request, needs_f64):
+    return tb.solve(SCENES[request.param](), threads=1, tolerance=1e-8)
+
+
+def test_fields_have_the_shapes_that_help_tells(solved):
+    scene, samples = solved.scene, len(solved)
+    shape, lead = scene.lattice.shape, () if samples == 1 else (samples,)
+    vector = () if len(shape) == 2 else (3,)
+    for name in ("power", "lower_bound", "gap", "potential", "states_proven", "largest_balance_residual", "slipless"):
+        value = getattr(solved, name)
+        assert isinstance(value, (float, bool, int)) if samples == 1 else value.shape == (samples,), name
+    assert isinstance(solved.status, str) if samples == 1 else len(solved.status) == samples
+    assert solved.spin.shape == solved.spin_rounding.shape == (*lead, *shape, *vector)
+    for axis in range(len(shape)):
+        contacts = (*lead, *scene.lattice.contact_shape(axis))
+        for name in ("slip", "power_per_contact", "force", "state"):
+            assert getattr(solved, name)[axis].shape == contacts, name
+        assert solved.friction[axis].shape == (*contacts, *vector)
+        assert scene.coefficients[axis].shape == contacts
+    for name, column in solved.history.items():
+        of_all = name in ("iteration", "seconds", "time")
+        assert column.shape == ((len(solved.history["iteration"]),) if of_all else (*lead, len(column.T))), name
+
+
+def test_units_are_those_that_help_tells():
+    """With speeds twice as large and forces three times, everything scales as its unit says."""
+    x, y, z = (values[0] for values in drawn((3, 3, 4), 5))
+    one = tb.solve(tb.Scene((x, y, z), radius=0.5, normal_force=50.0), threads=1, tolerance=1e-8)
+    other = tb.solve(tb.Scene((x, y, z), spin_top=2.0, normal_force=150.0, radius=1.0), threads=1, tolerance=1e-8)
+    units = {"force": 3, "length": 2, "1/time": 2, "energy/time": 3 * 2 * 2, "length/time": 2 * 2}
+    for name, unit in (("power", "energy/time"), ("lower_bound", "energy/time"), ("spin", "1/time"),
+                       ("slip_threshold", "length/time")):  # fmt: skip
+        assert unit in getattr(tb.Result, name).__doc__, name
+        assert getattr(other, name) == pytest.approx(units[unit] * np.asarray(getattr(one, name)), rel=1e-6), name
+    for name, unit in (("slip", "length/time"), ("power_per_contact", "energy/time"), ("force", "force")):
+        assert unit in getattr(tb.Result, name).__doc__, name
+        for ours, theirs in zip(getattr(one, name), getattr(other, name), strict=True):
+            assert theirs == pytest.approx(units[unit] * ours, rel=1e-6, abs=1e-5), name
+
+
+def test_help_tells_of_every_field():
+    for name in public(tb.Result):
+        assert len(getattr(tb.Result, name).__doc__ or "") > 20, name
+    text = tb.Scene.__doc__
+    for item in fields(tb.Scene):
+        assert re.search(rf"\b{item.name}\b", text), item.name
+
+
+def test_what_is_loaded_is_what_was_solved_field_by_field(solved, tmp_path):
+    path = solved.save(str(tmp_path / "mine"))
+    assert path == solved.path
+    for place in (path, str(path), path / "run.h5"):
+        again = tb.load(place)
+        for name in public(tb.Result):
+            if name not in ("scene", "path", "summary"):
+                assert same(getattr(solved, name), getattr(again, name)), name
+        assert {**again.summary, "run": ""} == {**solved.summary, "run": ""}
+        assert repr(again.scene) == repr(solved.scene)
+        assert same(again.scene.coefficient, solved.scene.coefficient)
+        assert repr(again) == repr(solved)
+    assert verify(path)["contradictions"] == []
+    assert tb.analyse(path).report["domains"] == tb.analyse(solved).report["domains"]
+
+
+def test_a_saved_run_is_run_again_from_its_directory(solved, tmp_path):
+    from taichi_bearings.runs.run import build_scene
+    from taichi_bearings.runs.settings import RunSettings, read_toml
+
+    settings = RunSettings.from_mapping(read_toml(solved.save(tmp_path / "mine")))
+    scene = build_scene(settings)
+    assert same(scene.coefficient, solved.scene.coefficient)
+    assert same(scene.second_coefficient, solved.scene.second_coefficient)
+    assert (scene.direction, scene.seeds) == (solved.scene.direction, solved.scene.seeds)
+
+
+def test_one_of_several_samples_is_that_sample_alone(needs_f64):
+    together = tb.solve(tb.Scene.random((4, 5), seed=3, replicas=3), threads=1)
+    for number, one in enumerate(together):
+        alone = tb.solve(tb.Scene.random((4, 5), seed=3 + number), threads=1)
+        for name in ("power", "lower_bound", "spin", "slip", "state", "status", "settings"):
+            assert same(getattr(one, name), getattr(alone, name)), name
+    assert together[-1].power == together.power[2]
+    with pytest.raises(IndexError):
+        together[3]
+
+
+def test_a_course_in_time_keeps_its_snapshots_and_is_saved_with_its_start(tmp_path, needs_f64):
+    scene = tb.Scene.random((3, 4), seed=2, replicas=2)
+    start = np.random.default_rng(1).uniform(-1, 1, (2, 3, 4))
+    way = tb.solve(scene, tb.RigidLimit(error_tolerance=1e-2), start=start, duration=0.5, snapshots=[0, 0.1], threads=1)
+    assert way.reached
+    assert way.history["time"][-1] == pytest.approx(0.5)
+    assert way.snapshots.spin.shape == (2, 2, 3, 4)
+    assert same(way[1].snapshots.spin, way.snapshots.spin[1])
+    assert same(way.snapshots.spin[:, 0, :, 1], start[:, :, 1])
+    path = way.save(tmp_path / "way")
+    again = tb.load(path)
+    assert same(again.snapshots, way.snapshots)
+    with np.load(again.save(tmp_path / "copy") / "initial_spin.npz") as stored:
+        assert (stored["spin"] == start).all()
+    assert again.settings["error_tolerance"] == 1e-2
+
+
+def test_a_callback_hears_of_each_check_and_may_stop():
+    scene, heard = tb.Scene.random((4, 4, 5), seed=1), []
+
+    def enough(check):
+        heard.append(check)
+        return check.gap < 0.1
+
+    stopped = tb.solve(scene, "gradient-descent", callback=enough, threads=1)
+    assert stopped.status == "interrupted"
+    assert heard[-1].gap < 0.1 <= min(check.gap for check in heard[:-1])
+    assert isinstance(heard[0].power, float)
+    assert [check.iteration for check in heard] == sorted(check.iteration for check in heard)
+    assert not stopped.reached
+
+
+def test_a_distribution_of_ones_own(needs_f64):
+    own = tb.Scene.random((4, 5), seed=8, distribution=lambda rng, shape: rng.uniform(0.1, 1.0, shape))
+    ours = tb.Scene.random((4, 5), seed=8)
+    assert same(own.coefficients, ours.coefficients)
+    assert same(tb.Scene(own.coefficients).coefficients, tuple(values[0] for values in drawn((4, 5), 8)))
+    assert (dict(own.drawn), "seed 8" in repr(ours)) == ({}, True)
+    with pytest.raises(tb.InputError, match=r"gave an array of shape \(3,\); it was asked for \(3, 5\)"):
+        tb.Scene.random((4, 5), distribution=lambda rng, shape: np.ones(3))
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda s: tb.solve("scene"), "the scene is a str"),
+    (lambda s: tb.solve(s, "newton"), "method is 'newton'"),
+    (lambda s: tb.solve(s, tolerance=0), "tolerance is '0'"),
+    (lambda s: tb.solve(s, stiffness=1e6), "options of a method belong to it"),
+    (lambda s: tb.solve(s, duration=1.0), "does not use it; it needs --method rigid-limit"),
+    (lambda s: tb.solve(s, start=np.zeros(3)), "spin in start has shape"),
+    (lambda s: tb.solve(s, tb.LinearSolver()), "law is 'coulomb'"),
+    (lambda s: tb.solve_many([s], tb.LinearSolver()), "law is 'coulomb'"),
+    (lambda s: tb.solve_many([s], workers=-1), "workers is -1"),
+    (lambda s: tb.CundallStrack(stiffness=-1), "stiffness is '-1'"),
+    (lambda s: tb.load("nowhere"), "nowhere is not a run"),
+    (lambda s: tb.solve(s, threads=1).plot("colours"), "the figure is 'colours'"),
+    (lambda s: tb.analyse(tb.solve(s, threads=1), threshold=-1), "threshold is -1"),
+    (lambda s: tb.Scene((np.ones((3, 5)), np.ones((4, 4)), 1)), "coefficients along z have shape"),
+    (lambda s: tb.Scene((np.ones((3, 5)),)), "coefficients are 1 arrays"),
+    (lambda s: tb.Scene(s.coefficients, viscosity=s.coefficients), "viscosities must not be given"),
+    (lambda s: tb.Scene(("a", "b")), "must be real numbers"),
+    (lambda s: tb.Scene.random((4, 5), distribution="normal"), "distribution is 'normal'"),
+    (lambda s: tb.Scene.random((4, 5), replicas=0), "replicas is 0"),
+])  # fmt: skip
+def test_what_cannot_be_is_refused_in_one_sentence(call, words):
+    with pytest.raises(tb.InputError) as refused:
+        call(tb.Scene.random((4, 5), seed=1))
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_everything_is_shown_in_one_line_and_as_a_table(solved):
+    for shown in (solved, solved.scene, tb.analyse(solved)):
+        assert len(repr(shown).splitlines()) == 1
+        assert len(repr(shown)) < 160
+    assert solved._repr_html_().count("<tr>") == 1 + len(solved)
+
+
+def test_figures_need_no_file(needs_f64):
+    found = tb.solve(tb.Scene.random((4, 4, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-3, threads=1)
+    for kind in ("spins", "power", "history", "domains", "cut_surface"):
+        assert found.plot(kind).axes
+
+
+def test_many_scenes_come_as_they_are_solved_in_processes_of_their_own():
+    scenes = [tb.Scene.random((4, 5), seed=seed) for seed in range(3)]
+    answers = list(tb.solve_many(scenes, "gradient-descent", 1e-3, workers=2, precision="f32"))
+    assert {id(answer.scene) for answer in answers} == {id(scene) for scene in scenes}
+    for answer in answers:
+        assert answer.summary["precision"] == "f32"
+        assert answer.gap <= 1e-3
+    assert list(tb.solve_many([])) == []
+
+
+def test_a_thread_that_is_not_the_main_one_solves(precision):
+    found, scene = [], tb.Scene.random((4, 5), seed=1)
+    solving = threading.Thread(
+        target=lambda: found.append(tb.solve(scene, "gradient-descent", 1e-3, threads=1, precision=precision))
+    )
+    solving.start()
+    solving.join()
+    assert found[0].reached
+
+
+def test_another_precision_in_the_same_process_is_refused_with_what_to_do(precision):
+    other = {"f64": "f32", "f32": "f64"}[precision]
+    with pytest.raises(tb.DeviceError, match=r"by taichi_bearings\.solve_many"):
+        tb.solve(tb.Scene.random((3, 4)), "gradient-descent", precision=other)
+
+
+def test_scenes_and_answers_are_pickled(solved):
+    again = pickle.loads(pickle.dumps(solved))
+    assert same(again.power, solved.power)
+    assert repr(again.scene) == repr(solved.scene)
+
+
+def test_files_from_before_have_fewer_fields(tmp_path, needs_f64):
+    path = tb.solve(tb.Scene.random((4, 5), seed=1), threads=1).save(tmp_path / "a")
+    with h5py.File(path / "run.h5", "r+") as file:
+        del file.attrs["sha256"], file.attrs["findings"], file.attrs["states_proven"]
+        for axis in "xy":
+            del file[f"contact/{axis}/friction"], file[f"contact/{axis}/slip_bound"]
+    old = tb.load(path)
+    assert (old.friction, old.slip_bound, old.states_proven) == ((), (), False)
+    assert old.findings["tied_contacts"] == 0
+    with pytest.raises(AttributeError, match="no 'driving_torque'"):
+        tb.analyse(old).driving_torque  # noqa: B018
