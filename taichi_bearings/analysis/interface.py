@@ -2,7 +2,7 @@
 
 If every sphere turned with the bottom or with the top, all slip would be at the interface of the two domains, and the
 lightest one would dissipate least. In 2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous
-law, states between the two dissipate less (PHYSICS 3).
+law, states between the two dissipate less (equations.md, 5).
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 Staggered spins are measured from the bottom plane in units of the imposed jump, forces in units of the sample's mean
 coefficient times the normal force, so that every number is of order one whatever units the scene is in. Contacts of one
-lattice axis form a group: the vectors (d, n) across its n contacts have d components (PHYSICS 3).
+lattice axis form a group: the vectors (d, n) across its n contacts have d components (equations.md).
 """
 
 from collections.abc import Callable, Iterator, Sequence

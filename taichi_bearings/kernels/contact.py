@@ -1,10 +1,11 @@
 """The physics of one contact, for any lattice and any set of spin components.
 
-In staggered spins (PHYSICS 3) the slip velocity of paper Eq. (2) has the length R |D|, where D is the difference of the
-spins of the upper and the lower sphere without its component along the contact; slip and friction force are parallel to
-D turned by 90 degrees about the contact, a turn that drops out of every power and torque. So a contact works on D:
-only the components across it take part, e.g. both for a z-contact driven along x + y, one for an x-contact, and the
-one component there is in 2D. Kernels hold them as lists of numbers, not as vectors, which would not turn into SIMD.
+In staggered spins (equations.md) the slip velocity of paper Eq. (2) has the length R |D|, where D is the difference of
+the spins of the upper and the lower sphere without its component along the contact; slip and friction force are
+parallel to D turned by 90 degrees about the contact, a turn that drops out of every power and torque. So a contact
+works on D: only the components across it take part, e.g. both for a z-contact driven along x + y, one for an x-contact,
+and the one component there is in 2D. Kernels hold them as lists of numbers, not as vectors, which would not turn into
+SIMD.
 """
 
 from taichi_bearings.compiler import ti

@@ -96,7 +96,7 @@ def minima_of(scene: Scene) -> Minima:
 def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
     """Staggered spins (3, R, nx, ny, nz) less the mean of each free layer about the height.
 
-    That part makes no contact slip and never changes (PHYSICS 3.3).
+    That part makes no contact slip and never changes (equations.md, 3).
     """
     rest = staggered.copy()
     free = rest[2, ..., 1:-1]

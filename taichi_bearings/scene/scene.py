@@ -209,8 +209,8 @@ class Scene:
     def minimum_spin_axes(self) -> tuple[int, ...]:
         """Components the minimum needs.
 
-        Where top and bottom agree, the staggered spin is constant (PHYSICS 3.3). Nor is the component along the height
-        of a cubic lattice ever needed: contacts along the height do not feel it, so it is constant in each layer.
+        Where top and bottom agree, the staggered spin is constant (equations.md, 3). Nor is the component along the
+        height of a cubic lattice ever needed: contacts along it do not feel it, so it is constant in each layer.
         """
         jump = self.jump_pair[0]
         height = self.lattice.height_axis
@@ -220,7 +220,7 @@ class Scene:
     def driven_values(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Staggered spin (C,) of the bottom and of the top plane: zero and the jump.
 
-        All staggered spins are measured from the bottom, whose bearing state makes no contact slip (PHYSICS 3.1).
+        All staggered spins are measured from the bottom, whose bearing state makes no contact slip (equations.md, 1).
         Where the driving is nearly equal, slips are then not lost in the rounding of the spins.
         """
         top = self.jump_pair[0][list(spin_axes)]
@@ -357,7 +357,7 @@ class Scene:
         )
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Staggered spins (C, R, *N) in the interval of the driven values (PHYSICS 3.4).
+        """Staggered spins (C, R, *N) in the interval of the driven values (equations.md, 4).
 
         A minimiser lies there, and clipping never raises the power.
         """

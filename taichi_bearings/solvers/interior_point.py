@@ -1,10 +1,10 @@
 """Primal-dual interior-point method for laws with friction: a proven minimum to round-off in some twenty Newton steps.
 
 The least power is the minimum of sum_e mu_e b_e over spins and bounds b_e >= |slip_e|; its dual maximises the work of
-the driven planes over balanced contact forces with |f_e| <= mu_e F_n (PHYSICS 4). Both are followed along the central
-path (central_path.py). Bounds above the slips and zero forces are strictly inside, so that from the first step on there
-are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian over the free
-spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
+the driven planes over balanced contact forces with |f_e| <= mu_e F_n (equations.md, 7). Both are followed along the
+central path (central_path.py). Bounds above the slips and zero forces are strictly inside, so that from the first step
+on there are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian over
+the free spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
 
 Viscosity adds half its power to what is least, and its stiffness to that Laplacian. Near the end the contact states are
 settled: exactly, with a proof, where resolution.py can and friction acts alone; else by the ratio of slip and friction

@@ -1,8 +1,8 @@
 """The viscous law solved to round-off: its power is a quadratic form, so the minimum is one linear system.
 
-The system falls apart (PHYSICS 3). Spin components decouple; component k is coupled only by the contacts that are not
-along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas are
-independent anyway. The planes of a bundle are factorised together, as one sparse matrix.
+The system falls apart (equations.md, 2). Spin components decouple; component k is coupled only by the contacts that are
+not along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas
+are independent anyway. The planes of a bundle are factorised together, as one sparse matrix.
 
 With coefficients over many decades the difference of two spins that a stiff contact ties together drowns in the
 rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and

@@ -2,8 +2,8 @@
 
 A component k is coupled only by the contacts that are not along k, so that a square lattice, or each plane k = constant
 of a cubic one, is a grid of its own. With one component the power is a sum of weighted |differences|, and some
-minimiser takes no other values than the two driven ones (PHYSICS 3.5): all slip happens at the interface between the
-spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
+minimiser takes no other values than the two driven ones (equations.md, 5): all slip happens at the interface between
+the spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
 proves it and is the friction (planar/cuts.py). Every minimum is a mixture of lightest cuts, grid by grid: a contact
 slips at all minima if it is in all of these cuts, and at some if it is in some.
 """

@@ -2,13 +2,13 @@
 
 Where Cundall and Strack give every contact a spring, nonsmooth contact dynamics (Moreau 1988; Jean 1999) lets friction
 act at once: a contact that slips bears all its friction, one that does not bears what is needed. Then the motion is the
-steepest descent of the power in the metric of the inertia (PHYSICS 3.6), and a step is the minimum of the power plus
-I |change of the spins|^2 / (2 h), found to round-off (proximal.py). The power cannot rise, however long the step; the
-forces of the step obey the law of friction, and near rest they prove how far the power is from its minimum.
+steepest descent of the power in the metric of the inertia (equations.md, 6), and a step is the minimum of the power
+plus I |change of the spins|^2 / (2 h), found to round-off (proximal.py). The power cannot rise, however long the step;
+the forces of the step obey the law of friction, and near rest they prove how far the power is from its minimum.
 
 The error of a step is estimated as in codes for stiff equations: by the difference from what the forces of the step
 before would have done. Components of the spins that have died out (the one about the height, after a random start)
-are set to rest and cost nothing from then on; where they have, they never start again (PHYSICS 3.3).
+are set to rest and cost nothing from then on; where they have, they never start again (equations.md, 3).
 """
 
 from collections.abc import Mapping

@@ -9,8 +9,8 @@ Let T be the contacts without any slip and S the others. Spheres joined by T are
    domain is in balance as a whole, or held by a driven plane: so forces along the contacts that join it, none larger
    than E_D, take away what is left over. If then every contact of T stays inside its friction disc, the result is in
    balance and admissible, and it agrees with the law at every contact: the minimum of step 1 is one of the whole power.
-3. All minima share all optimal forces (PHYSICS 4): where the friction is below its limit nothing slips. So T rests at
-   every minimum; every minimum then is one of step 1, where there is only one, and S slips at it.
+3. All minima share all optimal forces (equations.md, 7): where the friction is below its limit nothing slips. So T
+   rests at every minimum; every minimum then is one of step 1, where there is only one, and S slips at it.
 
 With one component (all of 2D, and cubic lattices driven about x or y) step 1 has no curvature. There minima are
 mixtures of lightest cuts, and friction in balance leaves room on them for no more than the gap G between the bounds: a

@@ -1,4 +1,4 @@
-"""A bearing state dissipates nothing: constant staggered spins, and in 3D any f(x), g(y), h(z) (PHYSICS 3.1)."""
+"""A bearing state dissipates nothing: constant staggered spins, and in 3D any f(x), g(y), h(z) (equations.md, 1)."""
 
 import numpy as np
 import pytest

@@ -185,7 +185,7 @@ def test_friction_and_viscosity_come_to_rest_at_the_least_potential():
 
 @pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
 def test_energy_books_and_layer_means_are_kept_to_round_off(law):
-    """No contact turns a whole layer about the height, so a random start keeps the layers' means (PHYSICS 3.3)."""
+    """No contact turns a whole layer about the height, so a random start keeps the layers' means (equations.md, 3)."""
     scene = make_scene((4, 3, 5), law, spin_bottom=-0.3, seeds=(5, 6))
     spin = initial_spin(scene, "random")
     method = begun(scene, spin, error_tolerance=0.1)

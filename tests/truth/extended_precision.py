@@ -2,7 +2,8 @@
 
 Mehrotra's predictor-corrector method with the scaling of Nesterov and Todd (Vandenberghe, "The CVXOPT linear and
 quadratic cone program solvers", 2010) in numbers of 700 bits or more (python-flint). Unknowns are the staggered spins
-of the free spheres from the bottom, in units of the imposed jump; only components that the minimum needs (PHYSICS 3.3).
+of the free spheres from the bottom, in units of the imposed jump; only components that the minimum needs
+(equations.md, 3).
 
     primal:  min sum_e mu_e s_e  with |d_e| <= s_e, d = A u + b      dual:  max f . b  with A' f = 0, |f_e| <= mu_e
 
