@@ -45,9 +45,9 @@ def cut_weights(scene: Scene) -> tuple[np.ndarray, ...]:
 
     Viscous contacts weigh by the square of their slip, and viscosities beside a friction by their share in it.
     """
-    beside_friction = scene.lattice.radius * scene.jump / scene.normal_force
-    parts = (scene.coefficient, tuple(beside_friction * values for values in scene.second_coefficient))
-    coefficients = zip(*(part for part in parts if part), strict=True)
+    units = (1.0, scene.lattice.radius * scene.jump / scene.normal_force)
+    parts = zip(units, scene.named_coefficients.values(), strict=False)
+    coefficients = zip(*(tuple(unit * values for values in part) for unit, part in parts), strict=True)
     across = (np.linalg.norm(np.delete(scene.axis_vector, axis)) for axis in range(scene.lattice.dimension))
     return tuple(scene.law.objective(of, np.asarray(slip)) for of, slip in zip(coefficients, across, strict=True))
 

@@ -157,20 +157,15 @@ class Scene:
         """The coefficients with the axis of replicas, one array (R, *contacts) an axis."""
         return self._with_replicas(self.coefficients)
 
-    @cached_property
-    def second_coefficient(self) -> tuple[np.ndarray, ...]:
-        """The same of the viscosities; empty for laws that have no second coefficient."""
-        return self._with_replicas(self.viscosity)
-
     def _with_replicas(self, parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         return tuple(
             values.reshape(self.replicas, *self.lattice.contact_shape(axis)) for axis, values in enumerate(parts)
         )
 
-    @property
+    @cached_property
     def named_coefficients(self) -> dict[str, tuple[np.ndarray, ...]]:
         """Those of the law with the axis of replicas, by their name in files, in the order of the law."""
-        found = {"coefficient": self.coefficient, "viscosity": self.second_coefficient}
+        found = {"coefficient": self.coefficient, "viscosity": self._with_replicas(self.viscosity)}
         return {name: values for name, values in found.items() if values}
 
     def sample(self, number: int) -> "Scene":
@@ -255,25 +250,24 @@ class Scene:
         """The coefficients with 0 for contacts between two driven spheres, which take no part."""
         return self._acting(self.coefficient)
 
-    @cached_property
-    def acting_viscosity(self) -> tuple[np.ndarray, ...]:
-        """The same of the viscosities; empty for laws that have no second coefficient."""
-        return self._acting(self.second_coefficient)
-
     def _acting(self, values: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         return tuple(np.where(self.lattice.between_driven(axis), 0.0, part) for axis, part in enumerate(values))
+
+    @cached_property
+    def contact(self) -> tuple[Coefficients, ...]:
+        """What the functions of the law take for the contacts of each axis, 0 between two driven spheres."""
+        found = []
+        for quantity, values in zip(self.law.quantities, self.named_coefficients.values(), strict=True):
+            unit = self.normal_force if quantity.is_friction else 1.0
+            found.append(tuple(unit * part for part in self._acting(values)))
+        return tuple(zip(*found, strict=True))
 
     @property
     def viscosities(self) -> tuple[np.ndarray, ...]:
         """Slope of the force over the slip of every contact, one array (R, *contacts) an axis; 0 between driven
         spheres, empty for laws without."""
-        return self.acting_viscosity if self.law.holds else self.acting_coefficient if self.law.flows else ()
-
-    @cached_property
-    def contact(self) -> tuple[Coefficients, ...]:
-        """What the functions of the law take for the contacts of each axis, 0 between two driven spheres."""
-        held = tuple(self.strength * values for values in self.acting_coefficient)
-        return tuple(zip(*(part for part in (held, self.acting_viscosity) if part), strict=True))
+        found = (self.law.viscosity(of) for of in self.contact)
+        return tuple(values for values in found if values is not None)
 
     def power_of(self, slip: np.ndarray, axis: int) -> np.ndarray:
         """Power dissipated at the contacts of `axis` with slip speed `slip` (R, *contacts)."""

@@ -77,7 +77,7 @@ class CundallStrackMethod:
         fields.load("is_free", is_free.astype(np.float64))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
         if scene.viscosity:  # over the radius, as the force of the device law
-            fields.load("viscosity", scene.lattice.radius * layout.at_lower_sphere(scene.acting_viscosity))
+            fields.load("viscosity", scene.lattice.radius * layout.at_lower_sphere(scene.viscosities))
         self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
         self.steps = cundall_strack_steps(self.spec, self.stencil, CORRECTORS[options.gear_order])
         self.steps.compile(fields, self.team)
@@ -313,7 +313,7 @@ def sticking_modes(
     strongest = max(float(values.max(initial=0.0)) for values in scene.acting_coefficient)
     holds = scene.normal_force * strongest * options.static_ratio
     fastest = max(largest_spin, abs(scene.spin_top), abs(scene.spin_bottom), np.finfo(float).tiny)
-    damping = options.damping + max((float(values.mean()) for values in scene.acting_viscosity), default=0.0)
+    damping = options.damping + max((float(values.mean()) for values in scene.viscosities), default=0.0)
     return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)
 
 

@@ -374,7 +374,8 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
     samples = Samples(
         scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction, scene.second_coefficient,
+        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction,
+        scene.named_coefficients.get("viscosity", ()),
     )  # fmt: skip
     return Judgement(samples) if samples.can_be_judged else None
 

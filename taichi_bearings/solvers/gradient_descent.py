@@ -63,7 +63,8 @@ class GradientDescentMethod:
         self.fields, layout = fields, fields.layout
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        self.viscosity = tuple(scene.lattice.radius / scene.strength * values for values in scene.acting_viscosity)
+        beside_friction = scene.viscosities if scene.viscosity else ()
+        self.viscosity = tuple(scene.lattice.radius / scene.strength * values for values in beside_friction)
         if self.viscosity:
             fields.load("viscosity", layout.at_lower_sphere(self.viscosity))
         box = np.zeros((2, 3))  # lower and upper ends

@@ -89,7 +89,7 @@ class ImplicitCundallStrackMethod:
         matrix = NewtonMatrix(self.system, dissect(scene.lattice.free_shape, self.spin_axes))
         replicas = range(scene.replicas)
         self.strength = [scene.strength * self.system.gather(scene.coefficient, replica) for replica in replicas]
-        self.viscosity = [self.system.gather(scene.acting_viscosity, r) if scene.viscosity else None for r in replicas]
+        self.viscosity = [self.system.gather(scene.viscosities, r) if scene.viscosity else None for r in replicas]
         strongest = max(strength.max() for strength in self.strength)
         if not scene.law.holds:
             strongest *= scene.lattice.radius * spin_scale

@@ -116,10 +116,7 @@ class InteriorPointMethod:
         strength = friction
         if scene.viscosity:
             flow = (
-                scene.lattice.radius
-                * scene.jump
-                / scene.normal_force
-                * self.system.gather(scene.acting_viscosity, replica)
+                scene.lattice.radius * scene.jump / scene.normal_force * self.system.gather(scene.viscosities, replica)
             )
             strength = friction + flow
         unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*strength]))))))  # dividing by it rounds nothing

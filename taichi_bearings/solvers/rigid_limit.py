@@ -92,7 +92,7 @@ class RigidLimitMethod:
         for axis, difference in enumerate(contact_differences(self.staggered, scene.lattice, self.spin_axes)):
             size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
             force = scene.strength * scene.acting_coefficient[axis] * size * difference
-            flow = scene.lattice.radius * scene.acting_viscosity[axis] * difference if scene.viscosity else 0.0
+            flow = scene.lattice.radius * scene.viscosities[axis] * difference if scene.viscosity else 0.0
             forces.append(force + flow)
         return tuple(forces)
 

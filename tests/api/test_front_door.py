@@ -121,7 +121,7 @@ def test_a_saved_run_is_run_again_from_its_directory(solved, tmp_path):
     settings = RunSettings.from_mapping(read_toml(solved.save(tmp_path / "mine")))
     scene = build_scene(settings)
     assert same(scene.coefficient, solved.scene.coefficient)
-    assert same(scene.second_coefficient, solved.scene.second_coefficient)
+    assert same(scene.contact, solved.scene.contact)
     assert (scene.direction, scene.seeds) == (solved.scene.direction, solved.scene.seeds)
 
 

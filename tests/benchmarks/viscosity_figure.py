@@ -61,7 +61,7 @@ def draw(found):
         for (shape, values), colour in zip(found.items(), (BLUE, ORANGE), strict=False):
             axes.plot(STRENGTHS, values[..., panel], ".", color=colour, ms=3, alpha=0.6)
             axes.plot(STRENGTHS, values[..., panel].mean(axis=1), color=colour, label="x".join(map(str, shape)))
-        axes.set(xscale="log", ylabel=PANELS[panel], yscale="log" if panel == 1 else "linear")
+        axes.set(xscale="log", ylabel=PANELS[panel])
         if panel > 1:
             axes.set_xlabel(r"$\eta\,R\,\omega_T\,/\,F_n$ over $\mu$")
     figure.axes[0].legend()

@@ -146,7 +146,7 @@ def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step, law):
     for axis, (force, difference) in enumerate(zip(method.force, differences, strict=True)):
         limit = scene.normal_force * scene.acting_coefficient[axis]
         if law == "coulomb-viscous":
-            limit = (limit + scene.acting_viscosity[axis] * RADIUS * vector_length(difference)) * (1 + 1e-14)
+            limit = (limit + scene.viscosities[axis] * RADIUS * vector_length(difference)) * (1 + 1e-14)
         assert (vector_length(force) <= limit).all()
         slips = vector_length(difference) > 1e-3
         along = limit * difference / np.maximum(vector_length(difference), 1e-300)
