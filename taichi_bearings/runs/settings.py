@@ -153,11 +153,11 @@ class RunSettings:
 
     def __init__(self, owned: tuple[tuple[str, Any], ...] = (), **given: Any) -> None:
         given = dict(owned) | given
-        for key, item in settings_table().items():
-            object.__setattr__(self, key, item.read(key, given.pop(key, item.default)))
+        values = {key: item.read(key, given.pop(key, item.default)) for key, item in settings_table().items()}
         if given:
             raise TypeError(f"a run has no {', '.join(given)}")
-        object.__setattr__(self, "owned", tuple((key, getattr(self, key)) for key in _owned(tuple(METHODS.values()))))
+        owned = tuple((key, value) for key, value in values.items() if key not in self.__dataclass_fields__)
+        vars(self).update(values, owned=owned)
 
     @classmethod
     def keys(cls) -> tuple[str, ...]:
@@ -166,7 +166,7 @@ class RunSettings:
     @property
     def values(self) -> dict[str, Any]:
         """Every key with its value."""
-        return {key: getattr(self, key) for key in self.keys()}
+        return {key: value for key, value in vars(self).items() if key != "owned"}
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
@@ -186,7 +186,8 @@ class RunSettings:
     @property
     def given(self) -> dict[str, Any]:
         """The keys whose values are not the defaults, with these values."""
-        return {key: value for key, value in self.values.items() if value != settings_table()[key].default}
+        table = settings_table()
+        return {key: value for key, value in self.values.items() if value != table[key].default}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
         """The given keys that this method or the law does not use, each with a sentence that says so."""
@@ -213,22 +214,21 @@ def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def settings_table() -> dict[str, Option]:
     """Every key of a run: what belongs to all, then the options of the methods, in the order of these."""
-    return options_of(RunSettings) | _owned(tuple(METHODS.values()))
-
-
-def _owns(key: str, row: type[MethodOptions]) -> bool:
-    return key in options_of(row)
+    return _table(tuple(METHODS.values()))
 
 
 @lru_cache(maxsize=8)
-def _owned(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
-    """The options that methods own. One that several own with unlike defaults is None unless it is given."""
-    found: dict[str, Option] = {}
-    for key in dict.fromkeys(key for row in rows for key in options_of(row)):
-        items = [options_of(row)[key] for row in rows if key in options_of(row)]
-        is_alike = len({item.default for item in items}) == 1 and not items[0].unset
-        default = items[0].default if is_alike else None
-        found[key] = replace(items[0], default=default, methods=partial(_owns, key))
+def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
+    """An option that several methods own with unlike defaults is None unless it is given."""
+    owners: dict[str, dict[type[MethodOptions], Option]] = {}
+    for row in rows:
+        for key, item in options_of(row).items():
+            owners.setdefault(key, {})[row] = item
+    found = options_of(RunSettings)
+    for key, items in owners.items():
+        first, defaults = next(iter(items.values())), {item.default for item in items.values()}
+        default = first.default if len(defaults) == 1 and not first.unset else None
+        found[key] = replace(first, default=default, methods=frozenset(items).__contains__)
     return found
 
 

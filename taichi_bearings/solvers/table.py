@@ -43,7 +43,7 @@ class MethodOptions:
 
     name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
     time. cpu_only : it works in the memory of the CPU. alike_in_a_block : it gives a seed the same bits alone and
-    beside others. colour, marker : in every figure. also_named : settings that name it too.
+    beside others. colour, marker : in every figure. also_named : settings that name it too. solves : True for a law.
     """
 
     name: ClassVar[str]
@@ -55,6 +55,7 @@ class MethodOptions:
     colour: ClassVar[str] = "0.4"  # Okabe and Ito's palette, which the colour-blind can tell apart
     marker: ClassVar[str] = "h"
     also_named: ClassVar[dict[str, str]] = {}
+    solves: ClassVar["staticmethod[[Law], bool]"] = staticmethod(lambda law: True)
 
     def __post_init__(self) -> None:
         for name, item in options_of(self).items():
@@ -64,11 +65,6 @@ class MethodOptions:
         """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
         module, _, attribute = self.implementation.partition(":")
         return getattr(importlib.import_module(module), attribute)(self)
-
-    @staticmethod
-    def solves(law: Law) -> bool:
-        """True for a law that the method can solve."""
-        return True
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
@@ -117,10 +113,7 @@ class PlanarCut(MethodOptions):
     needs_taichi = False
     alike_in_a_block = True
     colour, marker = "#0072B2", "o"
-
-    @staticmethod
-    def solves(law: Law) -> bool:
-        return law.is_rate_independent
+    solves = staticmethod(attrgetter("is_rate_independent"))
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
@@ -147,12 +140,9 @@ class InteriorPoint(MethodOptions):
     implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
     cpu_only = True
     colour, marker = "#D55E00", "^"
+    solves = staticmethod(attrgetter("holds"))
 
     settle: bool = how(True, TRUTH, "Once certified, go on until every contact is known to slip or not.")
-
-    @staticmethod
-    def solves(law: Law) -> bool:
-        return law.holds
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
@@ -177,10 +167,7 @@ class OperatorSplitting(MethodOptions):
     implementation = "taichi_bearings.solvers.operator_splitting:OperatorSplittingMethod"
     cpu_only = True
     colour, marker = "#009E73", "D"
-
-    @staticmethod
-    def solves(law: Law) -> bool:
-        return law.is_rate_independent
+    solves = staticmethod(attrgetter("is_rate_independent"))
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
@@ -197,10 +184,7 @@ class LinearSolver(MethodOptions):
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
     needs_taichi = False
     colour, marker = "#CC79A7", "v"
-
-    @staticmethod
-    def solves(law: Law) -> bool:
-        return not law.holds
+    solves = staticmethod(lambda law: not law.holds)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:

@@ -32,12 +32,9 @@ class Relaxation(MethodOptions):
     name = "relaxation"
     implementation = "tests.solvers.test_toy_method:RelaxationMethod"
     needs_taichi = False
+    solves = staticmethod(lambda law: not law.holds)
 
     eagerness: float = how(0.9, POSITIVE, "Share of the torque that is taken from each sphere in turn.")
-
-    @staticmethod
-    def solves(law):
-        return not law.holds
 
 
 class RelaxationMethod:
