@@ -15,7 +15,8 @@ import numpy as np
 
 from taichi_bearings.conic.cone import Point, Scaling, clipped_towards, inner, jordan_product, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic, power, where
+from taichi_bearings.conic.grouped import Arrays, each, isotropic
+from taichi_bearings.conic.iterate import Inertia, Iterate, Points, mean_product
 from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
 
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
@@ -27,175 +28,7 @@ WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrice
 REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the mean friction, that needs no second one
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
 
-Points = Grouped[Point]
 Blocks = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Inertia:
-    """The cost weight / 2 |spins - origin|^2 beside the power: the torques then balance weight * (spins - origin)."""
-
-    weight: float
-    origin: np.ndarray
-
-    def torques(self, spins: np.ndarray) -> np.ndarray:
-        """Torques (unknowns,) that bring the spins from their origin to `spins`."""
-        return self.weight * (spins - self.origin)
-
-
-@dataclass(frozen=True)
-class Iterate:
-    """A point inside all cones: spins (unknowns,); a group each: friction and bound (n,), difference and dual (d, n).
-
-    The dual is minus the contact force, without its viscous part. viscosity : (n,) a group, None for Coulomb friction.
-    smooth : (n,) masks, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
-    direction of slip; None for none. inertia : what resists a change of the spins, None at the minimum.
-    load : torques (unknowns,) that the forces have to balance, beside those of the inertia.
-    """
-
-    system: ContactSystem
-    spins: np.ndarray
-    friction: Arrays
-    bound: Arrays
-    difference: Arrays
-    dual: Arrays
-    smooth: Arrays | None = None
-    viscosity: Arrays | None = None
-    inertia: Inertia | None = None
-    load: np.ndarray | float = 0.0
-
-    @classmethod
-    def start(
-        cls,
-        system: ContactSystem,
-        spins: np.ndarray,
-        friction: Arrays,
-        slack: float,
-        viscosity: Arrays | None = None,
-    ) -> "Iterate":
-        """Bounds above the slips by about `slack`, and no forces but viscous ones."""
-        difference = system.differences(spins)
-        bound = each(np.hypot, difference.length(), slack)
-        return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference), viscosity=viscosity)
-
-    @classmethod
-    def near(
-        cls, system: ContactSystem, spins: np.ndarray, friction: Arrays, difference: Arrays, product: float
-    ) -> "Iterate":
-        """With these slips, bounds and forces as the path has them at this product of slip bound and margin."""
-        bound, dual = _central(friction, difference, product)
-        return cls(system, spins, friction, bound, difference, dual)
-
-    @property
-    def cones(self) -> Grouped[slice | np.ndarray]:
-        """Selection of the contacts in cones, one a group."""
-        if self.smooth is None:
-            return Grouped([slice(None)] * len(self.friction))
-        return each(lambda smooth: np.flatnonzero(~smooth) if smooth.any() else slice(None), self.smooth)
-
-    def let_slip(self, limit: float) -> "Iterate":
-        """Contacts that slip more than `limit` leave their cones, others come back into them."""
-        slips = self.difference.length() > limit
-        bound, dual = self.bound, self.dual
-        if self.smooth is not None:
-            back, central = self.smooth & ~slips, _central(self.friction, self.difference, self.complementarity)
-            bound, dual = where(back, central[0], bound), where(back, central[1], dual)
-        return replace(self, bound=bound, dual=dual, smooth=slips).obeying()
-
-    def obeying(self) -> "Iterate":
-        """The same with the forces of the law of friction at the contacts that are in no cone."""
-        if self.smooth is None or not self.smooth.any():
-            return self
-        slip = self.difference.length()
-        dual = where(self.smooth, -self.friction * self.difference / slip, self.dual)
-        return replace(self, bound=where(self.smooth, slip, self.bound), dual=dual)
-
-    @property
-    def primal(self) -> Points:
-        """The points (bound, difference) of the contacts in cones."""
-        return each(_point, self.bound, self.difference, self.cones)
-
-    @property
-    def opposite(self) -> Points:
-        """The dual points (friction, minus force) of the contacts in cones."""
-        return each(_point, self.friction, self.dual, self.cones)
-
-    @property
-    def complementarity(self) -> float:
-        """Mean over the contacts in cones of friction * bound - difference . force."""
-        return mean_product(self.primal, self.opposite)
-
-    @property
-    def slip_over_margin(self) -> Arrays:
-        """Slip over the share of the friction that is left, (n,): along the path it goes to 0 or to infinity."""
-        return self.difference.length() / each(np.maximum, 1 - self.dual.length() / self.friction, TINY)
-
-    @property
-    def whole_dual(self) -> Arrays:
-        """Minus the force of every contact, (d, n) a group, with its viscous part."""
-        return self._with_viscosity(self.dual, self.difference)
-
-    def _with_viscosity(self, dual: Arrays, difference: Arrays) -> Arrays:
-        return dual if self.viscosity is None else dual - self.viscosity * difference
-
-    def imbalance(self, spins: np.ndarray, dual: Arrays, difference: Arrays) -> np.ndarray:
-        """Torques (unknowns,) that forces leave on the spheres, less what they are to balance there."""
-        return self.system.torques(self._with_viscosity(dual, difference)) - self.to_balance(spins)
-
-    def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Torques (unknowns,) of the load and of the inertia."""
-        return self.load if self.inertia is None else self.load + self.inertia.torques(spins)
-
-    @property
-    def unbalanced(self) -> float:
-        """Largest torque that the forces leave on a sphere beside those that they are to balance."""
-        return float(np.abs(self.imbalance(self.spins, self.dual, self.difference)).max(initial=0.0))
-
-    @property
-    def power(self) -> float:
-        """Friction times slip, summed over the contacts."""
-        return power(self.friction, self.difference)
-
-    @property
-    def cost(self) -> float:
-        """What is minimised, apart from inertia and load: the power, and half that of the viscous forces."""
-        if self.viscosity is None:
-            return self.power
-        return self.power + (self.viscosity * self.difference**2).sum() / 2
-
-    @property
-    def price_of_torques(self) -> float:
-        """What the torques left on the spheres take from the lower bound, at most, relative to the cost."""
-        return float(np.abs(self.system.torques(self.whole_dual)).sum()) / self.cost
-
-    @property
-    def excess(self) -> float:
-        """Cost less dual cost for balanced forces, summed without cancellation, with inertia or viscosity or without.
-
-        With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity), which is never more than
-        that of the present slip, viscosity * slip^2 / 2: that is what is counted here.
-        """
-        return (self.friction * self.difference.length() + each(inner, self.difference, self.dual)).sum()
-
-    @property
-    def gap(self) -> float:
-        """(cost - lower bound) / cost for balanced forces."""
-        return self.excess / self.cost
-
-
-def _point(head: np.ndarray, tail: np.ndarray, cone: slice | np.ndarray) -> Point:
-    return head[cone], tail[:, cone]
-
-
-def _central(friction: Arrays, difference: Arrays, product: float) -> tuple[Arrays, Arrays]:
-    """Bound (n,) and dual (d, n) along the slip whose product is as given."""
-    bound = (product / friction + each(np.hypot, product / friction, 2 * difference.length())) / 2
-    return bound, -friction * difference / bound
-
-
-def mean_product(primal: Points, dual: Points) -> float:
-    total = sum(each(lambda p, d: float((p[0] * d[0] + inner(p[1], d[1])).sum()), primal, dual))
-    return total / max(1, sum(len(head) for head, _ in primal))
 
 
 def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
@@ -393,9 +226,7 @@ class _Directions:
         )
         along = min(np.inf, *each(longest_step, self.primal, primal))
         dual_along = min(np.inf, *each(longest_step, self.opposite, opposite))
-        if (
-            iterate.smooth is not None
-        ):  # the law of friction is far from linear once a slip changes by as much as itself
+        if iterate.smooth is not None:  # their law is far from linear once a slip changes by as much as itself
             share = iterate.difference.length() / each(np.maximum, difference.length(), TINY)
             along = min(along, *each(lambda s: 0.5 * float(s.min(initial=np.inf)), share[iterate.smooth]))
         if iterate.inertia is not None or iterate.viscosity is not None:

@@ -7,10 +7,11 @@ be brought down by another ten decades, until nobody is in doubt, as slipping on
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Iterate, newton_step
+from taichi_bearings.conic.central_path import newton_step
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
+from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part
 

@@ -114,9 +114,8 @@ class FrictionStage:
         spins = guess + self._conserving(np.zeros_like(guess), base - guess)
         trial = self._trial(start, resistance, spins)
         scale = inertia * self.spin_scale + self.radius * self.force_scale
-        noise = (
-            8 * EPSILON * friction.stiffest * self.radius**2 * self.spin_scale
-        )  # of torques, from rounding the spins
+        # of torques, from rounding the spins
+        noise = 8 * EPSILON * friction.stiffest * self.radius**2 * self.spin_scale
         stiffness: Arrays | None = None
         for _ in range(MOST_ITERATIONS):
             force = self._with_viscosity(friction, friction.limited(trial), spins)

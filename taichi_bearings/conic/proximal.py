@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Inertia, Iterate, balance, flowing, newton_step
+from taichi_bearings.conic.central_path import balance, flowing, newton_step
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays
+from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene

@@ -18,11 +18,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Iterate, friction_stiffness
+from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cone import inner
 from taichi_bearings.conic.contracted_path import ContractedPath, precise
 from taichi_bearings.conic.contraction import Contraction, Contradiction
 from taichi_bearings.conic.grouped import Arrays, each, power, where
+from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.motion import Motion, largest_parts
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished

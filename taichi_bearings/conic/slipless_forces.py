@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Inertia, Iterate, balance, newton_step
+from taichi_bearings.conic.central_path import balance, newton_step
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, where
+from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.motion import Motion
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Iterate, balance, flowing, newton_step
+from taichi_bearings.conic.central_path import balance, flowing, newton_step
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
+from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
 from taichi_bearings.fields import Fields, FieldSpec
