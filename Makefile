@@ -20,7 +20,7 @@ run: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest
 	$(BIN)/python -m pytest --precision f32 tests/kernels tests/laws tests/agreement
-	$(BIN)/python -m pytest --compiler quadrants tests/kernels tests/agreement
+	$(BIN)/python -m pytest --compiler quadrants tests/kernels tests/agreement/test_methods.py
 	$(BIN)/python -m pytest --arch vulkan tests/kernels
 	$(BIN)/python -m pytest --arch vulkan --precision f32 tests/kernels
 
