@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.lattice.grid import contact_differences, torques, weights
+from taichi_bearings.lattice.incidence import contact_differences, torques, weights
 from taichi_bearings.options import POSITIVE, how
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.runs.run import run
