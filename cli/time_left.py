@@ -39,7 +39,7 @@ class TimeLeft:
             left = self._follow(seconds, progress.iteration, progress.needed)
             return None if left is None else (left, "the end")
         gap, aim = float(np.max(report.gap)), stop.tolerance
-        if progress.settles_at is not None and progress.unsettled:
+        if progress.settles_at is not None and progress.settles_more:
             aim = min(aim, progress.settles_at)
         if progress.time is not None or not aim < gap < 1:  # the gap of a dynamics falls when it will
             return None

@@ -78,11 +78,11 @@ class Progress:
     resolution : slip speed below which the method cannot tell slip from rest, length/time.
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
-    exhausted : a minimisation can get no closer in its precision. halted : a dynamics cannot make another step.
+    exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
     state : contact states (R, *contacts) an axis that the method itself has established, else None.
     slip : slip speeds (R, *contacts) an axis where they are more precise than those of the spins, else None.
     settled : (R,), True where the states are final. resolved : (R,), where they are proven to be those of a minimum.
-    unsettled : going on would settle more contact states, whatever the gap.
+    settles_more : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each.
     geometric : the gap falls by like factors in like times; else roughly like a power of the time.
     settles_at : gap from which on the method settles contact states, which takes its own time, if it does.
@@ -109,7 +109,7 @@ class Progress:
     slip: tuple[np.ndarray, ...] | None = None
     settled: np.ndarray | None = None
     resolved: np.ndarray | None = None
-    unsettled: bool = False
+    settles_more: bool = False
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     geometric: bool = False
     settles_at: float | None = None

@@ -192,7 +192,7 @@ class InteriorPointMethod:
             slip=slip if self.frustrated else None,
             settled=np.array([sample.resolved is not None for sample in self.samples]),
             resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
-            unsettled=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
+            settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
             settles_at=SETTLE,
         )

@@ -52,7 +52,7 @@ class StopRule:
         ended = progress.iteration >= self.iterations or elapsed >= self.seconds
         in_time = progress.time is not None and self.duration < float("inf")
         finished = progress.time is not None and progress.time >= self.duration * (1 - 1e-9)
-        goes_on = not finished if in_time else progress.unsettled and not ended
+        goes_on = not finished if in_time else progress.settles_more and not ended
         if certified and not goes_on:
             return Status.CERTIFIED
         if finished:

@@ -16,7 +16,7 @@ def reports(seconds, gap=(), time=None, needed=None, geometric=False, tolerance=
     for number, now in enumerate(seconds):
         progress = SimpleNamespace(
             iteration=number + 1, time=None if time is None else time[number], needed=needed, geometric=geometric,
-            settles_at=None, unsettled=False,
+            settles_at=None, settles_more=False,
         )  # fmt: skip
         worst = np.array([gap[number] if len(gap) else 1.0])
         yield SimpleNamespace(seconds=now, progress=progress, stop=stop, gap=worst)
