@@ -42,7 +42,8 @@ DEFAULT_SCENES = (
 
 @dataclass(frozen=True)
 class Entry:
-    """One method on one scene. The arrays and lists have one item a checkpoint; power is what the method would return.
+    """One method on one scene. The arrays and lists have one item a checkpoint; power is what the method would return,
+    or the potential where the law minimises that.
 
     settings, statuses : text; a method has one of each, repeated, a peer one for each tolerance.
     """
@@ -199,7 +200,7 @@ def run_method(scene: Scene, name: str, settings: RunSettings) -> Entry:
     solution = uninterrupted(solve(scene, options.build(), spin, rule))
     finite = np.isfinite(solution.history["power"][:, 0])
     history = {name: column[finite] for name, column in solution.history.items()}
-    setup, power, checks = solution.seconds_compile, history["power"][:, 0], int(finite.sum())
+    setup, power, checks = solution.seconds_compile, history[scene.law.minimises][:, 0], int(finite.sum())
     return Entry(
         method=name,
         variant="",

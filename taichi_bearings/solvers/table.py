@@ -5,7 +5,7 @@ loads what does the work. Nothing here loads Taichi or SciPy.
 """
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import prod
@@ -34,6 +34,13 @@ if TYPE_CHECKING:
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
 ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+
+
+def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
+    """Laws with a holding force, a viscosity or both, and with this condition: what the methods here are made for."""
+    return staticmethod(lambda law: type(law) is Law and condition(law))
+
+
 material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a force without slipping
 
 
@@ -113,7 +120,7 @@ class PlanarCut(MethodOptions):
     needs_taichi = False
     alike_in_a_block = True
     colour, marker = "#0072B2", "o"
-    solves = staticmethod(attrgetter("is_rate_independent"))
+    solves = _laws(attrgetter("is_rate_independent"))
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
@@ -140,7 +147,7 @@ class InteriorPoint(MethodOptions):
     implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
     cpu_only = True
     colour, marker = "#D55E00", "^"
-    solves = staticmethod(attrgetter("holds"))
+    solves = _laws(attrgetter("holds"))
 
     settle: bool = how(True, TRUTH, "Once certified, go on until every contact is known to slip or not.")
 
@@ -167,7 +174,7 @@ class OperatorSplitting(MethodOptions):
     implementation = "taichi_bearings.solvers.operator_splitting:OperatorSplittingMethod"
     cpu_only = True
     colour, marker = "#009E73", "D"
-    solves = staticmethod(attrgetter("is_rate_independent"))
+    solves = _laws(attrgetter("is_rate_independent"))
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
@@ -184,7 +191,7 @@ class LinearSolver(MethodOptions):
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
     needs_taichi = False
     colour, marker = "#CC79A7", "v"
-    solves = staticmethod(lambda law: not law.holds)
+    solves = _laws(lambda law: not law.holds)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
@@ -199,6 +206,7 @@ class GradientDescent(MethodOptions):
     name = "gradient-descent"
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
     colour, marker = "#E69F00", "P"
+    solves = _laws()
 
     momentum: bool = how(True, TRUTH, "Accelerate, and regularise friction; without it the paper's plain method.")
 
@@ -242,6 +250,7 @@ class RigidLimit(_Dynamics):
     implementation = "taichi_bearings.solvers.rigid_limit:RigidLimitMethod"
     cpu_only = True
     colour, marker = "#56B4E9", "<"
+    solves = _laws()
 
     error_tolerance: float = _error_tolerance()
     rest_tolerance: float = _rest_tolerance(1e-12)
@@ -284,6 +293,7 @@ class CundallStrack(Springs):
     name = "cundall-strack"
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
     colour, marker = "#8C6BB1", ">"
+    solves = _laws()
 
     static_ratio: float = material(
         1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k."
@@ -303,6 +313,7 @@ class ImplicitCundallStrack(Springs):
     implementation = "taichi_bearings.solvers.implicit_cundall_strack:ImplicitCundallStrackMethod"
     cpu_only = True
     colour, marker = "#7A5230", "*"
+    solves = _laws()
     also_named = {"method": "cundall-strack", "integrator": "implicit"}
 
     error_tolerance: float = _error_tolerance()
@@ -310,4 +321,7 @@ class ImplicitCundallStrack(Springs):
 
 def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOptions]:
     """The fastest method that certifies a scene: what `auto` stands for."""
-    return next(row for row in METHODS.values() if row.suits(scene, tolerance, on_gpu))
+    for row in METHODS.values():
+        if row.suits(scene, tolerance, on_gpu):
+            return row
+    raise InputError(f"law is {scene.law.name!r}; no method that auto can take solves it")

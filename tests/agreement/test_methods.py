@@ -1,11 +1,15 @@
 """The table of methods on small scenes: each against the least that the others reach, and by its own proof."""
 
+from dataclasses import replace
+
 import pytest
 
-from taichi_bearings.scene.law import LAWS
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.solvers import METHODS
+from taichi_bearings.solvers.table import fastest
 from tests.agreement.methods import assert_agreement
-from tests.scenes import make_scene
 
 DRIVINGS = {
     "discs": {"shape": (5, 4)},
@@ -21,7 +25,7 @@ LEAST_METHODS = {"coulomb": 6, "viscous": 4, "coulomb-viscous": 3}
 @pytest.mark.parametrize("driving", DRIVINGS)
 @pytest.mark.parametrize("law", LAWS)
 def test_every_method_agrees_with_the_others(law, driving):
-    answers = assert_agreement(make_scene(law=law, **DRIVINGS[driving]))
+    answers = assert_agreement(Scene.random(law=law, seed=4711, **DRIVINGS[driving]))
     assert len(answers) >= LEAST_METHODS[law]
 
 
@@ -30,3 +34,14 @@ def test_every_method_solves_some_law_and_names_itself():
         assert row.name == name
         assert any(row.solves(law) for law in LAWS.values())
         assert row().build().options == row()
+
+
+def test_no_method_takes_a_law_that_it_is_not_made_for():
+    class Cubic(Law):
+        """Of a user: no method here knows its force."""
+
+    cubic = Cubic("cubic", LAWS["viscous"].quantities)
+    assert [name for name, row in METHODS.items() if row.solves(cubic)] == []
+    scene = replace(Scene.random((3, 4), law="viscous"), law=cubic)
+    with pytest.raises(InputError, match="law is 'cubic'; no method that auto can take"):
+        fastest(scene, 1e-8, on_gpu=False)

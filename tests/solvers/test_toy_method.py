@@ -108,7 +108,7 @@ def test_a_name_is_given_once(relaxation):
 def test_files_hold_it(relaxation, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text('shape = [4, 4]\nlaw = "viscous"\nmethod = "relaxation"\neagerness = 0.5\nfigures = "none"\n')
-    _, summary = run(RunSettings.from_mapping(read_toml(scene)), tmp_path / "run")
+    summary = run(RunSettings.from_mapping(read_toml(scene)), tmp_path / "run").summary
     assert (summary["method"], summary["status"]) == ("relaxation", "certified")
     assert RunSettings.from_mapping(read_toml(tmp_path / "run")).values["eagerness"] == 0.5
     with pytest.raises(InputError, match=r"eagerness is 0\.5, but linear-solver with the law viscous does not use it"):
