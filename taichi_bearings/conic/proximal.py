@@ -75,7 +75,7 @@ class ProximalSteps:
         flow = scene.lattice.radius * unit
         self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
         self._viscosity: list[Arrays | None] = [
-            flow / own * self._system.gather(scene.second_coefficient, replica) if scene.viscosity else None
+            flow / own * self._system.gather(scene.viscosities, replica) if scene.viscosity else None
             for replica, own in enumerate(self._force_unit)
         ]
         self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)

@@ -82,9 +82,7 @@ class RigidLimitMethod:
         speed = scene.lattice.radius * self.largest if not scene.law.holds else 1.0
         force = scene.strength * float(np.mean(np.concatenate(acting))) * speed
         if scene.viscosity:
-            flow = [
-                c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.second_coefficient)
-            ]
+            flow = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.viscosities)]
             force += float(np.mean(np.concatenate(flow))) * scene.lattice.radius * self.largest
         return self.inertia * self.largest / (scene.lattice.radius * force)
 
