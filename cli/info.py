@@ -31,7 +31,7 @@ def command(as_json: bool) -> None:
         "default_arch": "cpu",
         "default_precision": "f64",
         "threads": runtime.available_threads(),
-        "kernel_cache": str(compiler.cache_folder()),
+        "kernel_cache": str(compiler.cache_folder() or "none"),
     }
     if as_json:
         click.echo(json.dumps(report))

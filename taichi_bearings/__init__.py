@@ -41,9 +41,11 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
+    import warnings
 
     of_api = name in ("Result", "Scene", "analyse", "load", "solve", "solve_many")
-    found = getattr(importlib.import_module(f"{__name__}.{'api' if of_api else 'solvers'}"), name)
+    with warnings.catch_warnings():  # SciPy adds filters of its own
+        found = getattr(importlib.import_module(f"{__name__}.{'api' if of_api else 'solvers'}"), name)
     globals()[name] = found
     return found
 

@@ -10,17 +10,15 @@ import html
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count
 from taichi_bearings.runs import run as runs
-from taichi_bearings.runs.analyse import Analysis
-from taichi_bearings.runs.figures import draw_figure
+from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
@@ -30,6 +28,9 @@ from taichi_bearings.scene import Scene, Snapshots
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -211,13 +212,15 @@ class Result:
         more = f"<br>and {len(self) - MOST_ROWS} more samples" if len(self) > MOST_ROWS else ""
         return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{more}"
 
-    def plot(self, kind: str = "spins", sample: int = 0, time: float | None = None) -> Figure:
+    def plot(self, kind: str = "spins", sample: int = 0, time: float | None = None) -> "Figure":
         """A figure, which neither shows itself nor changes a setting of matplotlib; `.savefig("a.png")` writes it.
 
         kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network", "plane_cuts",
             "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution".
         sample : which of several. time : of the snapshot whose spins are drawn.
         """
+        from taichi_bearings.runs.figures import draw_figure  # and with it matplotlib, which nothing else needs
+
         return draw_figure(kind, self._run.solution, sample, time, self._run.settings.slip_threshold)
 
     def save(self, path: str | Path, force: bool = False) -> Path:

@@ -8,6 +8,7 @@ import contextlib
 import importlib.util
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -37,12 +38,14 @@ def name() -> str:
     return chosen
 
 
-def cache_folder() -> Path:
-    """Where compiled kernels are kept: below the user's cache, or a temporary folder if that cannot be written."""
-    return _cache_home() / KERNEL_CACHES[name()]
+def cache_folder() -> Path | None:
+    """Where compiled kernels are kept: below the user's cache, or a temporary folder if that cannot be written; None
+    where nothing can be written."""
+    home = _cache_home()
+    return None if home is None else home / KERNEL_CACHES[name()]
 
 
-def _cache_home() -> Path:
+def _cache_home() -> Path | None:
     if "XDG_CACHE_HOME" in os.environ:
         home = Path(os.environ["XDG_CACHE_HOME"])
     else:
@@ -53,7 +56,10 @@ def _cache_home() -> Path:
     if _writable(home / name()):
         return home
     user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{user}"
+    try:
+        return Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{user}"
+    except OSError:
+        return None
 
 
 def _writable(folder: Path) -> bool:
@@ -69,12 +75,16 @@ def _writable(folder: Path) -> bool:
 @contextlib.contextmanager
 def environment() -> Iterator[None]:
     """What the compiler reads when it is imported and started; afterwards the environment is as before."""
-    before = os.environ.copy()
-    cache = {"XDG_CACHE_HOME": str(_cache_home())}  # without a home folder it would abort
+    before, home = os.environ.copy(), _cache_home()
+    cache = {"XDG_CACHE_HOME": str(home or os.devnull)}  # without a home folder it would abort
     os.environ.update(QUIET | before | cache)
+    if home is None:  # dill, which Taichi imports, asks for the name of a temporary folder
+        tempfile.tempdir = os.curdir
     try:
         yield
     finally:
+        if home is None:
+            tempfile.tempdir = None
         for key in QUIET | cache:
             os.environ.pop(key)
             os.environ.update({key: before[key]} if key in before else {})
@@ -83,6 +93,6 @@ def environment() -> Iterator[None]:
 def __getattr__(attribute: str) -> Any:
     if attribute != "ti":
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
-    with environment():
+    with environment(), warnings.catch_warnings():  # it adds filters of its own
         globals()["ti"] = importlib.import_module(name())
     return globals()["ti"]

@@ -8,6 +8,7 @@ import contextlib
 import io
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 from taichi_bearings import compiler, devices
 from taichi_bearings.errors import DeviceError
@@ -104,6 +105,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
                 f"{wanted} in a new one, or by taichi_bearings.solve_many, whose workers are processes of their own"
             )
         return _current
+    cache = compiler.cache_folder()
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment():
         ti.init(
             arch=getattr(ti, arch),
@@ -115,7 +117,8 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             real_matrix_scalarize=arch != "cpu",  # on a CPU, blocks of sites are read and written by SIMD instructions
             debug=debug,
             log_level=ti.ERROR,
-            offline_cache_file_path=str(compiler.cache_folder()),
+            offline_cache=cache is not None,
+            offline_cache_file_path=str(cache or Path(__file__).parent),  # at its end it makes sure that this is there
         )
     ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
     _current, _owner = wanted, os.getpid()

@@ -1,5 +1,7 @@
 """Torque balance of equal springs on the lattice: a Poisson problem with constant coefficients, in its modes."""
 
+import warnings
+
 import numpy as np
 
 from taichi_bearings.lattice import Lattice
@@ -53,7 +55,8 @@ def solve_poisson(source: np.ndarray, dimension: int, component: int) -> np.ndar
 
     The mean of a layer that nothing couples to the driven planes becomes 0.
     """
-    from scipy import fft  # a tenth of a second that a planar cut does not need
+    with warnings.catch_warnings():  # SciPy adds filters of its own
+        from scipy import fft  # a tenth of a second that a planar cut does not need
 
     first, height = source.ndim - dimension, dimension - 1
     sideways = [first + axis for axis in range(height) if axis != component]

@@ -2,12 +2,12 @@
 
 from matplotlib.figure import Figure
 
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.history import draw_history
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.runs.analyse import draw
 from taichi_bearings.runs.snapshot import draw_snapshot
 from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.scene import Solution
@@ -36,4 +36,15 @@ def draw_figure(
         return draw_power(solution, sample)
     if kind == "history":
         return draw_history(solution)
-    return draw_energy(solution, sample) if kind == "energy" else draw(kind, solution, sample)
+    return draw_energy(solution, sample) if kind == "energy" else _draw_structure(kind, solution, sample)
+
+
+def _draw_structure(kind: str, solution: Solution, sample: int) -> Figure:
+    """One figure of the structure of a sample, or of all samples; InputError if there is nothing to show."""
+    if kind in FIGURES_OF_ALL:
+        loads = [structure_of(solution, number).bottlenecks.loads for number in range(solution.scene.replicas)]
+        return FIGURES_OF_ALL[kind](loads)
+    figure = FIGURES[kind](structure_of(solution, sample))
+    if figure is None:
+        raise InputError(f"the run has nothing for {kind} to show: it holds no friction forces of the Coulomb law")
+    return figure

@@ -5,6 +5,7 @@ loads what does the work. Nothing here loads Taichi or SciPy.
 """
 
 import importlib
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -71,7 +72,8 @@ class MethodOptions:
     def build(self) -> "Method":
         """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
         module, _, attribute = self.implementation.partition(":")
-        return getattr(importlib.import_module(module), attribute)(self)
+        with warnings.catch_warnings():  # SciPy adds filters of its own
+            return getattr(importlib.import_module(module), attribute)(self)
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
