@@ -272,19 +272,13 @@ def sample_key(settings: RunSettings) -> str:
 @lru_cache(maxsize=1024)
 def _content(name: str) -> str:
     """Hash of a file's content; of a run directory, of its run.h5."""
-    path = Path(name) / "run.h5" if Path(name).is_dir() else Path(name)
+    path, digest = Path(name) / "run.h5" if Path(name).is_dir() else Path(name), hashlib.sha256()
     try:
         with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else _digest(file)
+            for piece in iter(lambda: file.read(2**20), b""):
+                digest.update(piece)
     except OSError as error:
         raise FileError(f"{name} cannot be read: {error.strerror or error}") from None
-
-
-def _digest(file: Any) -> str:
-    """As hashlib.file_digest, which Python 3.10 lacks."""
-    digest = hashlib.sha256()
-    for piece in iter(lambda: file.read(2**20), b""):
-        digest.update(piece)
     return digest.hexdigest()
 
 

@@ -32,13 +32,6 @@ MEANING = {  # column -> (unit, description); others are described in docs/struc
     "minimum_is_unique": ("1", "whether it is proven that no other slips have the least power, or that others do"),
     "tied_contacts": ("1", "contacts that slip at some minima and not at others"),
     "slip_threshold": ("length/time", "slip up to which a contact counts as slipless"),
-    "shape": ("1", "spheres along each axis, height last"),
-    "seed": ("1", "seed of the disorder"),
-    "law": ("1", "contact law"),
-    "spin_top": ("1/time", "imposed spin of the top"),
-    "spin_bottom": ("1/time", "imposed spin of the bottom"),
-    "normal_force": ("force", "normal force at every contact"),
-    "radius": ("length", "radius of the spheres"),
     "time": ("time", "simulated time"),
     "energy_residual": ("1", "what the energy books leave unexplained"),
     "power_minimum_cut": ("energy/time", "power of the lightest interface of two rigid domains"),
@@ -74,15 +67,11 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
     samples = [sample for sample in plan.samples if sample.key in records]
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
     names = dict.fromkeys([*FIRST, *(name for numbers in scalars for name in numbers)])
-    settings = settings_table()
-    columns = []
-    for key in plan.scanned:
-        units, text = MEANING.get(key, (settings[key].unit, settings[key].help))
-        text = settings[key].help if key in ("method", "slip_threshold") else text
-        columns.append(column(key, [written(sample.point[key]) for sample in samples], units, text))
+    settings = {key: (item.unit, item.help) for key, item in settings_table().items()}
+    columns = [column(key, [written(sample.point[key]) for sample in samples], *settings[key]) for key in plan.scanned]
     for name in names:
         values = [numbers.get(name) for numbers in scalars]
-        units, text = MEANING.get(name, ("1", name.replace("_", " ")))
+        units, text = (settings | MEANING).get(name, ("1", name.replace("_", " ")))
         if name not in plan.scanned:
             columns.append(column(name, values, units, text))
         elif name in ("method", "slip_threshold"):
