@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactSystem, lattice_system
-from taichi_bearings.conic.grouped import Arrays, Grouped, each
+from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Scene
 
@@ -47,9 +47,7 @@ class Differences:
         """Values of the rows as vectors (d, n) a group."""
         in_groups = np.empty_like(values)
         in_groups[self.order] = values
-        ends = np.cumsum([group.offset.size for group in self.system.groups])
-        parts = zip(np.split(in_groups, ends[:-1]), self.system.offset, strict=True)
-        return Grouped(part.reshape(offset.shape) for part, offset in parts)
+        return self.system.grouped(in_groups)
 
 
 def build_differences(scene: Scene) -> Differences:
@@ -64,7 +62,7 @@ def build_differences(scene: Scene) -> Differences:
     return Differences(
         system,
         order,
-        sparse.csr_matrix(sparse.vstack([group.operator for group in system.groups]))[order][:, by_component],
+        system.operator[order][:, by_component],
         _flat(system.offset)[order],
         _flat(coefficient)[order],
         scalars=int((_flat(components) == 1).sum()),

@@ -50,10 +50,6 @@ class ContactGroup:
     def transposed(self) -> sparse.csr_matrix:
         return self.operator.T.tocsr()
 
-    def change(self, step: np.ndarray) -> np.ndarray:
-        """Change of the differences (d, n) that a change of the spins (unknowns,) makes."""
-        return (self.operator @ step).reshape(self.offset.shape)
-
     def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
         """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
 
@@ -80,14 +76,28 @@ class ContactSystem:
     unknowns: int
     groups: tuple[ContactGroup, ...]
 
-    @property
+    @cached_property
     def offset(self) -> Arrays:
         """What the imposed spins add to the differences, (d, n) a group."""
         return Grouped(group.offset for group in self.groups)
 
+    @cached_property
+    def operator(self) -> sparse.csr_matrix:
+        """(rows, unknowns): what is linear in the spins, one component of one contact a row."""
+        return sparse.csr_matrix(sparse.vstack([group.operator for group in self.groups]))
+
+    @cached_property
+    def _rows(self) -> list[tuple[slice, tuple[int, ...]]]:
+        ends = np.cumsum([offset.size for offset in self.offset]).tolist()
+        return [(slice(end - offset.size, end), offset.shape) for end, offset in zip(ends, self.offset, strict=True)]
+
+    def grouped(self, rows: np.ndarray) -> Arrays:
+        """Values of all rows as vectors (d, n) a group."""
+        return Grouped(rows[own].reshape(shape) for own, shape in self._rows)
+
     def change(self, step: np.ndarray) -> Arrays:
         """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes."""
-        return Grouped(group.change(step) for group in self.groups)
+        return self.grouped(self.operator @ step)
 
     def differences(self, spins: np.ndarray) -> Arrays:
         """Difference of the spins across each contact, (d, n) a group."""

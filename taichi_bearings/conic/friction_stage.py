@@ -201,7 +201,7 @@ class FrictionStage:
 
         def slope(length: float) -> float:
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
-            work = (force * change / friction.resistance).sum()
+            work = sum(each(lambda f, df, c: float((f * df / c).sum()), force, change, friction.resistance))
             return friction.inertia * float((gained + length * step) @ step) + work
 
         low, high, at_low, at_high = 0.0, 1.0, first, slope(1.0)

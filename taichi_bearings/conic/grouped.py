@@ -5,6 +5,7 @@ a vector field (d, n). `friction * difference` is then the product in every grou
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import repeat
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -69,9 +70,7 @@ Arrays = Grouped[np.ndarray]
 
 def each(function: Callable[..., T], *values: object) -> Grouped[T]:
     """function(*values) of every group; what is not :class:`Grouped` is the same for all."""
-    groups = next(len(value) for value in values if isinstance(value, Grouped))
-    columns = (value.parts if isinstance(value, Grouped) else (value,) * groups for value in values)
-    return Grouped(function(*of_group) for of_group in zip(*columns, strict=True))
+    return Grouped(map(function, *[value.parts if isinstance(value, Grouped) else repeat(value) for value in values]))
 
 
 def where(chosen: Arrays, values: Arrays | float, others: Arrays | float) -> Arrays:
