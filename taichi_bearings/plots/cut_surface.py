@@ -19,6 +19,7 @@ from taichi_bearings.plots.lattice import (
     draw_walls,
     frame_block,
     middle_cuts,
+    name_cut,
     paint_plane,
     seen,
     squares,
@@ -51,8 +52,7 @@ def draw_cut_surface(above: np.ndarray, coefficient: tuple[np.ndarray, ...], sli
         for axes, letter, (axis, index) in zip(cuts, "cd", middle_cuts(above.shape), strict=True):
             inside = [contacts_in_plane(values, axis, index) for values in (walls, slips)]
             _draw_sides(axes, np.take(above, index, axis), *inside)
-            axes.set_title(f"({letter}) cut at {'xy'[axis]} = {index}", fontsize=9)
-            axes.set(xlabel="yx"[axis], ylabel="z")
+            name_cut(axes, axis, index, f"({letter}) ")
         figure.suptitle(_summary(walls, slips), fontsize=10)
     key = [
         Line2D([], [], color=ORANGE, lw=4, label="minimum cut"),

@@ -17,6 +17,7 @@ from taichi_bearings.plots.lattice import (
     box_driven_rows,
     draw_walls,
     middle_cuts,
+    name_cut,
     paint_block,
     paint_plane,
     walls_between,
@@ -52,8 +53,7 @@ def draw_domains(domains: RigidDomains) -> Figure:
         for place, (axis, index) in enumerate(middle_cuts(colour.shape)):
             axes = above.add_subplot(1, 3, 2 + place)
             _paint(axes, np.take(colour, index, axis), np.take(domains.domain, index, axis), domains)
-            axes.set_title(f"({'bc'[place]}) cut at {'xy'[axis]} = {index}, boundaries in black", fontsize=9)
-            axes.set(xlabel="xy"[place], ylabel="z")
+            name_cut(axes, axis, index, f"({'bc'[place]}) ", ", boundaries in black")
         sizes, values = below.subplots(1, 2)
     first = "b" if domains.domain.ndim == 2 else "d"
     _draw_sizes(sizes, domains)

@@ -55,7 +55,13 @@ def middle_cuts(shape: tuple[int, ...]) -> tuple[tuple[int, int], tuple[int, int
     return (1, shape[1] // 2), (0, shape[0] // 2)
 
 
-def contacts_in_plane(contacts: tuple[np.ndarray, ...], axis: int, index: int) -> tuple[np.ndarray, ...]:
+def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
+    """Title and axes of the upright plane `index` across `axis`."""
+    axes.set_title(f"{before}cut at {'xy'[axis]} = {index}{after}", fontsize=9)
+    axes.set(xlabel="yx"[axis], ylabel="z")
+
+
+def contacts_in_plane(contacts: Sequence[np.ndarray], axis: int, index: int) -> tuple[np.ndarray, ...]:
     """Values of the contacts that lie in the plane `index` across `axis`, one array an axis of the plane."""
     return tuple(np.take(values, index, axis) for along, values in enumerate(contacts) if along != axis)
 

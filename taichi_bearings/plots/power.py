@@ -1,12 +1,13 @@
 """Where the power is dissipated: every contact coloured by its power."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import draw_contacts, frame_plane
+from taichi_bearings.plots.lattice import contacts_in_plane, draw_contacts, frame_plane, middle_cuts, name_cut
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
@@ -27,21 +28,14 @@ def draw_power(solution: Solution, replica: int = 0) -> Figure:
         drawn = _draw_plane(axes, power, state, shape, norm)
         figure.colorbar(drawn, ax=axes, label="power of a slipping contact", shrink=0.8)
         return figure
-    nx, ny, nz = shape
+    nz = shape[-1]
     figure = new_figure(11.5, 3.9)
-    columns = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
-    middle_y, middle_x = (slice(None), ny // 2), (nx // 2,)
-    cuts = [
-        (f"cut at y = {ny // 2}", [v[middle_y] for v in power[::2]], [v[middle_y] for v in state[::2]], (nx, nz)),
-        (f"cut at x = {nx // 2}", [v[middle_x] for v in power[1:]], [v[middle_x] for v in state[1:]], (ny, nz)),
-    ]
-    for place, (name, values, states, shape) in enumerate(cuts):
-        axes = columns[place]
-        drawn = _draw_plane(axes, values, states, shape, norm)
-        axes.set_title(name, fontsize=9)
-        axes.set(xlabel="xy"[place], ylabel="z")
-    figure.colorbar(drawn, ax=columns[:2], label="power of a slipping contact", shrink=0.8, location="left")
-    axes = columns[2]
+    *cuts, axes = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
+    for cut, (axis, index) in zip(cuts, middle_cuts(shape), strict=True):
+        powers, states = (contacts_in_plane(values, axis, index) for values in (power, state))
+        drawn = _draw_plane(cut, powers, states, (shape[1 - axis], nz), norm)
+        name_cut(cut, axis, index)
+    figure.colorbar(drawn, ax=cuts, label="power of a slipping contact", shrink=0.8, location="left")
     layers = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
     axes.step(layers, np.arange(nz), where="mid", label="contacts in the layer")
     axes.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", label="contacts to the next layer")
@@ -51,7 +45,7 @@ def draw_power(solution: Solution, replica: int = 0) -> Figure:
 
 
 def _draw_plane(
-    axes: Any, power: list[np.ndarray], state: list[np.ndarray], shape: tuple[int, ...], norm: LogNorm
+    axes: Any, power: Sequence[np.ndarray], state: Sequence[np.ndarray], shape: tuple[int, ...], norm: LogNorm
 ) -> Any:
     """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey."""
     slips = [(s == ContactState.SLIPPING) & (p > 0) for p, s in zip(power, state, strict=True)]

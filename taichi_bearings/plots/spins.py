@@ -14,6 +14,7 @@ from taichi_bearings.plots.lattice import (
     draw_speed_bar,
     draw_walls,
     middle_cuts,
+    name_cut,
     paint_block,
     paint_plane,
     speed_of,
@@ -60,7 +61,6 @@ def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...]) -> Figure:
     for place, (axis, index) in enumerate(middle_cuts(colour.shape)):
         axes = figure.add_subplot(1, 3, 2 + place)
         _paint(axes, np.take(colour, index, axis), contacts_in_plane(slips, axis, index))
-        axes.set_title(f"cut at {'xy'[axis]} = {index}, slipping contacts in black", fontsize=9)
-        axes.set(xlabel="xy"[place], ylabel="z")
+        name_cut(axes, axis, index, after=", slipping contacts in black")
     draw_speed_bar(figure, figure.axes, shrink=0.7)
     return figure
