@@ -3,21 +3,23 @@
 import multiprocessing
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_bearings import runtime
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.lattice.layout import Layout
-from taichi_bearings.runs.run import build_scene
-from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent
+from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 
 SHARPNESS = 1e12  # contacts with a smaller difference than its inverse do not slip
+NUMPY = "NumPy sweep"
+DIRECTIONS = {2: (1.0, 1.0, 0.0), 3: (1.0, 2.0, 3.0)}  # components -> axis of the driven spins
 ROUNDS = 7  # each times every candidate once, so that a drift of the machine meets them alike; medians are reported
 
 
@@ -101,45 +103,46 @@ class NumpySweep:
 
 def measure(shape: tuple[int, ...], threads: int) -> list[Throughput]:
     """Rows for `threads` threads, measured in a process of their own."""
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        return [Throughput(**row) for row in pool.apply(_measure_here, (shape, threads))]
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(_measure_here, (shape, threads))
 
 
-def _measure_here(shape: tuple[int, ...], threads: int) -> list[dict[str, Any]]:
-    from taichi_bearings import runtime
-    from taichi_bearings.fields import Fields, make_layout
-    from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
-
+def _measure_here(shape: tuple[int, ...], threads: int) -> list[Throughput]:
     runtime.start("cpu", "f64", threads)
-    rows: list[dict[str, Any]] = []
-    for components, direction in ((2, (1.0, 1.0, 0.0)), (3, (1.0, 2.0, 3.0))):
-        scene = build_scene(RunSettings(shape=shape, direction=direction))
-        spin = initial_spin(scene, "random")
-        linear = initial_spin(scene, "linear")
-        numpy_sweep = NumpySweep(scene, components)
-        candidates: dict[str, tuple[Callable[[int], None], int]] = {"NumPy sweep": (numpy_sweep.repeat, 20)}
-        layout = make_layout(1, shape)
-        plain = GradientDescentMethod(GradientDescent(momentum=False))
-        fast = GradientDescent().build()
-        dynamics = CundallStrack().build()
-        plain.begin(scene, spin, Fields(layout, plain.plan(scene, spin)))
-        fast.begin(scene, spin, Fields(layout, fast.plan(scene, spin)))
-        dynamics.begin(scene, linear, Fields(layout, dynamics.plan(scene, linear)))
-        plain.epoch_length = 2**40  # stay in the part of the epoch that does not average
-        candidates["sweep"] = (plain.advance, 400)
-        candidates["sweep with momentum"] = (fast.advance, 400)
-        candidates["Cundall-Strack step"] = (dynamics.advance, 200)
-        times: dict[str, list[float]] = {name: [] for name in candidates}
-        for _ in range(ROUNDS):
-            for name, (call, number) in candidates.items():
-                began = time.perf_counter()
-                call(number)
-                times[name].append((time.perf_counter() - began) / number)
-        reference = float(np.median(times["NumPy sweep"]))
-        for name, measured in times.items():
-            seconds = float(np.median(measured))
-            ratio = reference / seconds if "sweep" in name and not name.startswith("NumPy") else None
-            used = 1 if name.startswith("NumPy") else threads
-            rows.append(asdict(Throughput(name, components, used, seconds, scene.lattice.contacts / seconds, ratio)))
+    rows = []
+    for components, direction in DIRECTIONS.items():
+        scene = Scene.random(shape, direction=direction)
+        seconds = _seconds(_candidates(scene, components))
+        for name, value in seconds.items():
+            of_numpy = name == NUMPY
+            ratio = seconds[NUMPY] / value if "sweep" in name and not of_numpy else None
+            updates = scene.lattice.contacts / value
+            rows.append(Throughput(name, components, 1 if of_numpy else threads, value, updates, ratio))
     return rows
+
+
+def _candidates(scene: Scene, components: int) -> dict[str, tuple[Callable[[int], None], int]]:
+    """What makes a number of sweeps or steps, and how many."""
+    plain = GradientDescentMethod(GradientDescent(momentum=False))
+    fast, dynamics = GradientDescent().build(), CundallStrack().build()
+    for method, start in ((plain, "random"), (fast, "random"), (dynamics, "linear")):
+        spin = initial_spin(scene, start)
+        method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin)))
+    plain.epoch_length = 2**40  # stay in the part of the epoch that does not average
+    return {
+        NUMPY: (NumpySweep(scene, components).repeat, 20),
+        "sweep": (plain.advance, 400),
+        "sweep with momentum": (fast.advance, 400),
+        "Cundall-Strack step": (dynamics.advance, 200),
+    }
+
+
+def _seconds(candidates: dict[str, tuple[Callable[[int], None], int]]) -> dict[str, float]:
+    """Median time of one sweep or step of each."""
+    times: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(ROUNDS):
+        for name, (call, number) in candidates.items():
+            began = time.perf_counter()
+            call(number)
+            times[name].append((time.perf_counter() - began) / number)
+    return {name: float(np.median(measured)) for name, measured in times.items()}
