@@ -8,6 +8,7 @@ lattice axis form a group: the vectors (d, n) across its n contacts have d compo
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy import sparse
@@ -129,26 +130,20 @@ class ContactSystem:
         both = (below >= 0) & (above >= 0)
         return joined(below[both], above[both], self.unknowns)
 
-    def _blocks(self) -> Iterator[tuple[ContactGroup, int, int, int]]:
-        """(group, i, j, start) for each entry i <= j of the d x d stiffness of a group, stacked in this order."""
+    def _entries(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
+        """(first unknown, second unknown, place in `stacked` stiffness, sign) of all terms of the Laplacian, each pair
+        once."""
         start = 0
         for group in self.groups:
-            for i in range(len(group.below)):
-                for j in range(i, len(group.below)):
-                    yield group, i, j, start
-                    start += group.below.shape[1]
-
-    def _entries(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
-        """(first unknown, second unknown, stacked stiffness, sign) of all terms of the Laplacian, each pair once."""
-        for group, i, j, start in self._blocks():
-            source = start + np.arange(group.below.shape[1])
-            pairs = [(group.below[i], group.below[j], 1.0), (group.above[i], group.above[j], 1.0)]
-            pairs.append((group.below[i], group.above[j], -1.0))
-            if i != j:
-                pairs.append((group.below[j], group.above[i], -1.0))
-            for first, second, sign in pairs:
-                free = (first >= 0) & (second >= 0)
-                yield first[free], second[free], source[free], sign
+            below, above, count = group.below, group.above, group.below.shape[1]
+            for i, j in combinations_with_replacement(range(len(below)), 2):
+                source = start + np.arange(count)
+                start += count
+                pairs = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
+                pairs += [(below[j], above[i], -1.0)] if i != j else []
+                for first, second, sign in pairs:
+                    free = (first >= 0) & (second >= 0)
+                    yield first[free], second[free], source[free], sign
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""
