@@ -26,14 +26,21 @@ BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
 in_our_style = rc_context(RC)  # decorates what makes a figure
 
 
+class NotebookFigure(Figure):
+    """A figure that notebooks show, whether or not pyplot is there."""
+
+    def _repr_png_(self) -> bytes:
+        return _png(self)
+
+
 def new_figure(width: float = 5.5, height: float = 4.0) -> Figure:
     """An empty figure, width and height in inches, laid out so that nothing overlaps."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return NotebookFigure(figsize=(width, height), layout="constrained")
 
 
 def plain_figure(width: float = 5.5, height: float = 4.0) -> Figure:
     """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
-    figure = Figure(figsize=(width, height))
+    figure = NotebookFigure(figsize=(width, height))
     figure.subplots_adjust(left=0.78 / width, right=1 - 0.15 / width, bottom=0.55 / height, top=1 - 0.5 / height)
     return figure
 
@@ -74,11 +81,18 @@ def refuse_ending(path: Path) -> None:
 
 
 @in_our_style
+def _png(figure: Figure) -> bytes:
+    drawn = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
+    return drawn.getvalue()
+
+
+@in_our_style
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
-    drawn = io.BytesIO()
     if path.suffix == ".png":
-        FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
-    else:
-        figure.savefig(drawn, format=path.suffix[1:])
+        replace_file(path, _png(figure))
+        return
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=path.suffix[1:])
     replace_file(path, drawn.getbuffer())

@@ -13,7 +13,7 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
 from taichi_bearings.runs.settings import RunSettings, parse_toml
-from taichi_bearings.runtime import Runtime
+from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import ROUNDING
 
@@ -176,7 +176,7 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         seconds_compile=float(attributes["seconds_compile"]),
         history={key: _column(key, get(f"history/{key}")) for key in file["history"]},
         findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
-        running=Runtime(str(attributes["arch"]), str(attributes["precision"]), int(attributes["threads"])),
+        running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
         snapshots=_snapshots(get("snapshots/time"), get("snapshots/spin")) if "snapshots" in file else None,
     )
 

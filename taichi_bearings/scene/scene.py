@@ -3,6 +3,9 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isfinite
+from numbers import Real
+from operator import index
 from typing import Any, ClassVar
 
 import numpy as np
@@ -78,7 +81,16 @@ class Scene:
             coefficient of "coulomb-viscous"; `normal_force` and `radius`.
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
-        lattice = Lattice(tuple(shape), others.get("radius", cls.radius))
+        try:
+            sides, seed, replicas = tuple(map(index, shape)), index(seed), index(replicas)
+        except TypeError:
+            raise InputError(
+                f"shape is {shape}, seed is {seed} and replicas is {replicas}; they must be whole numbers, and two or "
+                "three of them the shape"
+            ) from None
+        if seed < 0:
+            raise InputError(f"seed is {seed}; it must be 0 or more")
+        lattice = Lattice(sides, others.get("radius", cls.radius))
         if not 1 <= replicas <= MOST_SITES // 8 // lattice.sites:
             most = MOST_SITES // 8 // lattice.sites
             raise InputError(f"replicas is {replicas}; with this shape at least 1 and at most {most} can be indexed")
@@ -102,9 +114,10 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "law", law_named(self.law))
-        for name in ("spin_top", "spin_bottom", "normal_force"):
-            if not np.isfinite(getattr(self, name)):
-                raise InputError(f"{name} is {getattr(self, name)}; it must be a finite number")
+        for name in ("spin_top", "spin_bottom", "normal_force", "radius"):
+            value = getattr(self, name)
+            if not isinstance(value, Real) or not isfinite(value):
+                raise InputError(f"{name} is {value!r}; it must be a finite number")
         if self.normal_force <= 0:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
         if len(self.direction) != 3 or not np.all(np.isfinite(self.direction)) or not np.any(self.direction):

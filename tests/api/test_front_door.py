@@ -198,6 +198,14 @@ def test_a_distribution_of_ones_own(needs_f64):
     (lambda s: tb.Scene(("a", "b")), "must be real numbers"),
     (lambda s: tb.Scene.random((4, 5), distribution="normal"), "distribution is 'normal'"),
     (lambda s: tb.Scene.random((4, 5), replicas=0), "replicas is 0"),
+    (lambda s: tb.Scene.random("4x5"), "shape is 4x5"),
+    (lambda s: tb.Scene.random(10), "shape is 10"),
+    (lambda s: tb.Scene.random((4, 5), seed=-1), "seed is -1"),
+    (lambda s: tb.Scene.random((4, 5), seed=0.5), "seed is 0.5"),
+    (lambda s: tb.Scene.random((4, 5), law="newton"), "law is 'newton'"),
+    (lambda s: tb.Scene.random((4, 5), spin_top="fast"), "spin_top is 'fast'"),
+    (lambda s: tb.Scene.random((4, 5), direction=(0, 0, 0)), "direction is [0, 0, 0]"),
+    (lambda s: tb.Scene.random((4, 5), radius=-1), "radius is -1"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused_in_one_sentence(call, words):
     with pytest.raises(tb.InputError) as refused:
@@ -217,6 +225,7 @@ def test_figures_need_no_file(needs_f64):
     found = tb.solve(tb.Scene.random((4, 4, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-3, threads=1)
     for kind in ("spins", "power", "history", "domains", "cut_surface"):
         assert found.plot(kind).axes
+        assert found.plot(kind)._repr_png_().startswith(b"\x89PNG")
 
 
 def test_many_scenes_come_as_they_are_solved_in_processes_of_their_own():
