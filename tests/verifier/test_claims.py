@@ -86,7 +86,7 @@ def test_one_coefficient_does_not_set_the_scale_of_the_others():
 
 def test_a_power_that_is_no_number_is_not_certified():
     settings = {
-        "shape": (3, 3, 4), "law": "viscous", "normal_force": 1e15, "radius": 1e15, "spin_top": 1e15,
+        "shape": (3, 3, 4), "law": "viscous", "radius": 1e15, "spin_top": 1e15,
         "distribution": "uniform:1e14,1e15", "method": "gradient-descent", "iterations": 10,
     }  # fmt: skip
     job = prepare(RunSettings(threads=1, **settings))
