@@ -212,7 +212,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
     )
     solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
-    if settings.method == "auto" and solution.method == "interior-point" and solution.status is Status.STALLED:
+    stalled = solution.method == "interior-point" and solution.status is Status.STALLED
+    if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
         left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
         other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
         solution = _better(solution, other, settings.tolerance)

@@ -189,3 +189,10 @@ def test_a_threshold_of_the_user_only_turns_slipping_contacts_into_slipless_ones
     for before, after, slip in zip(plain.state, coarse.state, coarse.slip, strict=True):
         assert (after[slip <= threshold] != ContactState.SLIPPING).all()
         assert (after[slip > threshold] == before[slip > threshold]).all()
+
+
+def test_auto_keeps_a_stalled_answer_that_no_other_method_goes_on_from():
+    settings = RunSettings(shape=(3, 3, 4), law="coulomb-viscous", tolerance=1e-15, threads=1)
+    solution = solve_job(prepare(settings))
+    assert solution.status is Status.STALLED
+    assert solution.gap[0] < 1e-8
