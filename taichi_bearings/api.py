@@ -213,7 +213,7 @@ class Result:
         return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{more}"
 
     def plot(self, kind: str = "spins", sample: int = 0, time: float | None = None) -> "Figure":
-        """A figure, which neither shows itself nor changes a setting of matplotlib; `.savefig("a.png")` writes it.
+        """A figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
 
         kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network", "plane_cuts",
             "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution".
