@@ -60,7 +60,7 @@ def throughput(shape: str, threads: str | None, as_json: bool) -> None:
 @click.option(
     "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Spheres along each axis; repeat for several scenes."
 )
-@click.option("--law", multiple=True, metavar="coulomb|viscous|coulomb-viscous", help="Contact law; repeat for several.")
+@click.option("--law", multiple=True, metavar="LAW", help="coulomb, viscous or coulomb-viscous; repeat for several.")
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the disorder.")
 @click.option("--methods", default=None, metavar="NAME[,NAME...]", help="Methods to compare. [default: all]")
 @click.option("--peers/--no-peers", default=True, show_default=True, help="Clarabel and SCS too, where installed.")
