@@ -27,10 +27,10 @@ def three_components(scene: Scene, spin):
 
 
 @pytest.mark.parametrize("momentum", [False, True])
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
 @pytest.mark.parametrize(("shape", "direction"), CASES)
 def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
-    scene = make_scene(shape, law, direction=direction, spin_bottom=-0.2)
+    scene = make_scene(shape, law, direction=direction, spin_bottom=-0.2, viscosity="uniform:20,100")
     accuracy = 1e-13 if precision == "f64" else 1e-5
     method = GradientDescent(momentum=momentum).build()
     start = scene.laboratory_spin(
@@ -45,8 +45,10 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
     clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
     omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
     ahead, coefficient = omega.copy(), [c[0] for c in scene.coefficient]
+    viscosity = [scene.lattice.radius / scene.normal_force * v[0] for v in scene.viscosities]
+    beside = (viscosity, width if momentum else 2 * step) if law == "coulomb-viscous" else ()
     for sweep in range(4):
-        moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity)
+        moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity, *beside)
         beta = sweep / (sweep + 3) if momentum else 0.0
         ahead, omega = moved + beta * (moved - omega), moved
     method.advance(4)

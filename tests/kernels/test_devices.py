@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 COURSES = [
     (method, law, shape)
     for method in ("gradient-descent", "plain descent", "cundall-strack", "with energy")
-    for law in ("coulomb", "viscous")
+    for law in ("coulomb", "viscous", "coulomb-viscous")
     for shape in ((12, 10), (6, 5, 7))
 ]
 
@@ -36,7 +36,8 @@ def on_the_cpu():
 @pytest.mark.parametrize("case", COURSES, ids=lambda case: "-".join(map(str, case)))
 def test_two_hundred_iterations_end_where_those_of_the_cpu_do(case, on_the_cpu, precision):
     found, expected = np.array(course(*case)), np.array(on_the_cpu[case])
-    chatters = case[:2] == ("plain descent", "coulomb")  # across the kinks of |slip|: rounding decides to which side
+    # across the kinks of |slip|: rounding decides to which side
+    chatters = case[0] == "plain descent" and case[1] != "viscous"
     single = 1e-2 if chatters else 1e-4
     assert found == pytest.approx(expected, rel=1e-11 if precision == "f64" else single)
 

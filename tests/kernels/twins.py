@@ -28,11 +28,11 @@ def is_driven(site, shape):
     return site[-1] in (0, shape[-1] - 1)
 
 
-def descent_sweep(omega, coefficient, law, step, width, box, parity):
+def descent_sweep(omega, coefficient, law, step, width, box, parity, viscosity=None, reach=0.0):
     """One sweep of (sub)gradient descent on P in the metric of the contact weights; returns omega after it.
 
     The gradient is Eqs. (5) and (6): force times (k x r), with |v| bounded from below by R width for Coulomb. Also
-    returns the force of every contact.
+    returns the force of every contact. viscosity : beside friction, in its units; `reach` of it counts in the metric.
     """
     shape = omega.shape[:-1]
     torque, weight, forces = np.zeros_like(omega), np.zeros_like(omega), {}
@@ -41,13 +41,14 @@ def descent_sweep(omega, coefficient, law, step, width, box, parity):
             continue
         mu = coefficient[axis][lower]
         v = slip(omega, lower, upper, axis)
-        scale = mu / max(np.linalg.norm(v) / R, width) if law == "coulomb" else mu
+        eta = 0.0 if viscosity is None else viscosity[axis][lower]
+        scale = mu if law == "viscous" else mu / max(np.linalg.norm(v) / R, width) + eta
         force = scale * v / R  # on the scale of the kernels: friction coefficient times spin difference
         forces[lower, axis] = force
         for site, r, pull in ((lower, arm(axis), force), (upper, -arm(axis), -force)):
             for k in range(3):
                 torque[site][k] += pull @ np.cross(np.eye(3)[k], r) / R
-                weight[site][k] += mu * (k != axis)
+                weight[site][k] += (mu + reach * eta) * (k != axis)
     after = omega.copy()
     for site in np.ndindex(*shape):
         if not is_driven(site, shape):
@@ -56,11 +57,12 @@ def descent_sweep(omega, coefficient, law, step, width, box, parity):
     return after, forces
 
 
-def cundall_strack_step(gear, elongation, last_error, coefficient, law, constants, corrector):
+def cundall_strack_step(gear, elongation, last_error, coefficient, law, constants, corrector, viscosity=None):
     """One step of Gear's method for Eq. (10) with the friction of Eqs. (7)-(9); changes its arguments, returns forces.
 
     gear : list of scaled derivatives of omega. elongation : {(lower, axis): vector}. last_error : the corrector's
     correction of the scaled first derivative in the step before, which also corrects the elongation it had predicted.
+    viscosity : of contacts that have it beside spring, damper and friction.
     """
     stiffness, damping, normal_force, static_ratio, inertia, h, relaxes = constants
     shape, order = gear[0].shape[:-1], len(gear)
@@ -84,6 +86,7 @@ def cundall_strack_step(gear, elongation, last_error, coefficient, law, constant
                 target, rate = -force / stiffness, h * stiffness / damping
                 delta = (elongation[lower, axis] + rate * target) / (1 + rate) if relaxes else target
             elongation[lower, axis] = delta
+            force = force if viscosity is None else force - viscosity[axis][lower] * v
         forces[lower, axis] = force
         torque[upper] += np.cross(-arm(axis), force)
         torque[lower] += np.cross(arm(axis), -force)
