@@ -214,13 +214,15 @@ class _Course:
         friction = laboratory_forces(
             certifying_forces(scene, self.best.proof, final.spin_axes, self.best.bound), scene.lattice, final.spin_axes
         )
-        objective, bound, judgement = final.objective, self.best.bound, _judged(scene, spin, spin_rounding, friction)
+        per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
+        objective, bound = final.objective, self.best.bound
+        power = objective if scene.law.minimises == "power" else scene.total(per_contact)
+        judgement = _judged(scene, spin, spin_rounding, friction)
         if judgement is not None:  # what the answer proves is what is reported
-            objective, bound = judgement.objective, judgement.lower_bound
+            power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
         gap = relative_gap(scene, objective, bound)
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (gap <= self.stop.tolerance).all() else Status.STALLED
-        per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
         return Solution(
             scene=scene,
             method=self.method.options.name,
@@ -235,7 +237,7 @@ class _Course:
             state=state,
             slip_bound=slip_bound(scene, final.force, final.spin_axes, objective) if scene.law.holds else (),
             resolved=_proven(scene, final, judgement, state),
-            power=objective if scene.law.minimises == "power" else scene.total(per_contact),
+            power=power,
             objective=objective,
             lower_bound=bound,
             gap=gap,

@@ -49,7 +49,8 @@ class Laboratory:
         return (ZERO, ZERO, total[0]) if self.flat else total
 
     def contacts(self):
-        """(lower site, upper site, direction, coefficient, friction on the upper sphere) of those that can slip."""
+        """(lower site, upper site, direction, friction that it bears, viscosity, force on the upper sphere) of those
+        that can slip."""
         for axis, coefficient in enumerate(self.samples.coefficient):
             n = tuple(Decimal(int(k == axis)) for k in range(3))
             for lower in np.ndindex(*coefficient.shape[1:]):
@@ -59,35 +60,43 @@ class Laboratory:
                 force = exactly(self.samples.friction[axis][(self.number, *lower)])
                 if self.flat:
                     force = tuple(force[0] * part for part in cross((ZERO, ZERO, Decimal(1)), n))
-                yield lower, upper, n, Decimal(float(coefficient[(self.number, *lower)])), force
+                first, second = Decimal(float(coefficient[(self.number, *lower)])), ZERO
+                if self.samples.viscosity:
+                    second = Decimal(float(self.samples.viscosity[axis][(self.number, *lower)]))
+                held, viscosity = (ZERO, first) if self.samples.law == "viscous" else (first * self.strength, second)
+                yield lower, upper, n, held, viscosity, force
 
-    def power(self):
+    def power(self, share=Decimal(1)):
+        """share : of the viscous part."""
         total = ZERO
-        for lower, upper, n, coefficient, _ in self.contacts():
+        for lower, upper, n, held, viscosity, _ in self.contacts():
             to_upper = tuple(self.radius * part for part in n)
             to_lower = tuple(-part for part in to_upper)
             slip = tuple(
                 a - b for a, b in zip(cross(self.spin[upper], to_lower), cross(self.spin[lower], to_upper), strict=True)
             )
-            if self.samples.law == "coulomb":
-                total += coefficient * self.strength * dot(slip, slip).sqrt()
-            else:
-                total += coefficient * dot(slip, slip)
+            total += held * dot(slip, slip).sqrt() + share * viscosity * dot(slip, slip)
         return total
+
+    def objective(self):
+        """The power, or of contacts with friction and viscosity their potential."""
+        return self.power(Decimal(1) / 2 if self.samples.viscosity else Decimal(1))
 
     def lower_bound(self):
         """Work of the driven planes against the friction, less the price of torques left over; friction scaled into
-        its discs (Coulomb), or twice that work less the sum of |F|^2 / eta (viscous)."""
+        its discs (Coulomb), or twice that work less the sum of |F|^2 / eta (viscous), or that work less the sum of
+        max(|F| - mu F_n, 0)^2 / (2 eta) (both)."""
         torque = dict.fromkeys(self.spin, (ZERO, ZERO, ZERO))
         worst, cost = Decimal(1), ZERO
-        for lower, upper, n, coefficient, force in self.contacts():
+        for lower, upper, n, held, viscosity, force in self.contacts():
             turn = cross(tuple(-self.radius * part for part in n), force)
             for site in (lower, upper):
                 torque[site] = tuple(a + b for a, b in zip(torque[site], turn, strict=True))
-            if self.samples.law == "coulomb":
-                worst = max(worst, dot(force, force).sqrt() / (coefficient * self.strength))
+            size = dot(force, force).sqrt()
+            if viscosity:
+                cost += max(size - held, ZERO) ** 2 / (2 * viscosity)
             else:
-                cost += dot(force, force) / coefficient
+                worst = max(worst, size / held)
         jump = Decimal(self.samples.spin_top) - Decimal(self.samples.spin_bottom)
         left = ZERO
         for site, pull in torque.items():
@@ -97,4 +106,4 @@ class Laboratory:
                     left -= gain
                 elif not self.is_driven(site):
                     left -= max(gain, ZERO)
-        return left / worst if self.samples.law == "coulomb" else 2 * left - cost
+        return (2 if self.samples.law == "viscous" else 1) * (left / worst - cost)

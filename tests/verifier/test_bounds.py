@@ -21,6 +21,13 @@ SCENES = [
     ((3, 2, 4), {}, "interior-point"),
     ((3, 2, 4), {"direction": (1, -2, 3), "spin_bottom": 0.25, "radius": 0.7, "normal_force": 3.0}, "interior-point"),
     ((3, 2, 4), {"law": "viscous", "direction": (1, 1, 1)}, "linear-solver"),
+    ((4, 5), {"law": "coulomb-viscous", "spin_bottom": -0.3, "viscosity": "uniform:5,60"}, "interior-point"),
+    (
+        (3, 2, 4),
+        {"law": "coulomb-viscous", "radius": 0.7, "normal_force": 3.0, "viscosity": "lognormal:3,2"},
+        "interior-point",
+    ),
+    ((2, 3, 4), {"law": "coulomb-viscous", "direction": (1, -2, 3), "spin_bottom": 0.999999}, "interior-point"),
     ((2, 3, 4), {"spin_bottom": 0.999999999}, "interior-point"),
     ((2, 3, 4), {"spin_top": 1e-9, "spin_bottom": -1e9, "direction": (1, 1e-7, 0)}, "interior-point"),
 ]
@@ -31,6 +38,7 @@ def samples_of(solution):
     return Samples(
         scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
         scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding, solution.friction,
+        scene.named_coefficients.get("viscosity", ()),
     )  # fmt: skip
 
 
@@ -45,10 +53,11 @@ def solved(shape, options, method):
 def test_of_a_minimum(shape, options, method):
     solution = solved(shape, options, method)
     judgement, truth = Judgement(samples_of(solution)), Laboratory(samples_of(solution))
-    power, bound = truth.power(), truth.lower_bound()
-    assert Decimal(judgement.lower_bound[0]) <= bound <= power <= Decimal(judgement.upper_bound[0])
-    assert float(Decimal(judgement.upper_bound[0]) / power - 1) < 2e-15
+    power, objective, bound = truth.power(), truth.objective(), truth.lower_bound()
+    assert Decimal(judgement.lower_bound[0]) <= bound <= objective <= Decimal(judgement.upper_bound[0])
+    assert float(Decimal(judgement.upper_bound[0]) / objective - 1) < 2e-15
     assert abs(float(Decimal(judgement.power[0]) / power - 1)) < 3e-16
+    assert abs(float(Decimal(judgement.objective[0]) / objective - 1)) < 3e-16
     assert float(1 - Decimal(judgement.lower_bound[0]) / bound) < 4e-15
     assert solution.power[0] == judgement.power[0]
     assert solution.lower_bound[0] == judgement.lower_bound[0]
@@ -69,9 +78,9 @@ def test_of_any_spins_and_friction(shape, options, method):
         friction=tuple(f * rng.uniform(0.5, 1.3, f.shape) for f in whole.friction),
     )
     judgement, truth = Judgement(samples), Laboratory(samples)
-    power, bound = truth.power(), truth.lower_bound()
-    assert Decimal(judgement.upper_bound[0]) >= power
-    assert float(Decimal(judgement.upper_bound[0]) / power - 1) < 2e-15
+    objective, bound = truth.objective(), truth.lower_bound()
+    assert Decimal(judgement.upper_bound[0]) >= objective
+    assert float(Decimal(judgement.upper_bound[0]) / objective - 1) < 2e-15
     assert Decimal(judgement.lower_bound[0]) <= max(bound, Decimal(0))
     if bound > 0:
         assert float(1 - Decimal(judgement.lower_bound[0]) / bound) < 1e-13
