@@ -13,7 +13,7 @@ import numpy as np
 
 from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.initial_spins import cut_unit, cut_weights
+from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,10 @@ class Interface:
     above : N, True for the spheres that turn with the top. between : N, True for those that another cut, as light (in
         3D: to 1e-12), may put on the other side.
     contacts : True for those that slip, one array a lattice axis, of the shape of its contacts.
-    power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less; proven.
-    next_power : of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is known
-        only if grids are apart (see :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
+    power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less, or have less
+        of what the stationary state minimises if that is not the power; proven.
+    next_power : the same of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is
+        known only if grids are apart (see :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
     """
 
     above: np.ndarray
@@ -62,16 +63,21 @@ class Interface:
 
 
 def find_interface(scene: Scene, replica: int = 0) -> Interface:
-    """The cheapest interface of one sample, for either law."""
+    """The cheapest interface of one sample: of the least power, or what else the stationary state minimises."""
     slips = scene.jump > 0  # else no contact of any interface slips
     weight = tuple(values[[replica]] for values in cut_weights(scene))
     cut, unit = minimum_cut(weight), cut_unit(scene)
     above = cut.above[0]
+    contacts = tuple(np.diff(above, axis=axis) & (values[0] > 0) & slips for axis, values in enumerate(weight))
+    power = unit * float(cut.weight[0])
+    if scene.law.minimises != "power":
+        spin, axes = minimum_cut_spin(scene.sample(replica)), scene.lattice.all_spin_axes
+        power = float(scene.sample(replica).power(scene.staggered_spin(spin, axes), axes)[0])
     return Interface(
         above=above,
         between=cut.between[0],
-        contacts=tuple(np.diff(above, axis=axis) & (values[0] > 0) & slips for axis, values in enumerate(weight)),
-        power=unit * float(cut.weight[0]),
+        contacts=contacts,
+        power=power,
         lower_bound=unit * float(cut.lower_bound[0]),
         next_power=unit * float(cut.next_weight[0]),
     )

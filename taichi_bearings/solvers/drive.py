@@ -22,6 +22,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.states import SLIPPING
 
 
 @dataclass(frozen=True)
@@ -220,6 +221,8 @@ class _Course:
         judgement = _judged(scene, spin, spin_rounding, friction)
         if judgement is not None:  # what the answer proves is what is reported
             power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
+            if scene.law.flows and scene.law.holds and threshold is None:  # unique slips, some of them proven
+                state = _with_proven_slips(state, judgement)
         gap = relative_gap(scene, objective, bound)
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (gap <= self.stop.tolerance).all() else Status.STALLED
@@ -369,6 +372,15 @@ def _states(
     return tuple(
         np.where((state == ContactState.SLIPPING) & (speed <= threshold), ContactState.SLIPLESS, state).astype(np.uint8)
         for state, speed in zip(final.state, slip, strict=True)
+    )
+
+
+def _with_proven_slips(state: tuple[np.ndarray, ...], judgement: Judgement) -> tuple[np.ndarray, ...]:
+    """States (R, *contacts) an axis, with all contacts slipping that are proven to slip at the minimum."""
+    proven = [np.stack(of_axis) for of_axis in zip(*(found.proven for found in judgement.states), strict=True)]
+    return tuple(
+        np.where(slips == SLIPPING, ContactState.SLIPPING, values).astype(np.uint8)
+        for slips, values in zip(proven, state, strict=True)
     )
 
 

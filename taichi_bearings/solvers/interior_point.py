@@ -77,7 +77,9 @@ class _Sample:
         slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
         if self.resolved is not None:
             return where(self.resolved.slipping, slipping, slipless)
-        slip, margin = self.slip[0], self.margin[0]
+        slip, margin, iterate = self.slip[0], self.margin[0], self.iterate
+        if iterate.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
+            slip = slip * (1 + iterate.viscosity / iterate.friction)
         return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
 
 

@@ -204,7 +204,7 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             int(((p == SLIPLESS) & (g == SLIPPING)).sum() + ((p == SLIPPING) & (g == SLIPLESS)).sum())
             for p, g in zip(found.proven, given, strict=True)
         )
-        if wrong and run.samples.holds and _is_minimum(run):
+        if wrong and run.samples.holds and _is_minimum(run, number):
             yield f"{wrong} contact states{which} are not those of any minimum"
         if proven[number] and not found.agree(given):
             reason = f": {found.reason}" if found.reason else ""
@@ -219,9 +219,9 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield from _saturated(run, number, given, which)
 
 
-def _is_minimum(run: StoredRun) -> bool:
+def _is_minimum(run: StoredRun, number: int) -> bool:
     """A dynamics on its way gives the states of its own motion, and a threshold those of slower contacts, too."""
-    return bool(run.attributes.get("status") == "certified" and "slip_threshold" not in run.settings)
+    return run.claimed("status")[number] == "certified" and "slip_threshold" not in run.settings
 
 
 def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str) -> Iterator[str]:
@@ -255,6 +255,8 @@ def _summary(run: StoredRun, judgement: Judgement, gap: list[float | None]) -> I
         if p is not None and not abs(p - power[number]) <= ROUNDED * abs(p):
             yield f"the power{which} is said to be {p!r}; the spins dissipate {power[number]!r}"
         potential = run.claimed("potential")[number]
+        if potential is None and run.samples.holds and run.samples.flows:
+            yield f"the potential{which}, of which the lower bound is, is missing"
         if potential is not None and not abs(potential - objective[number]) <= ROUNDED * abs(potential):
             yield f"the potential{which} is said to be {potential!r}; that of the spins is {objective[number]!r}"
         if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
@@ -301,11 +303,12 @@ def _close(said: Any, value: float | None) -> bool:
 def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[str]:
     """No bound of the history is above the power, no power below the bound."""
     for number in range(run.samples.count):
-        bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", "power"))
+        least = "potential" if run.samples.holds and run.samples.flows else "power"
+        bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
         if bounds is not None and (bounds > power[number] * (1 + ROUNDED)).any():
-            yield "a lower bound of the history is above the least power"
+            yield f"a lower bound of the history is above the least {least}"
         if powers is not None and (powers < bound[number] * (1 - ROUNDED)).any():
-            yield "a power of the history is below the least power"
+            yield f"a {least} of the history is below the least {least}"
 
 
 def _row(column: np.ndarray | None, number: int) -> np.ndarray | None:

@@ -1,11 +1,17 @@
 """Contacts with friction and viscosity: the least potential, found by Clarabel in the laboratory frame."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy import sparse
 
+from taichi_bearings.analysis.interface import find_interface
 from taichi_bearings.proof.certificate import lower_bound
-from taichi_bearings.scene import Status
+from taichi_bearings.runs.run import run
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
@@ -145,3 +151,37 @@ def test_the_interior_point_method_finds_the_least_potential_to_ten_digits(shape
     assert solution.lower_bound[0] == pytest.approx(least, rel=1e-10)
     assert solution.unbalanced_torque[0] < 1e-10 * scene.normal_force
     assert solution.iterations < 25
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"shape": (10, 10), "viscosity": "constant:1e6", "replicas": 4},
+        {"shape": (6, 6, 6), "viscosity": "constant:1e6", "seed": 1},
+        {"shape": (2, 2, 4), "viscosity": "uniform:0.1,1", "distribution": "bimodal:1e-6,1e6,0.5", "seed": 2},
+        {"shape": (2, 3), "viscosity": "uniform:0.1,1", "distribution": "bimodal:1e-6,1e6,0.5", "seed": 1},
+    ],
+    ids=str,
+)
+def test_what_contrasts_leave_open_is_not_claimed(options, tmp_path, needs_f64):
+    """States of contacts that hardly slip against large viscous forces, and powers of slips that spins round away."""
+    settings = RunSettings(law="coulomb-viscous", tolerance=1e-5, figures="none", threads=1, **options)
+    run(settings, tmp_path / "a")
+    assert verify(tmp_path / "a")["contradictions"] == []
+
+
+def test_power_over_that_of_the_cut_compares_powers():
+    """All cuts of a small scene by hand: the one of least potential, and its power."""
+    scene = Scene.random((3, 4), seed=0, law="coulomb-viscous", viscosity="uniform:5,60", spin_bottom=0.25)
+    speed, found = scene.lattice.radius * 0.75, []
+    for above in itertools.product((False, True), repeat=6):
+        side = np.zeros((3, 4), dtype=bool)
+        side[:, 1:3], side[:, 3] = np.reshape(above, (3, 2)), True
+        cut = [np.diff(side, axis=axis) for axis in range(2)]
+        friction = 50 * sum(c[k].sum() for c, k in zip(scene.coefficients, cut, strict=True))
+        viscosity = sum(v[k].sum() for v, k in zip(scene.viscosity, cut, strict=True))
+        found.append((friction * speed + viscosity * speed**2 / 2, friction * speed + viscosity * speed**2))
+    least, power = min(found)
+    interface = find_interface(scene)
+    assert interface.power == pytest.approx(power, rel=1e-12)
+    assert interface.lower_bound == pytest.approx(least, rel=1e-12)
