@@ -56,7 +56,8 @@ def test_slipping_contacts_leave_no_torque_on_any_domain(seed):
             return site
 
         pull = dict.fromkeys(laboratory.spin, Decimal(0))
-        for lower, upper, n, coefficient, _ in laboratory.contacts():
+        for lower, upper, n, held, _, _ in laboratory.contacts():
+            coefficient = held / laboratory.strength
             turn = tuple(a + b for a, b in zip(laboratory.spin[lower], laboratory.spin[upper], strict=True))
             across = tuple(part for part, along in zip(turn, n, strict=True) if along == 0)
             size = dot(across, across).sqrt()
