@@ -113,7 +113,7 @@ def _local(workers: int | None) -> "Cluster":
 
     return distributed.LocalCluster(
         n_workers=workers or available_threads(), threads_per_worker=1, processes=True, host="127.0.0.1",
-        dashboard_address=":0", silence_logs=logging.ERROR, preload=[DEAF],
+        dashboard_address=":0", silence_logs=logging.CRITICAL, preload=[DEAF],
     )  # fmt: skip
 
 
