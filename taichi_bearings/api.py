@@ -338,7 +338,7 @@ def _settings(
                 f"{name} is no option of solve, which has {', '.join(OPTIONS)}; "
                 "options of a method belong to it, as in CundallStrack(stiffness=1e6)"
             )
-    values: dict[str, Any] = {name: getattr(scene, name) for name in OF_SCENE}
+    values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
     values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
     values |= scene.drawn or {"coefficients": "run.h5"}
     if isinstance(method, MethodOptions):
@@ -349,9 +349,6 @@ def _settings(
     named = start if isinstance(start, str) else "initial_spin.npz"
     values |= {"method": method, "initial": named, **options}
     return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start)
-
-
-OF_SCENE = ("spin_top", "spin_bottom", "direction", "normal_force", "radius")
 
 
 def _monitor(scene: Scene, callback: Callable[[Check], bool | None]) -> Callable[[Report], bool | None]:

@@ -6,11 +6,12 @@ conjugate of the potential of a contact (scene/law.py), for any forces that the 
     least potential >= R [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]  -  sum_e phi*(|f_e|)
 
 where c and w are the middle and the half width of the interval that the two driven planes span in each component: a
-minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Three candidates
-are made from the given forces and the best bound is kept: the forces as they are (capped), the forces after removing
-the left-over torque by a Poisson solve and scaling everything into the friction discs, and the same but capped contact
-by contact. Rounding is paid for as well: torques are summed in twice the precision, so what is paid is proportional to
-the leftover torques and the power, not to the much larger sum of all forces times the imposed jump.
+minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Candidates are
+made from the given forces and the best bound is kept. With friction: the forces capped contact by contact, the forces
+after removing the left-over torque by a Poisson solve, scaled into the friction discs as a whole, and the same capped.
+Where the force grows with the slip all forces are admissible: as they are, and without the left-over torque. Rounding
+is paid for as well: torques are summed in twice the precision, so what is paid is proportional to the leftover torques
+and the power, not to the much larger sum of all forces times the imposed jump.
 """
 
 import numpy as np

@@ -43,8 +43,7 @@ from taichi_bearings.stages import stage
 
 def build_scene(settings: RunSettings) -> Scene:
     """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
-    keys = ("spin_top", "spin_bottom", "direction", "normal_force", "radius")
-    given = {key: getattr(settings, key) for key in keys} | {"law": settings.law}
+    given = {key: getattr(settings, key) for key in Scene.PARAMETERS} | {"law": settings.law}
     if settings.coefficients is None:
         drawn = {key: getattr(settings, key) for key in ("seed", "distribution", "viscosity", "replicas")}
         return Scene.random(settings.shape, **drawn, **given)

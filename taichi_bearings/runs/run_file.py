@@ -191,9 +191,8 @@ def _scene(
     """The scene of a run file; FileError if it cannot be one."""
     try:
         settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
-        keys = ("law", "spin_top", "spin_bottom", "direction", "normal_force", "radius")
         seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
-        given = {key: getattr(settings, key) for key in keys}
+        given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
         scene = Scene(coefficient, viscosity=viscosity, seeds=seeds, **given)
         drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
         return scene.drawn_from(drawn)

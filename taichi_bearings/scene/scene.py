@@ -59,6 +59,7 @@ class Scene:
     viscosity: tuple[np.ndarray, ...] = ()
     drawn: Mapping[str, str] = field(init=False, default_factory=dict)
     DRAWN: ClassVar = ("distribution", "viscosity")
+    PARAMETERS: ClassVar = ("spin_top", "spin_bottom", "direction", "normal_force", "radius")  # settings of a run too
 
     @classmethod
     def random(
@@ -96,12 +97,12 @@ class Scene:
             raise InputError(f"replicas is {replicas}; with this shape at least 1 and at most {most} can be indexed")
         others["seeds"] = tuple(range(seed, seed + replicas))
         sources = dict(zip(cls.DRAWN, (distribution, others.pop("viscosity", "uniform:0.1,1.0")), strict=True))
+        values = [Distribution.parse(source) if isinstance(source, str) else source for source in sources.values()]
         found = []
-        for draw, source in zip((draw_coefficients, draw_viscosities), sources.values(), strict=True):
-            values = Distribution.parse(source) if isinstance(source, str) else source
-            parts = zip(*(draw(lattice, values, number) for number in others["seeds"]), strict=True)
+        for _, draw, value in zip(law.quantities, (draw_coefficients, draw_viscosities), values, strict=False):
+            parts = zip(*(draw(lattice, value, number) for number in others["seeds"]), strict=True)
             found.append(tuple(np.stack(part) if replicas > 1 else part[0] for part in parts))
-        if len(law.quantities) > 1:
+        if len(found) > 1:
             others["viscosity"] = found[1]
         texts = {name: source for name, source in sources.items() if isinstance(source, str)}
         scene = cls(found[0], law, spin_top, spin_bottom, direction, **others)
@@ -269,11 +270,9 @@ class Scene:
     @cached_property
     def contact(self) -> tuple[Coefficients, ...]:
         """What the functions of the law take for the contacts of each axis, 0 between two driven spheres."""
-        found = []
-        for quantity, values in zip(self.law.quantities, self.named_coefficients.values(), strict=True):
-            unit = self.normal_force if quantity.is_friction else 1.0
-            found.append(tuple(unit * part for part in self._acting(values)))
-        return tuple(zip(*found, strict=True))
+        held = tuple(self.strength * values for values in self.acting_coefficient)
+        beside = self._acting(self._with_replicas(self.viscosity))
+        return tuple(zip(*(part for part in (held, beside) if part), strict=True))
 
     @property
     def viscosities(self) -> tuple[np.ndarray, ...]:

@@ -77,13 +77,15 @@ class RigidLimitMethod:
     @property
     def relaxation_time(self) -> float:
         """Time in which a typical contact alone stops a sphere from the largest spin."""
-        scene = self.scene
-        acting = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.coefficient)]
-        speed = scene.lattice.radius * self.largest if not scene.law.holds else 1.0
-        force = scene.strength * float(np.mean(np.concatenate(acting))) * speed
+        scene, fastest = self.scene, self.scene.lattice.radius * self.largest
+
+        def mean(coefficient: tuple[np.ndarray, ...]) -> float:
+            acting = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(coefficient)]
+            return float(np.mean(np.concatenate(acting)))
+
+        force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.holds else fastest)
         if scene.viscosity:
-            flow = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(scene.viscosities)]
-            force += float(np.mean(np.concatenate(flow))) * scene.lattice.radius * self.largest
+            force += mean(scene.viscosities) * fastest
         return self.inertia * self.largest / (scene.lattice.radius * force)
 
     def _force_at_start(self) -> tuple[np.ndarray, ...]:

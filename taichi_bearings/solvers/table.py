@@ -187,7 +187,7 @@ class OperatorSplitting(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class LinearSolver(MethodOptions):
-    """Nested dissection of the viscous law: exact to round-off."""
+    """Sparse factorisations of the viscous law: exact to round-off."""
 
     name = "linear-solver"
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
