@@ -3,6 +3,7 @@
 import os
 
 import pytest
+from hypothesis import settings
 
 from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import DeviceError
@@ -12,10 +13,14 @@ def pytest_addoption(parser):
     parser.addoption("--precision", choices=runtime.PRECISIONS, default="f64")
     parser.addoption("--arch", choices=("cpu", *runtime.GPUS), default="cpu", help="skips what this device cannot do")
     parser.addoption("--compiler", choices=tuple(compiler.KERNEL_CACHES), help="that compiles the kernels")
+    parser.addoption("--thorough", action="store_true", help="long sweeps, more cases, drawn anew")
     parser.addoption("--taichi-debug", action="store_true", help="bounds checks in every kernel (slow)")
 
 
 def pytest_configure(config):
+    settings.register_profile("quick", max_examples=20, derandomize=True, database=None, deadline=None)
+    settings.register_profile("thorough", max_examples=1000, database=None, deadline=None, print_blob=True)
+    settings.load_profile("thorough" if config.getoption("--thorough") else "quick")
     chosen = config.getoption("--compiler")
     if chosen:
         os.environ[compiler.VARIABLE] = chosen  # workers inherit it
@@ -23,6 +28,19 @@ def pytest_configure(config):
             compiler.name()
         except DeviceError as error:
             pytest.exit(f"no test was run: {error}", returncode=0)
+
+
+def pytest_collection_modifyitems(config, items):
+    if not config.getoption("--thorough"):
+        left_out = [item for item in items if item.get_closest_marker("thorough")]
+        items[:] = [item for item in items if item not in left_out]
+        config.hook.pytest_deselected(items=left_out)
+
+
+@pytest.fixture(scope="session")
+def thorough(request):
+    """Whether long sweeps are wanted."""
+    return request.config.getoption("--thorough")
 
 
 @pytest.fixture(scope="session")
