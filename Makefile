@@ -18,8 +18,8 @@ run: $(VENV)/installed
 	@echo "From now on: $(CALL), or first $(ACTIVATE) and then plain bearings"
 
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest
-	$(BIN)/python -m pytest --precision f32 tests/kernels tests/laws tests/agreement
+	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(BIN)/python -m pytest -n auto --dist worksteal --precision f32 tests/kernels tests/laws tests/agreement
 	$(BIN)/python -m pytest --compiler quadrants tests/kernels tests/agreement/test_methods.py
 	$(BIN)/python -m pytest --arch vulkan tests/kernels
 	$(BIN)/python -m pytest --arch vulkan --precision f32 tests/kernels

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 TINY = ("benchmark", "accuracy", "--shape", "3,4", "--time-limit", "0.2", "--threads", "1")
 

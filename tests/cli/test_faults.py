@@ -11,7 +11,7 @@ import pytest
 
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, mounts and names of POSIX")
 LONG = ("--shape", "3,3,4", "--method", "rigid-limit", "--initial", "random", "--duration", "1e9")

@@ -10,7 +10,7 @@ import pytest
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 ROOT = Path(__file__).parents[2]
 

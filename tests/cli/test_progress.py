@@ -9,7 +9,7 @@ from taichi_bearings_cli.progress import Display, describe_scan
 
 from taichi_bearings.scans.scan import ScanProgress
 from taichi_bearings.stages import alike, each, stage
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 if sys.platform == "win32":
     pytest.skip("pseudo-terminals are of Unix", allow_module_level=True)

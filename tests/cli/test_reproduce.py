@@ -11,7 +11,7 @@ from taichi_bearings_cli.reproduce import command
 
 from taichi_bearings.paper import reproduce
 from taichi_bearings.paper.claims import Claim
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 SCENE = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
 COURSE = (

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 from tests.stored_scans import stored_scan
 
 

@@ -6,7 +6,7 @@ import shutil
 import h5py
 import pytest
 
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 
 
 @pytest.fixture(scope="module")

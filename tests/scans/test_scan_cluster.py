@@ -17,7 +17,7 @@ from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.scans.cluster import DaskEngine, connected
 from taichi_bearings.scans.plan import Wishes, read_plan
 from taichi_bearings.scans.scan import scan
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 from tests.scans import scan_faults
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
 

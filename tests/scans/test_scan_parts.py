@@ -13,7 +13,7 @@ from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.scans.engine import LocalEngine
 from taichi_bearings.scans.parts import Part, part_numbers, part_of
 from taichi_bearings.scans.scan import merge, scan
-from tests.cli.test_cli import bearings
+from tests.cli.commands import bearings
 from tests.scans.scan_faults import die
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
 

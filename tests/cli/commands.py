@@ -1,0 +1,73 @@
+"""`bearings` in a process of its own, forked from one that has imported everything, so that imports cost nothing.
+
+With keywords of `subprocess.run` (an environment, limits), and where there is no fork, it is started anew.
+"""
+
+import atexit
+import gc
+import importlib
+import json
+import os
+import pkgutil
+import runpy
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+LONGEST = 300  # seconds
+
+
+def bearings(*words, cwd=None, **settings):
+    """What `bearings` makes of the words: a CompletedProcess with its texts."""
+    words = [str(word) for word in words]
+    if settings or not hasattr(os, "fork"):
+        command = [sys.executable, "-m", "taichi_bearings_cli", *words]
+        return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=LONGEST, **settings)
+    with tempfile.TemporaryDirectory() as folder:
+        out, err = Path(folder, "out"), Path(folder, "err")
+        request = {"words": words, "cwd": str(cwd or os.getcwd()), "out": str(out), "err": str(err)}
+        server = _server()
+        server.stdin.write(json.dumps(request) + "\n")
+        server.stdin.flush()
+        code = int(server.stdout.readline())
+        return subprocess.CompletedProcess(words, code, out.read_text(), err.read_text())
+
+
+@cache
+def _server():
+    process = subprocess.Popen(
+        [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    atexit.register(process.communicate)  # its input ends, and so does it
+    return process
+
+
+def _serve():
+    """Fork a process for each line of the input, one after the other; its exit code is a line of the output."""
+    for package in ("taichi_bearings", "taichi_bearings_cli"):
+        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+    gc.freeze()  # what is shared stays shared
+    for line in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            _become_bearings(json.loads(line))
+            return
+        _, status = os.waitpid(child, 0)
+        print(os.waitstatus_to_exitcode(status), flush=True)
+
+
+def _become_bearings(request):
+    os.chdir(request["cwd"])
+    for stream, number in (("out", 1), ("err", 2)):
+        os.dup2(os.open(request[stream], os.O_WRONLY | os.O_CREAT), number)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    sys.argv[1:] = request["words"]
+    runpy.run_module("taichi_bearings_cli", run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    _serve()
