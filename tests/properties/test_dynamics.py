@@ -1,0 +1,118 @@
+"""What a course in time obeys: books that close, powers that fall, an order in the step, and bits that can go on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import METHODS, CundallStrack, GradientDescent, RigidLimit
+from taichi_bearings.solvers.drive import Checkpoints, solve
+from taichi_bearings.solvers.stopping import StopRule
+from tests.properties.answers import laws_of
+from tests.properties.scenes import DISCS, SPHERES, cases, decades, scenes
+from tests.properties.truths import kinematics
+
+SMALL = (*DISCS[:4], *SPHERES[:4])
+MOVING = tuple(name for name, row in METHODS.items() if row.is_dynamics)
+STARTS = st.sampled_from(("random", "zero", "linear"))
+
+
+def course(scene, method, steps, start="random", **how):
+    return solve(scene, method.build(), initial_spin(scene, start), StopRule(1e-14, steps), **how)
+
+
+@cases(0.2)
+@given(scenes(replicas=(1, 2), shapes=SMALL, scale=3), STARTS, decades(5))
+def test_what_is_least_at_rest_never_rises_in_the_rigid_limit(scene, start, span):
+    """However long the steps are and wherever it starts. The books close as well as a step is solved: to rounding, or
+    in long steps to 1e-10 of what goes through them."""
+    step = float(np.clip(span * relaxation_time(scene), 1e-15, 1e15))
+    history = course(scene, RigidLimit(time_step=step), 6, start).history
+    found = history.get("potential", history["power"])
+    assert (np.diff(found, axis=0) <= 1e-13 * found[:-1]).all()
+    assert (np.abs(history["energy_residual"]) < (1e-12 if span <= 1 else 1e-9)).all()
+
+
+def relaxation_time(scene):
+    """I omega / (R F): of one sphere under the forces of its contacts."""
+    held = np.max([values.max() for values in scene.coefficient]) * scene.strength
+    force = held if scene.law.holds else held * scene.lattice.radius * scene.jump
+    return float(scene.lattice.radius * scene.jump / force)
+
+
+@cases(0.5)
+@given(scenes(("viscous",), replicas=(1, 2)), STARTS)
+def test_the_viscous_power_never_rises_in_plain_gradient_descent(scene, start):
+    found = course(scene, GradientDescent(momentum=False), 600, start).history["power"]
+    assert (np.diff(found, axis=0) <= 1e-13 * found[:-1]).all()
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_a_course_that_is_resumed_has_the_same_bits(name):
+    @cases(0.1)
+    @given(scenes(laws_of(name), replicas=(1, 2), shapes=SMALL), STARTS, st.floats(0, 1))
+    def holds(scene, start, where):
+        written, steps = [], 6 if METHODS[name].cpu_only else 120
+        whole = course(scene, METHODS[name](), steps, start, checkpoints=Checkpoints(0.0, written.append))
+        resume = Checkpoints(np.inf, lambda arrays: None, written[round(where * (len(written) - 1))])
+        again = course(scene, METHODS[name](), steps, start, checkpoints=resume)
+        assert (again.status, again.iterations) == (whole.status, whole.iterations)
+        assert (again.spin == whole.spin).all()
+        assert (again.lower_bound == whole.lower_bound).all()
+        assert all((a == b).all() for a, b in zip(again.force, whole.force, strict=True))
+        for column in set(whole.history) - {"seconds"}:
+            np.testing.assert_array_equal(again.history[column], whole.history[column], err_msg=column)
+
+    holds()
+
+
+@cases(0.2)
+@given(scenes(("viscous",), contrast=2, scale=3, shapes=SMALL), st.sampled_from((2, 3, 4)))
+def test_gears_method_has_its_order_against_the_matrix_exponential(scene, order):
+    """I dw/dt = sum of r x F of viscous contacts, assembled in the laboratory frame."""
+    motion, jump, radius = kinematics(scene), scene.spin_top - scene.spin_bottom, scene.lattice.radius
+    eta = np.repeat([scene.coefficient[axis][0][lower] for lower, _, axis in motion.acting], 3)
+    inertia = radius**2 * float(eta.max())  # makes the time of the fastest motion about 1
+    drag = radius**2 / inertia * motion.turning.T @ (eta[:, None] * motion.turning.toarray())
+    push = radius**2 / inertia * motion.turning.T @ (eta * motion.fixed)
+    size = len(push)
+    exact = (expm(np.block([[-drag, -push[:, None]], [np.zeros((1, size + 1))]])) @ np.eye(size + 1)[-1])[:-1]
+    errors = []
+    for steps in (64, 128):
+        options = CundallStrack(gear_order=order, inertia=inertia, time_step=1 / steps)
+        answer = solve(scene, options.build(), bearing_of_the_bottom(scene), StopRule(1e-14, steps))
+        assert answer.iterations == steps
+        errors.append(np.abs(relative_spins(scene, answer.spin, motion.free) - exact * np.sign(jump)).max())
+    rounding = 1e-14 * (1 + abs(scene.spin_bottom / jump))  # of laboratory spins beside the jump
+    assert errors[1] < max(errors[0] / 2 ** (order + 0.5), rounding), errors
+
+
+def bearing_of_the_bottom(scene):
+    """Laboratory spins that turn with the bottom."""
+    return initial_spin(replace(scene, spin_top=scene.spin_bottom), "linear")
+
+
+def relative_spins(scene, spin, free):
+    """Of the free spheres from the bearing state of the bottom, in units of the jump, (3M,)."""
+    from_bottom = (spin - bearing_of_the_bottom(scene))[0]
+    rows = [[0.0, 0.0, from_bottom[site]] if scene.lattice.dimension == 2 else from_bottom[site] for site in free]
+    return np.array(rows).ravel() / scene.jump
+
+
+@cases(0.1)
+@given(scenes(contrast=3, scale=0, shapes=SMALL, directions=((1.0, 1.0, 0.0), (1.0, 0.0, 0.0))), decades(2), decades(2))
+def test_energy_books_of_springs_close_as_the_step_falls(scene, stiffness, damping):
+    """Injected, dissipated, kinetic and spring energy come from data of their own."""
+    missing = []
+    for share in (0.4, 0.05):
+        options = CundallStrack(energy=True, stiffness=1e3 * stiffness, damping=10 * damping)
+        method = options.build()
+        bound = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-14, 2)) and method.stability_bound
+        options = replace(options, time_step=share * bound)
+        history = course(scene, options, round(100 / share)).history
+        missing.append(float(np.abs(history["energy_residual"][-1]).max()))
+    assert missing[1] < max(missing[0] / 4, 1e-9)

@@ -1,0 +1,79 @@
+"""What methods prove, one by one and together, against enclosures that share nothing with the package."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import METHODS
+from tests.properties import truths
+from tests.properties.answers import answer_of, assert_meet, between, laws_of, methods_of
+from tests.properties.scenes import PLANAR, SPHERES, cases, scenes
+
+SHARES = {  # of the cases: these take longer
+    "rigid-limit": 0.15,
+    "implicit-cundall-strack": 0.15,
+    "operator-splitting": 0.3,
+    "cundall-strack": 0.4,
+    "interior-point": 0.5,
+    "gradient-descent": 0.7,
+}
+STARTS = st.sampled_from(("linear", "random", "zero", "minimum-cut"))
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_what_a_method_proves_encloses_the_truth(name):
+    directions = {"directions": PLANAR} if name == "planar-cut" else {}
+
+    @cases(SHARES.get(name, 1.0))
+    @given(scenes(laws_of(name), replicas=(1, 2), **directions), STARTS)
+    def holds(scene, start):
+        answer = answer_of(scene, name, start=start)
+        for replica in range(scene.replicas):
+            least = truths.least(scene.sample(replica))
+            assert_meet(between(answer, replica=replica), (least.lower, least.upper))
+
+    holds()
+
+
+@cases(0.15)
+@given(scenes())
+def test_methods_agree_within_what_they_prove(scene):
+    answers = {name: answer_of(scene, name) for name in methods_of(scene)}
+    proven = {}
+    for name, answer in answers.items():
+        for other in answers.values():
+            assert_meet(between(answer), between(other))
+        if answer.resolved[0]:
+            proven[name] = np.concatenate([state.ravel() for state in answer.state])
+    for states in proven.values():
+        for others in proven.values():
+            assert (states == others).all()
+
+
+@cases()
+@given(scenes(("coulomb",), directions=PLANAR), st.sampled_from(("planar-cut", "interior-point", "operator-splitting")))
+def test_states_are_those_of_the_exact_cuts(scene, name):
+    """Planar cuts say it of every contact, other methods where they say that their states are proven."""
+    answer, (_, truth) = answer_of(scene, name), truths.cut(scene)
+    full = scene.lattice.radius * float(truths.jump_of(scene, truths.turned(scene)[0]))
+    for states, slips, bounds in zip(truth, answer.state, answer.slip_bound, strict=True):
+        if name == "planar-cut" or answer.resolved[0]:
+            assert (slips[0] == states).all()
+        moving = (states == truths.ALWAYS) | (states == truths.SOMETIMES)
+        assert (bounds[0][moving] >= full * (1 - 1e-15)).all()
+    if answer.resolved[0]:
+        assert not any((states == truths.SOMETIMES).any() for states in truth)
+    if "cut_is_unique" in answer.findings:
+        assert bool(answer.findings["cut_is_unique"][0]) == (not any((s == truths.SOMETIMES).any() for s in truth))
+
+
+@cases(0.5)
+@given(scenes(shapes=SPHERES[:5]), STARTS)
+def test_no_spins_dissipate_less_than_is_proven(scene, start):
+    """The bound of a method against spins that no method made, judged in 80 digits."""
+    answer = answer_of(scene)
+    spin = initial_spin(scene, start)
+    samples = truths.samples_of(scene, spin, np.zeros_like(spin), answer.friction)
+    assert truths.Laboratory(samples).objective() >= answer.lower_bound[0]

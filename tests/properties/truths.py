@@ -1,0 +1,219 @@
+"""What encloses the least power (or potential) of a scene without the package: exact cuts, 700 bits, and Clarabel.
+
+An enclosure is rigorous: exact numbers, or spins and forces of whatever origin that are judged in 80 digits, contact by
+contact in the laboratory frame.
+"""
+
+from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
+
+import clarabel
+import networkx
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.verifier.samples import Samples
+from tests.kernels.twins import is_driven, neighbours
+from tests.truth.extended_precision import least_viscous_power
+from tests.verifier.laboratory import Laboratory
+
+EXACT = Fraction(1, 10**60)  # relative: what 80 digits lose on the way
+BOTTOM, TOP = "bottom", "top"
+NEVER, ALWAYS, SOMETIMES, DRIVEN = range(4)  # slips so at the minima; also the numbers of the states of a contact
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """Of the least objective, energy/time."""
+
+    lower: Fraction
+    upper: Fraction
+
+
+def least(scene):
+    """Enclosure of the least objective of a scene of one sample; the tightest there is."""
+    if scene.law.name == "viscous":
+        driving = (scene.lattice.radius, scene.spin_top, scene.spin_bottom, scene.direction)
+        power = least_viscous_power([c[0] for c in scene.coefficient], *driving)
+        return Enclosure(_exactly(power.lower()), _exactly(power.upper()))
+    if scene.law.name == "coulomb" and len(turned(scene)) == 1:
+        weight, _ = cut(scene)
+        unit = Fraction(scene.normal_force) * Fraction(scene.lattice.radius) * jump_of(scene, turned(scene)[0])
+        return Enclosure(weight * unit * (1 - EXACT), weight * unit * (1 + EXACT))
+    laboratory = Laboratory(by_clarabel(scene))
+    lower, upper = max(laboratory.lower_bound(), Decimal(0)), laboratory.objective()
+    return Enclosure(_exactly(lower) * (1 - EXACT), _exactly(upper) * (1 + EXACT))
+
+
+def _exactly(value):
+    """Of a Decimal, or of an arb of no width."""
+    if isinstance(value, Decimal):
+        return Fraction(value)
+    mantissa, exponent = value.man_exp()
+    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+
+
+def turned(scene):
+    """Components of the spins that the driving turns, less the one about the height, which costs nothing."""
+    if scene.lattice.dimension == 2:
+        return (2,)
+    return tuple(k for k in (0, 1) if scene.direction[k])
+
+
+def jump_of(scene, component):
+    """|imposed difference| of a component, exact to 70 digits."""
+    jump = abs(Fraction(scene.spin_top) - Fraction(scene.spin_bottom))
+    if scene.lattice.dimension == 2:
+        return jump
+    parts = [Fraction(part) for part in scene.direction]
+    square = parts[component] ** 2 / sum(part**2 for part in parts)
+    return jump * Fraction((Decimal(square.numerator) / Decimal(square.denominator)).sqrt())
+
+
+def cut(scene):
+    """Weight of the lightest cut that parts top and bottom, and what every contact does at the minima: one component.
+
+    Contacts along the axis of the spins do not feel them. A flow in whole numbers is exact for doubles.
+    """
+    (component,), shape = turned(scene), scene.lattice.shape
+    exact = {(axis, lower): Fraction(scene.coefficient[axis][0][lower]) for lower, _, axis in neighbours(shape)}
+    unit = max(weight.denominator for weight in exact.values())  # powers of two
+    graph, contacts = networkx.DiGraph(), []
+    graph.add_nodes_from((BOTTOM, TOP))
+    for lower, upper, axis in neighbours(shape):
+        if axis == component or (is_driven(lower, shape) and is_driven(upper, shape)):
+            continue
+        ends = [BOTTOM if s[-1] == 0 else TOP if s[-1] == shape[-1] - 1 else s for s in (lower, upper)]
+        capacity = int(exact[axis, lower] * unit)
+        contacts.append((axis, lower, *ends))
+        for a, b in (ends, ends[::-1]):
+            known = graph.edges[a, b]["capacity"] if graph.has_edge(a, b) else 0
+            graph.add_edge(a, b, capacity=known + capacity)
+    flow = networkx.algorithms.flow.dinitz(graph, BOTTOM, TOP)
+    return Fraction(flow.graph["flow_value"], unit), _states(scene, flow, contacts)
+
+
+def _states(scene, flow, contacts):
+    """By Picard and Queyranne: a contact is cut by all lightest cuts if it joins what the rest of the flow can reach
+    from the bottom to what can reach the top, and by none if flow can go on between its ends both ways."""
+    rest = networkx.DiGraph([(a, b) for a, b, of in flow.edges(data=True) if of["flow"] < of["capacity"]])
+    rest.add_nodes_from(flow)
+    below, above = networkx.descendants(rest, BOTTOM) | {BOTTOM}, networkx.ancestors(rest, TOP) | {TOP}
+    part = {site: number for number, group in enumerate(networkx.strongly_connected_components(rest)) for site in group}
+    states = [np.full(scene.lattice.contact_shape(axis), NEVER) for axis in range(scene.lattice.dimension)]
+    for axis, state in enumerate(states):
+        state[scene.lattice.between_driven(axis)] = DRIVEN
+    for axis, lower, *ends in contacts:
+        a, b = ends
+        if (a in below and b in above) or (b in below and a in above):
+            states[axis][lower] = ALWAYS
+        elif part[a] != part[b]:
+            states[axis][lower] = SOMETIMES
+    return states
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """Slips (3E,) = turning @ spins + fixed of the contacts in the laboratory frame (paper Eq. 2), for spins (3M,) of
+    the free spheres measured from the bearing state of the bottom in units of the jump, in units of radius * jump.
+
+    acting : E contacts (lower, upper, axis). free : site -> number of the free spheres.
+    """
+
+    acting: list
+    free: dict
+    turning: sparse.csc_matrix
+    fixed: np.ndarray
+
+
+def kinematics(scene):
+    """Contact by contact, with all components of the spins."""
+    shape, flat = scene.lattice.shape, scene.lattice.dimension == 2
+    direction = np.array([0.0, 0.0, 1.0] if flat else scene.direction)
+    direction = direction / np.abs(direction).max()
+    direction = direction / np.linalg.norm(direction)
+    free = {site: n for n, site in enumerate(s for s in np.ndindex(shape) if not is_driven(s, shape))}
+    acting = [c for c in neighbours(shape) if not (is_driven(c[0], shape) and is_driven(c[1], shape))]
+    turning, fixed = sparse.lil_matrix((3 * len(acting), 3 * len(free))), np.zeros(3 * len(acting))
+    for row, (lower, upper, axis) in enumerate(acting):
+        turn = -np.cross(np.eye(3), np.eye(3)[axis]).T  # of a spin: -w x n
+        for site in (lower, upper):
+            if site in free:
+                turning[3 * row : 3 * row + 3, 3 * free[site] : 3 * free[site] + 3] = turn
+            elif site[-1]:
+                fixed[3 * row : 3 * row + 3] += (-1) ** sum(site) * turn @ direction
+    return Kinematics(acting, free, turning.tocsc(), fixed)
+
+
+def by_clarabel(scene):
+    """Spins and forces of least objective as Clarabel finds them, all components free."""
+    motion = kinematics(scene)
+    held, viscosity = _strengths(scene, motion.acting)
+    unit = float(np.max(held + viscosity))
+    spins, forces = _minimised(motion.turning, motion.fixed, held / unit, viscosity / unit)
+    return _stored(scene, motion, spins, forces * unit)
+
+
+def _strengths(scene, acting):
+    """Friction that each contact bears, and viscosity in units of force over radius times jump."""
+    first = np.array([scene.coefficient[axis][0][lower] for lower, _, axis in acting])
+    speed = scene.lattice.radius * abs(scene.spin_top - scene.spin_bottom)
+    if scene.law.name == "viscous":
+        return 0 * first, first * speed
+    beside = scene.named_coefficients.get("viscosity", ())
+    second = np.array([beside[axis][0][lower] if beside else 0.0 for lower, _, axis in acting])
+    return first * scene.normal_force, second * speed
+
+
+def _minimised(slips, fixed, held, viscosity):
+    """Spins that minimise sum held |v| + viscosity |v|^2 / 2 with v = slips @ spins + fixed, and forces along v."""
+    contacts, unknowns = len(held), slips.shape[1]
+    every = np.repeat(viscosity, 3)
+    quadratic = sparse.block_diag([slips.T @ sparse.diags(every) @ slips, sparse.csc_matrix((contacts, contacts))])
+    linear = np.concatenate([slips.T @ (every * fixed), held])
+    first, rest = np.arange(contacts) * 4, np.setdiff1d(np.arange(4 * contacts), np.arange(contacts) * 4)
+    place = sparse.csc_matrix((np.ones(3 * contacts), (rest, range(3 * contacts))), (4 * contacts, 3 * contacts))
+    heights = sparse.csc_matrix((np.ones(contacts), (first, range(contacts))), (4 * contacts, contacts))
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
+    found = clarabel.DefaultSolver(
+        sparse.triu(quadratic).tocsc(), linear, sparse.hstack([-place @ slips, -heights]).tocsc(), place @ fixed,
+        [clarabel.SecondOrderConeT(4)] * contacts, settings,
+    ).solve()  # fmt: skip
+    spins = np.nan_to_num(np.array(found.x)[:unknowns])
+    friction = -np.nan_to_num(np.array(found.z))[rest]
+    return spins.reshape(-1, 3), (friction + every * (slips @ spins + fixed)).reshape(-1, 3)
+
+
+def _stored(scene, motion, spins, forces):
+    """As a run would store it, for the judges."""
+    shape, flat = scene.lattice.shape, scene.lattice.dimension == 2
+    parts = [Decimal(part) for part in ((0, 0, 1) if flat else scene.direction)]
+    size = sum(part * part for part in parts).sqrt()
+    spin = np.zeros((2, 1, *shape, 3))
+    jump = Decimal(scene.spin_top) - Decimal(scene.spin_bottom)
+    for site, number in motion.free.items():
+        for k in range(3):
+            turned_by = (-1) ** sum(site) * Decimal(scene.spin_bottom) * parts[k] / size
+            exact = turned_by + Decimal(float(spins[number, k])) * jump
+            spin[(0, 0, *site, k)] = float(exact)
+            spin[(1, 0, *site, k)] = float(exact - Decimal(float(exact)))
+    sign = 1.0 if jump > 0 else -1.0  # spins are in units of the jump with its sign, forces in units of force
+    friction = [np.zeros((1, *scene.lattice.contact_shape(axis), 3)) for axis in range(scene.lattice.dimension)]
+    for (lower, _, axis), force in zip(motion.acting, forces, strict=True):
+        friction[axis][(0, *lower)] = -sign * force  # on the upper sphere, against its slip
+    if flat:
+        spin = spin[..., 2]
+        friction = [f @ np.cross([0.0, 0.0, 1.0], np.eye(3)[axis]) for axis, f in enumerate(friction)]
+    return samples_of(scene, spin[0], spin[1], tuple(friction))
+
+
+def samples_of(scene, spin, spin_rounding, friction):
+    """What judges take: arrays of the laboratory frame beside the numbers of the scene."""
+    return Samples(
+        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
+        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction,
+        scene.named_coefficients.get("viscosity", ()),
+    )  # fmt: skip
