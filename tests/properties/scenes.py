@@ -68,6 +68,8 @@ def scenes(
     force, speed = draw(decades(scale)), draw(decades(scale))
     top, bottom = (speed * spin for spin in draw(st.sampled_from(DRIVINGS)))
     given = {"coefficients": draw(coefficients(lattice, count, contrast))}
+    if law != "viscous":
+        given["normal_force"] = force
     if law == "coulomb-viscous":  # friction and viscosity alike, or one of them as good as absent
         even = force / (lattice.radius * abs(top - bottom)) * draw(decades(6))
         unit = float(np.clip(even, 1e-15 * 10.0 ** (contrast / 2 + 1), 1e15 / 10.0 ** (contrast / 2 + 1)))
@@ -79,7 +81,6 @@ def scenes(
         spin_top=top,
         spin_bottom=bottom,
         radius=lattice.radius,
-        normal_force=force,
         seeds=tuple(range(count)),
         **given,
     )
