@@ -4,11 +4,11 @@ import importlib
 import io
 import logging
 import os
-import signal
 import sys
 
 import click
 
+from taichi_bearings import interrupts
 from taichi_bearings.errors import BearingsError
 
 COMMANDS = {  # name -> (module, one line for --help)
@@ -66,13 +66,9 @@ def bearings() -> None:
     """
 
 
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
 def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
-    signal.signal(signal.SIGTERM, _interrupt)  # as Ctrl-C, so that nothing half-made is left behind
+    interrupts.heard_at_once()
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result

@@ -60,7 +60,7 @@ def command(
             raise InputError(f"resume is {resume!r}: a resumed run keeps its scene and its directory; leave them out")
         with Display(STARTED) as display:
             found = study.resume(Path(resume), given)
-            verdict = _verdict(found.path, verify)
+            verdict = _verdict(found, verify)
         _finish(context, found, resume, verdict, display.times(), as_json)
     values = read_toml(Path(scene)) if scene else {}
     stored_out, stored_force = values.pop("out", None), values.pop("force", False)
@@ -70,17 +70,17 @@ def command(
     settings = RunSettings.from_mapping(values | given, scene or "the options")
     with Display(STARTED) as display:
         found = study.run(settings, Path(out) if out else None, force)
-        verdict = _verdict(found.path, verify)
+        verdict = _verdict(found, verify)
     _finish(context, found, out, verdict, display.times(), as_json)
 
 
-def _verdict(path: Path, asked: bool) -> dict[str, Any] | None:
-    """What `bearings verify` says of the run, if it was asked for."""
-    if not asked:
+def _verdict(found: Any, asked: bool) -> dict[str, Any] | None:
+    """What `bearings verify` says of the run, if it was asked for and nobody wants the end."""
+    if not asked or found.solution.interrupted:
         return None
     from taichi_bearings.runs.verify import verify
 
-    return verify(path)
+    return verify(found.path)
 
 
 def _finish(
@@ -101,7 +101,7 @@ def _finish(
             from taichi_bearings_cli.verify import describe as describe_verdict
 
             click.echo(describe_verdict(verdict))
-    if any(status.value == "interrupted" for status in found.status):
+    if found.solution.interrupted:
         context.exit(130)
     is_verified = verdict is None or verdict["verified"]
     place = Path(out or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed

@@ -19,6 +19,7 @@ from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.whole_file import replace_file, write_text
+from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
@@ -28,7 +29,6 @@ from taichi_bearings.runs.run_directory import (
     default_run_path,
     in_use,
     run_directory,
-    undisturbed,
 )
 from taichi_bearings.runs.run_file import StoredRun, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
@@ -211,7 +211,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
     )
     solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
-    stalled = solution.method == "interior-point" and solution.status is Status.STALLED
+    stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
         left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
         other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
@@ -229,7 +229,7 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     answer, gap = (second, gaps[1]) if clearly else (first, gaps[0])
     status = Status.CERTIFIED if (gap <= tolerance).all() else second.status
     seconds = first.seconds + second.seconds
-    return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds)
+    return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds, interrupted=second.interrupted)
 
 
 def summarise(run: Run) -> dict[str, Any]:
@@ -314,8 +314,9 @@ def run(settings: RunSettings, out: Path | None = None, force: bool = False, mon
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
             found = Run(settings, solve_job(job, monitors), job.spin, directory.path, _command())
-            with undisturbed():
-                return _rescued(found, partial(publish, directory, found), "the result is lost")
+            with awaited() as heard:
+                found = _rescued(found, partial(publish, directory, found), "the result is lost")
+            return _with_figures(found, heard.is_set())
         stored = _self_contained(settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
@@ -421,8 +422,9 @@ def _solve_with_checkpoints(
             write_run(folder, found)
         return found
 
-    with undisturbed():
-        return _rescued(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
+    with awaited() as heard:
+        found = _rescued(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
+    return _with_figures(found, heard.is_set())
 
 
 def _drawn() -> list[str]:
@@ -434,7 +436,7 @@ def _drawn() -> list[str]:
 
 
 def write_run(folder: Path, found: Run) -> None:
-    """Write every file of a run into `folder`, which will be renamed to its path."""
+    """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
     from taichi_bearings.analysis.histogram import power_histogram
     from taichi_bearings.files.histogram_file import write_table
 
@@ -448,19 +450,40 @@ def write_run(folder: Path, found: Run) -> None:
     try:
         histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
         write_table(folder / "power_histogram.csv", {None: histogram})
-        if stored.figures == "all":
-            with stage("drawing"):
-                _draw(folder, solution, histogram)
-    except WriteError as error:  # a full disk: what was solved is written, and figures can be drawn again
+    except WriteError as error:  # a full disk: what was solved is written
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
 
 
-def _draw(folder: Path, solution: Solution, histogram: Any) -> None:
-    """The figures that every run gets."""
+def draw_figures(found: Run) -> None:
+    """Draw the figures that every run gets into its directory, unless the disk is full."""
+    try:
+        with stage("drawing"):
+            _draw(found)
+    except WriteError as error:
+        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
+
+
+def _with_figures(found: Run, interrupted: bool) -> Run:
+    """The run with its figures; an interrupt, now or before, leaves them to `bearings plot` and `histogram`."""
+    try:
+        if interrupted or found.solution.interrupted:
+            raise KeyboardInterrupt
+        if found.settings.figures == "all":
+            draw_figures(found)
+    except KeyboardInterrupt:
+        return replace(found, solution=replace(found.solution, interrupted=True))
+    return found
+
+
+def _draw(found: Run) -> None:
+    from taichi_bearings.analysis.histogram import power_histogram
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
 
+    folder, solution = found.path, found.solution
+    assert folder is not None
+    histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
     save(draw_histogram(histogram), folder / "power_histogram.png")
     if len(solution.history["power"]) > 2:  # a start and an answer are no course
         save(draw_history(solution), folder / "history.png")

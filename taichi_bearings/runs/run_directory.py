@@ -9,9 +9,7 @@ import os
 import re
 import secrets
 import shutil
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -289,20 +287,6 @@ def _is_at(file: IO[str], path: Path) -> bool:
         return sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.stat())
     except OSError:
         return False
-
-
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait until what was computed is written."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def default_run_path(command: str = "run") -> Path:

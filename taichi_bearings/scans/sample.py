@@ -16,7 +16,6 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.scans.plan import Sample, groups_of
-from taichi_bearings.scene import Status
 
 STATES = "states"  # folder of the full states
 
@@ -89,7 +88,7 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
     job = prepare(settings, strict=False)
     solution = solve_job(job)
-    if solution.status is Status.INTERRUPTED:
+    if solution.interrupted:
         raise Interrupted
     found = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
     if wanted.states is not None:

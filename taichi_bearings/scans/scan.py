@@ -1,12 +1,11 @@
 """A scan from its plan: solve what is missing, write every sample down as it comes, and collect them in scan.h5."""
 
 import logging
-import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,8 @@ from taichi_bearings.files.scan_file import write_scan, write_scan_csv
 from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.runs.run_directory import undisturbed, writable_folder
+from taichi_bearings.interrupts import awaited
+from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
@@ -228,7 +228,7 @@ def scan(
             engine = _engine(work, allowed, client, _number_of_workers(missing, workers, wanted.structure))
         course = _Course(plan, part, folder, records, missing, monitor, began, journals)
         try:
-            with closing(engine), Journal(course.journal) as journal, _stopping() as stopped:
+            with closing(engine), Journal(course.journal) as journal, awaited() as stopped:
                 course.follow(units_of(missing, wanted.structure), engine, journal, stopped)
             course.write_files()
         except FileError as error:
@@ -270,22 +270,6 @@ def _allowed(unit: Unit, sample_timeout: float | None, structure: bool) -> float
         return sample_timeout * len(unit)
     parts = [seconds_of(sample.settings, structure) for sample in unit]
     return None if None in parts else max(LEAST_ALLOWED, ALLOWED * sum(part for part in parts if part is not None))
-
-
-@contextmanager
-def _stopping() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set."""
-    stopped = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stopped
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: stopped.set()) for number in numbers}
-    try:
-        yield stopped
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _say(text: str) -> None:
@@ -374,7 +358,7 @@ class _Course:
 
     def write_files(self) -> None:
         if self.files:
-            with undisturbed():
+            with awaited():
                 self.removed = outdated_figures(self.folder, self._journals())
                 for figure in self.removed:
                     figure.unlink(missing_ok=True)

@@ -1,16 +1,20 @@
 """The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
 
-import signal
+import _thread
+import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from types import FrameType
 
 import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
+from taichi_bearings.interrupts import GivenUp, handled, is_loading, while_wanted
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.proof.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
 from taichi_bearings.proof.contact_state import ContactState, classify
@@ -68,7 +72,8 @@ def solve(
 
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
     recording, checkpoints : for a dynamics.
-    Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already.
+    Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already;
+    before the first step KeyboardInterrupt. It and the limit on time end the proof of the contact states too.
     Raises InputError for a scene that the method cannot solve.
     """
     stop, recording = stop or StopRule(), recording or Recording()
@@ -79,14 +84,15 @@ def solve(
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     spec = method.plan(scene, spin)
     with _Interrupt() as interrupt:
-        fields = _fields(scene, method, spec) if spec else None
-        with stage("compiling" if method.options.needs_taichi else "preparing"):
-            method.begin(scene, spin, fields)
+        with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
+            method.begin(scene, spin, _fields(scene, method, spec) if spec else None)
+        if interrupt.heard:  # nothing is reached yet
+            raise KeyboardInterrupt
         compiled = time.perf_counter()
         course = _Course(scene, method, stop, recording, checkpoints, interrupt)
         with stage("solving") as solving:
             status, progress, seconds = course.follow([solving.tell, *monitors])
-        with stage("proving contact states"):  # to its end: a first Ctrl-C costs nothing that was reached
+        with stage("proving contact states"):
             solution = course.answer(status, progress.iteration, seconds, compiled - began, slip_threshold)
     running = runtime.current() if method.options.needs_taichi else runtime.HOST
     return replace(solution, interrupted=interrupt.heard, running=running)
@@ -149,7 +155,8 @@ class _Course:
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if is_dynamics(method) else 0
         while True:
-            self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
+            with suppress(GivenUp):
+                self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
             progress = method.progress()
             iteration = progress.iteration
             on_the_way = iteration < self.target
@@ -223,6 +230,9 @@ class _Course:
             power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
             if scene.law.flows and scene.law.holds and threshold is None:  # unique slips, some of them proven
                 state = _with_proven_slips(state, judgement)
+        resolved = np.zeros(scene.replicas, dtype=bool)
+        with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
+            resolved = _proven(scene, final, judgement, state)
         gap = relative_gap(scene, objective, bound)
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (gap <= self.stop.tolerance).all() else Status.STALLED
@@ -239,7 +249,7 @@ class _Course:
             friction=friction,
             state=state,
             slip_bound=slip_bound(scene, final.force, final.spin_axes, objective) if scene.law.holds else (),
-            resolved=_proven(scene, final, judgement, state),
+            resolved=resolved,
             power=power,
             objective=objective,
             lower_bound=bound,
@@ -261,24 +271,47 @@ class _Interrupt:
     """
 
     def __init__(self) -> None:
-        self.heard, self._first = False, 0.0
-        self._main = threading.current_thread() is threading.main_thread()
+        self.heard, self._first, self._at_once, self._too_late = False, 0.0, False, False
+        self._context = handled(self._hear)
 
     def __enter__(self) -> "_Interrupt":
-        if self._main:
-            self._before = {number: signal.signal(number, self._hear) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._context.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._main:
-            for number, handler in self._before.items():
-                signal.signal(number, handler)
+        self._context.__exit__(None, None, None)
 
-    def _hear(self, *_: object) -> None:
-        if self.heard and time.monotonic() - self._first > IMPATIENCE:
-            raise KeyboardInterrupt
-        if not self.heard:
+    @contextmanager
+    def at_once(self, seconds: float = math.inf) -> Iterator[None]:
+        """What is inside ends with GivenUp where it is, by an interrupt or after so many seconds."""
+        timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), self._end)
+        try:
+            if threading.current_thread() is threading.main_thread() and seconds < math.inf:
+                timer.start()
+            self._at_once = True
+            if self.heard or not seconds > 0:
+                raise GivenUp
+            yield
+        finally:
+            self._at_once = False
+            timer.cancel()
+            if timer.ident is not None:
+                timer.join()  # it is too late for the last time
+
+    def _end(self) -> None:
+        self._too_late = True
+        _thread.interrupt_main()
+
+    def _hear(self, _: int, frame: FrameType | None) -> None:
+        if self._too_late:
+            self._too_late = False
+        elif not self.heard:
             self.heard, self._first = True, time.monotonic()
+        elif time.monotonic() - self._first > IMPATIENCE:
+            raise KeyboardInterrupt
+        if self._at_once and not is_loading(frame):
+            self._at_once = False
+            raise GivenUp
 
 
 class _Pace:
@@ -291,7 +324,8 @@ class _Pace:
         while steps > 0 and not ended():
             now = min(self.size, steps)
             began = time.perf_counter()
-            method.advance(now)
+            with while_wanted(ended):
+                method.advance(now)
             steps -= now
             took = time.perf_counter() - began
             if took > 1.0:

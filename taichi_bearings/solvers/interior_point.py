@@ -146,16 +146,16 @@ class InteriorPointMethod:
                 self.iteration += 1
 
     def _step(self, sample: _Sample) -> None:
-        sample.done = True
+        done = True
         with suppress(NotPositiveDefinite), np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
             iterate = newton_step(sample.iterate, self.matrix)
             if iterate.price_of_torques > max(iterate.gap, CLOSEST):
                 iterate = balance(iterate, self.matrix)
             if np.isfinite(iterate.gap):
-                sample.iterate, sample.done = iterate, False
+                sample.iterate, done = iterate, False
                 sample.remember()
         gap = sample.iterate.gap
-        sample.done |= not gap > CLOSEST
+        sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
             return  # slips of any size are met with a force: there is no set of contacts that rest to be found
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):

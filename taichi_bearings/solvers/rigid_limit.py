@@ -112,16 +112,17 @@ class RigidLimitMethod:
     def _step(self) -> None:
         """One step that is accurate enough, or as short as steps may be."""
         least, most = LEAST_STEP * self.relaxation_time, MOST_STEP * self.relaxation_time
-        chosen = self.options.time_step is not None
+        chosen, length = self.options.time_step is not None, self.length
         while True:
-            aimed = self.time < self.aim <= self.time + self.length * (1 + 1e-9)
-            duration = self.aim - self.time if aimed else self.length
+            aimed = self.time < self.aim <= self.time + length * (1 + 1e-9)
+            duration = self.aim - self.time if aimed else length
             step = self._tried(duration)
             error = self._error(step, duration) / self.options.error_tolerance
             if chosen or duration <= least or (step.solved and error <= ACCEPTED):
                 break
             factor = SAFETY / error if step.solved else SHRINKAGE
-            self.length = max(least, duration * max(SHRINKAGE, min(factor, 0.5)))
+            length = max(least, duration * max(SHRINKAGE, min(factor, 0.5)))
+        self.length = length
         self._take(step, duration, self.aim if aimed else self.time + duration)
         factor = min(GROWTH, SAFETY / np.sqrt(max(error, 1e-30)))
         if not chosen and (not aimed or factor < 1):

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from taichi_bearings import runtime
+from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.assembly import assemble
 from taichi_bearings.numerics.cholesky.dense import DenseFront, DenseSolve
 from taichi_bearings.numerics.cholesky.dissection import Part
@@ -64,12 +65,14 @@ class Cholesky:
         storage.values[:] = values
         ends = [0, *storage.columns_end]
         for d in reversed(range(len(self._fronts))):
+            look_up()
             assemble(ends[d + 1] - ends[d] < SERIAL, ends[d], ends[d + 1], storage.tables, storage.reals)
             if not _eliminate(self._fronts[d]):
                 raise NotPositiveDefinite
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for one right-hand side, (size,)."""
+        look_up()
         ordered = right[self.pattern.order]
         *subtrees, root = self._branches
         run = _pool().map if len(subtrees) > 1 and self._worth_threads else map
@@ -131,13 +134,18 @@ def _eliminate(fronts: list[DenseFront]) -> bool:
         return _eliminate_each(fronts)
     queue = iter(fronts)  # shared; heaviest first
     others = [_pool().submit(_eliminate_each, queue) for _ in range(threads - 1)]
-    succeeded = _eliminate_each(queue)
-    return min([succeeded, *(other.result() for other in others)])
+    try:
+        succeeded = _eliminate_each(queue)
+    finally:
+        list(queue)  # nobody works on a front once this is given up
+        others_succeeded = [other.result() for other in others]
+    return min(succeeded, *others_succeeded)
 
 
 def _eliminate_each(fronts: Iterable[DenseFront]) -> bool:
     succeeded = True
     for front in fronts:
+        look_up()
         succeeded &= front.eliminate()
     return succeeded
 

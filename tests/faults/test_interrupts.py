@@ -1,0 +1,150 @@
+"""Ctrl-C, SIGTERM and limits of time end work wherever it is, and what was reached before is whole."""
+
+import importlib
+import itertools
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from taichi_bearings import interrupts
+from taichi_bearings.numerics.cholesky import Cholesky
+from taichi_bearings.runs import run as runs
+from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import drive, interior_point
+from taichi_bearings.solvers.drive import Checkpoints, solve
+from taichi_bearings.solvers.recording import Recording
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import ImplicitCundallStrack, InteriorPoint, RigidLimit
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+SCENE = Scene.random((4, 4, 4), seed=2)
+
+
+def strike(what=signal.SIGINT):
+    signal.raise_signal(what)
+
+
+def for_ever(*_):
+    while True:
+        time.sleep(0.01)
+
+
+def minimum(stop=None):
+    return solve(SCENE, InteriorPoint().build(), initial_spin(SCENE, "linear"), stop)
+
+
+@pytest.fixture
+def own_handlers():
+    """Those of the command line, for this test."""
+    numbers = (*interrupts.SIGNALS, signal.SIGALRM)
+    before = {number: signal.getsignal(number) for number in numbers}
+    interrupts.heard_at_once()
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("what", interrupts.SIGNALS)
+def test_a_module_that_swallows_exceptions_while_it_is_loaded_does_not_swallow_an_interrupt(
+    tmp_path, monkeypatch, own_handlers, what
+):
+    """Compiled modules do; or they end as "initialization failed"."""
+    text = f"import signal\nloaded = False\ntry:\n    signal.raise_signal({what})\nexcept BaseException:\n    pass\n"
+    (tmp_path / f"swallows_{what}.py").write_text(text + "loaded = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def load_and_wait():
+        assert importlib.import_module(f"swallows_{what}").loaded
+        for_ever()
+
+    with pytest.raises(KeyboardInterrupt):
+        load_and_wait()
+
+
+def test_before_the_first_step_there_is_nothing_to_save(monkeypatch):
+    monkeypatch.setattr(interior_point, "dissect", lambda *_: (strike(), for_ever()))
+    with pytest.raises(KeyboardInterrupt):
+        minimum()
+
+
+@pytest.mark.parametrize("what", interrupts.SIGNALS)
+def test_the_proof_of_contact_states_is_given_up(monkeypatch, what):
+    monkeypatch.setattr(drive, "_proven", lambda *_: (strike(what), for_ever()))
+    found = minimum()
+    assert found.interrupted
+    assert found.status is Status.CERTIFIED
+    assert not found.resolved.any()
+    assert found.gap.max() < 1e-12
+
+
+def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
+    minimum()  # compiled
+    monkeypatch.setattr(drive, "_proven", for_ever)
+    began = time.monotonic()
+    found = minimum(StopRule(seconds=1.0))
+    assert time.monotonic() - began < 4
+    assert not found.interrupted
+    assert not found.resolved.any()
+    time.sleep(0.1)  # no late signal
+
+
+def test_settling_is_given_up_where_it_factorises_and_the_minimum_stays(monkeypatch, needs_f64):
+    settle, undisturbed = interior_point.resolve, minimum()
+    monkeypatch.setattr(interior_point, "resolve", lambda *given: (strike(), settle(*given))[1])
+    found = minimum()
+    assert found.interrupted
+    assert found.gap.max() < 1e-11
+    assert undisturbed.resolved.all()
+    assert not found.resolved.any()
+    assert abs(found.power - undisturbed.power).max() <= 1e-11 * undisturbed.power.max()
+
+
+@pytest.mark.parametrize("options", [RigidLimit(), ImplicitCundallStrack()], ids=lambda options: options.name)
+def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, options):
+    scene, stop, recording = Scene.random((3, 3, 3), seed=5), StopRule(duration=0.2), Recording(np.linspace(0, 0.2, 3))
+    spin, factorise, written = initial_spin(scene, "random"), Cholesky.factorise, []
+    undisturbed = solve(scene, options.build(), spin, stop, recording=recording)
+    count, strikes = itertools.count(), (3, 7, 11) if options.name.startswith("implicit") else (3, 20, 50)
+
+    def struck(self, values):
+        if interrupts._ended.get() is not None and next(count) in strikes:
+            strike()
+        return factorise(self, values)
+
+    monkeypatch.setattr(Cholesky, "factorise", struck)
+    found, state = None, None
+    for _ in range(len(strikes) + 1):
+        found = solve(scene, options.build(), spin, stop, (), None, recording, Checkpoints(1e9, written.append, state))
+        if not found.interrupted:
+            break
+        state = written[-1]
+    assert next(count) > strikes[-1]
+    assert not found.interrupted
+    assert found.status is undisturbed.status
+    assert np.array_equal(found.spin, undisturbed.spin)
+    for name in set(undisturbed.history) - {"seconds"}:
+        assert np.array_equal(found.history[name], undisturbed.history[name], equal_nan=True), name
+
+
+def test_an_interrupt_while_figures_are_drawn_keeps_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "_draw", lambda *_: (strike(), for_ever()))
+    found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
+    assert found.solution.interrupted
+    assert found.status == [Status.CERTIFIED]
+    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a"]
+
+
+def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figures(tmp_path, monkeypatch):
+    publish = runs.publish
+    monkeypatch.setattr(runs, "publish", lambda *given: (strike(signal.SIGTERM), publish(*given))[1])
+    found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
+    assert found.solution.interrupted
+    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
+    assert not list((tmp_path / "a").glob("*.png"))
