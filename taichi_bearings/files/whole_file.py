@@ -45,10 +45,12 @@ def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
             written.flush()
             os.fsync(written.fileno())
         os.replace(temporary, path)
-    except OSError as error:
+    except BaseException as error:  # Ctrl-C too
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+        if isinstance(error, OSError):
+            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise
 
 
 def write_text(path: Path, text: str) -> None:
