@@ -102,32 +102,6 @@ def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
     return tuple(np.where(pick, a, b) for a, b in zip(force, other, strict=True))
 
 
-def slip_bound(
-    scene: Scene, force: Forces, spin_axes: tuple[int, ...], objective: np.ndarray
-) -> tuple[np.ndarray, ...]:
-    """Largest slip speed that a contact can have at any minimum, one array (R, *contacts) an axis, length/time.
-
-    Admissible forces f with lower bound D prove that at a minimum phi(|v_e|) + phi*(|f_e|) - |f_e| |v_e|, which no
-    contact has below 0, is at most the least potential less D: with Coulomb friction a contact with a margin slips at
-    most (power - D) / margin. None slips more than the spins of the box allow.
-    objective : (R,), of any spins. The forces count as they are, or capped or scaled: no Poisson solve.
-    """
-    force, law = _finite(scene, force), scene.law
-    bounds = [np.full((scene.replicas, *c.shape[1:]), np.inf) for c in scene.coefficient]
-    for candidate in (force,) if law.flows else (capped(scene, force), scaled(scene, force)):
-        left = np.maximum(objective - dual_value(scene, candidate, spin_axes), 0.0) / law.share
-        excess = left.reshape(-1, *(1,) * scene.lattice.dimension)
-        for of, values, bound in zip(scene.contact, candidate, bounds, strict=True):
-            size = vector_length(values) * (1 + 4 * np.finfo(np.float64).eps)
-            np.minimum(bound, law.largest_slip(of, size, excess), out=bound)
-    bottom, top = scene.driven_values(spin_axes)
-    for axis, bound in enumerate(bounds):
-        jump = (top - bottom)[list(tangential(axis, spin_axes))]
-        np.minimum(bound, scene.lattice.radius * float(np.linalg.norm(jump)), out=bound)
-        bound[:, scene.lattice.between_driven(axis)] = 0.0
-    return tuple(bounds)
-
-
 def _finite(scene: Scene, force: Forces) -> Forces:
     """The forces in float64, none between driven spheres, all zero in a replica that has one that is not finite."""
     force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
@@ -278,6 +252,5 @@ __all__ = [
     "relative_gap",
     "saturation",
     "scaled",
-    "slip_bound",
     "work_and_bound",
 ]

@@ -220,16 +220,15 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
-    """Of two answers to one scene, judged by the best bounds of both, the second if it is clearly closer."""
-    from taichi_bearings.proof.certificate import relative_gap
+    """Of two answers to one scene, each proven by the best forces of both, the second if it is clearly closer."""
+    from taichi_bearings.solvers.drive import with_forces_of
 
-    bound = np.maximum(first.lower_bound, second.lower_bound)
-    gaps = [relative_gap(first.scene, answer.objective, bound) for answer in (first, second)]
-    clearly = gaps[1].max() <= tolerance < gaps[0].max() or 2 * gaps[1].max() < gaps[0].max()
-    answer, gap = (second, gaps[1]) if clearly else (first, gaps[0])
-    status = Status.CERTIFIED if (gap <= tolerance).all() else second.status
+    answers = with_forces_of(first, second), with_forces_of(second, first)
+    gaps = [float(answer.gap.max()) for answer in answers]
+    answer = answers[gaps[1] <= tolerance < gaps[0] or 2 * gaps[1] < gaps[0]]
+    status = Status.CERTIFIED if (answer.gap <= tolerance).all() else second.status
     seconds = first.seconds + second.seconds
-    return replace(answer, lower_bound=bound, gap=gap, status=status, seconds=seconds, interrupted=second.interrupted)
+    return replace(answer, status=status, seconds=seconds, interrupted=second.interrupted)
 
 
 def summarise(run: Run) -> dict[str, Any]:

@@ -63,12 +63,12 @@ def _redrawn(run: StoredRun, kind: str, key: str, draw: Draw, values: tuple[np.n
     lattice = Lattice(run.samples.shape)
     try:
         distribution = Distribution.parse(str(run.settings[key]))
-        seeds = [int(seed) for seed in run.claimed("seed")]
+        samples = [draw(lattice, distribution, int(seed)) for seed in run.claimed("seed")]
     except (KeyError, InputError, TypeError, ValueError):
         return ["the scene names no distribution and seed that coefficients can be drawn from"]
     found = []
-    for number, seed in enumerate(seeds):
-        for axis, drawn in enumerate(draw(lattice, distribution, seed)):
+    for number, (seed, sample) in enumerate(zip(run.claimed("seed"), samples, strict=True)):
+        for axis, drawn in enumerate(sample):
             stored = values[axis][number]
             if not (np.abs(stored - drawn) <= REDRAWN * drawn).all():
                 found.append(f"{kind} along {'xyz'[axis]} are not those of seed {seed}")

@@ -99,23 +99,6 @@ class Law:
             return np.where(excess > 0, np.inf, 0.0)
         return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
 
-    def largest_slip(self, of: Coefficients, force: np.ndarray, excess: np.ndarray) -> np.ndarray:
-        """Upper end of the slips with phi(v) + phi*(f) - f v <= excess: no faster slips a contact at any minimum.
-
-        excess : share * potential of any spins less the bound that the forces prove, over `share`.
-        """
-        held, viscosity = self.holding_force(of), self.viscosity(of)
-        margin = -force if held is None else held - force
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            if viscosity is None:
-                return np.where(margin > 0, excess / margin, np.inf)
-            inside = np.maximum(margin, 0.0)
-            # of viscosity v^2 / 2 + margin v = excess, written so that nothing cancels; beyond the holding force the
-            # slip that belongs to the force comes on top
-            found = 2 * excess / (inside + np.sqrt(inside**2 + 2 * viscosity * excess))
-            found = np.where(excess > 0, found, 0.0) + np.maximum(-margin, 0.0) / viscosity
-        return np.where(viscosity > 0, found, np.inf)
-
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
         """Each coefficient times its function of the slip."""
         terms = [

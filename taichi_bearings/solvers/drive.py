@@ -16,8 +16,8 @@ from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
 from taichi_bearings.interrupts import GivenUp, handled, is_loading, while_wanted
 from taichi_bearings.lattice.grid import laboratory_forces
-from taichi_bearings.proof.certificate import Forces, certifying_forces, lower_bound, relative_gap, slip_bound
-from taichi_bearings.proof.contact_state import ContactState, classify
+from taichi_bearings.proof.certificate import Forces, certifying_forces, lower_bound, relative_gap
+from taichi_bearings.proof.contact_state import ContactState, classify, separate
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
@@ -103,6 +103,29 @@ def uninterrupted(solution: Solution) -> Solution:
     if solution.interrupted:
         raise KeyboardInterrupt
     return solution
+
+
+def with_forces_of(answer: Solution, other: Solution) -> Solution:
+    """An answer with the friction of another one to its scene in replicas where that proves more of it."""
+    scene, more = answer.scene, other.lower_bound > answer.lower_bound
+
+    def picked(new: Forces, old: Forces) -> Forces:
+        return tuple(np.where(more.reshape(-1, *(1,) * (b.ndim - 1)), a, b) for a, b in zip(new, old, strict=True))
+
+    friction = picked(other.friction, answer.friction)
+    judgement = _judged(scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
+    if judgement is None:
+        return answer
+    return replace(
+        answer,
+        friction=friction,
+        force=picked(other.force, answer.force),
+        resolved=answer.resolved & ~more,
+        slip_bound=judgement.slip_bound,
+        unbalanced_torque=judgement.largest_torque,
+        lower_bound=judgement.lower_bound,
+        gap=relative_gap(scene, answer.objective, judgement.lower_bound),
+    )
 
 
 def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:
@@ -214,20 +237,22 @@ class _Course:
         """
         scene, final = self.scene, replace(self.best.progress, iteration=iteration)
         spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
-        slip, rounding = final.slip, 0.0
-        if slip is None:
-            slip, rounding = scene.slips(final.staggered, final.spin_axes), 1e-12 * scene.lattice.radius * scene.jump
+        proof = certifying_forces(scene, self.best.proof, final.spin_axes, self.best.bound)
+        friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
+        judgement = _judged(scene, spin, spin_rounding, friction)
+        slip = _slips(scene, final) if judgement is None else judgement.slip
+        rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
         resolves = max(final.resolution, rounding) if threshold is None else threshold
         state = _states(scene, slip, final, resolves, threshold is not None)
-        friction = laboratory_forces(
-            certifying_forces(scene, self.best.proof, final.spin_axes, self.best.bound), scene.lattice, final.spin_axes
-        )
+        if threshold is None:  # a method that establishes the states has rounded its slips in another way
+            resolves = max(resolves, float(np.nanmax(separate(scene, slip, state).largest_slipless, initial=0.0)))
         per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
-        objective, bound = final.objective, self.best.bound
+        objective, bound, residual = final.objective, self.best.bound, final.unbalanced_torque
         power = objective if scene.law.minimises == "power" else scene.total(per_contact)
-        judgement = _judged(scene, spin, spin_rounding, friction)
+        force = _acting(scene, final, slip) if is_dynamics(self.method) else _sizes(proof)
         if judgement is not None:  # what the answer proves is what is reported
             power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
+            residual = residual if is_dynamics(self.method) else judgement.largest_torque
             if scene.law.flows and scene.law.holds and threshold is None:  # unique slips, some of them proven
                 state = _with_proven_slips(state, judgement)
         resolved = np.zeros(scene.replicas, dtype=bool)
@@ -245,17 +270,17 @@ class _Course:
             spin_rounding=spin_rounding,
             slip=slip,
             power_per_contact=per_contact,
-            force=tuple(vector_length(values) for values in final.force),
+            force=force,
             friction=friction,
             state=state,
-            slip_bound=slip_bound(scene, final.force, final.spin_axes, objective) if scene.law.holds else (),
+            slip_bound=() if judgement is None else judgement.slip_bound,
             resolved=resolved,
             power=power,
             objective=objective,
             lower_bound=bound,
             gap=gap,
             slip_threshold=resolves,
-            unbalanced_torque=final.unbalanced_torque,
+            unbalanced_torque=residual,
             seconds=seconds,
             seconds_compile=compiled,
             history=self.recorder.history(),
@@ -397,16 +422,33 @@ class _Best:
 def _states(
     scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float, asked: bool
 ) -> tuple[np.ndarray, ...]:
-    """Contact states by slip and friction, or as the method has established them; then slower ones count as slipless
-    only if a threshold was asked for."""
+    """Contact states by slip and friction, or as the method has established them; then slower ones count as slipless,
+    and of faster ones none, only if a threshold was asked for."""
     if final.state is None:
         return classify(scene, slip, final.force, threshold)
     if not asked:
         return final.state
-    return tuple(
-        np.where((state == ContactState.SLIPPING) & (speed <= threshold), ContactState.SLIPLESS, state).astype(np.uint8)
-        for state, speed in zip(final.state, slip, strict=True)
-    )
+    slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
+    found = []
+    for state, speed in zip(final.state, slip, strict=True):
+        slow, fast = (state == slipping) & (speed <= threshold), (state == slipless) & (speed > threshold)
+        found.append(np.where(slow, slipless, np.where(fast, undecided, state)).astype(np.uint8))
+    return tuple(found)
+
+
+def _slips(scene: Scene, final: Progress) -> tuple[np.ndarray, ...]:
+    return scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
+
+
+def _sizes(force: Forces) -> tuple[np.ndarray, ...]:
+    return tuple(vector_length(values) for values in force)
+
+
+def _acting(scene: Scene, final: Progress, slip: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Sizes of the forces in a dynamics at this moment: where contacts hold its own, else those of the law."""
+    if scene.law.holds:
+        return _sizes(final.force)
+    return tuple(scene.law.force(of, speed) for of, speed in zip(scene.contact, slip, strict=True))
 
 
 def _with_proven_slips(state: tuple[np.ndarray, ...], judgement: Judgement) -> tuple[np.ndarray, ...]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import Enclosure, row_sum
+from taichi_bearings.verifier.enclosure import UP, Enclosure, row_sum
 from taichi_bearings.verifier.motion import length, spread
 from taichi_bearings.verifier.samples import Samples
 
@@ -73,10 +73,43 @@ def work_of(samples: Samples) -> Work:
 
 def lower_bound(samples: Samples, work: Work) -> np.ndarray:
     """Of the least objective, (R,), in the units of `Motion.power`; not below 0."""
+    return np.maximum(_proven(samples, work).lower(), 0.0)
+
+
+def _proven(samples: Samples, work: Work) -> Enclosure:
+    """The same, and below 0 where the friction proves less than nothing."""
     left = work.work - work.price
     if samples.flows:
-        return np.maximum((left - work.cost).signed(samples.share).lower(), 0.0)
-    return np.maximum((left / Enclosure.exact(np.maximum(work.saturation, 1.0))).lower(), 0.0)
+        return (left - work.cost).signed(samples.share)
+    return left / Enclosure.exact(np.maximum(work.saturation, 1.0))
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.ndarray]:
+    """No minimum slips faster: (R, *contacts) an axis, over radius * `spin_unit`, rounded up; of laws with friction.
+
+    Let E be the objective (R,) of any spins, rounded up, less what the friction F proves. At a minimum no contact has
+    phi(v) + phi*(F) - |F| v below 0, and all together have no more than E. With the room m = mu F_n - |F| left in its
+    disc a contact of Coulomb's has m v <= E, one with viscosity eta as well eta v^2 / 2 + m v <= E, and where F exceeds
+    the disc eta (v + m / eta)^2 / 2 <= E. Nor does any slip more than the spins between those of the planes allow.
+    """
+    excess = np.maximum(((objective - _proven(samples, work).lower()) * UP).reshape(-1, *(1,) * samples.dimension), 0.0)
+    worst = np.maximum(work.saturation, 1.0).reshape(excess.shape)  # no disc is exceeded without viscosity
+    found = []
+    for axis, turning in enumerate(samples.turning):
+        size = length([Enclosure.exact(part) for part in turning.values()])
+        size = size if samples.flows else size / Enclosure.exact(np.broadcast_to(worst, size.high.shape))
+        room = samples.strength[axis] - size
+        inside, beyond = np.maximum(room.lower(), 0.0), np.maximum(-room.lower(), 0.0)
+        bound = np.where(inside > 0, excess / inside, np.inf)
+        if samples.flows:
+            slope = samples.slope[axis].least
+            root = np.sqrt(inside**2 + 2 * slope * excess)
+            bound = np.where(excess > 0, 2 * excess / (inside + root), 0.0) + beyond / slope
+        box = np.sqrt(sum(samples.jump[k].most[0] ** 2 for k in samples.felt(axis)))
+        bound = np.minimum(np.where(np.isfinite(bound), bound, np.inf), box) * UP
+        found.append(np.where(samples.between_driven(axis), 0.0, bound))
+    return found
 
 
 def torques(samples: Samples, component: int, which: tuple[np.ndarray, ...] | None = None) -> Enclosure:

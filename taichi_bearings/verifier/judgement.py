@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.bounds import Work, lower_bound, work_of
+from taichi_bearings.verifier.bounds import Work, lower_bound, slip_bounds, work_of
 from taichi_bearings.verifier.enclosure import Enclosure
 from taichi_bearings.verifier.motion import Motion
 from taichi_bearings.verifier.samples import Samples
@@ -35,8 +35,7 @@ class Judgement:
     @property
     def _unit(self) -> float:
         """Of power. Powers of two but for the radius; what multiplying by it rounds is seen to in the bounds."""
-        speed = self.samples.radius * self.samples.spin_unit
-        return self.samples.force_unit * (speed if self.samples.holds else speed * speed)
+        return self.samples.force_unit * (self._speed if self.samples.holds else self._speed**2)
 
     @cached_property
     def _objective(self) -> Enclosure:
@@ -45,6 +44,32 @@ class Judgement:
     @cached_property
     def _lower_bound(self) -> np.ndarray:
         return lower_bound(self.samples, self.work)
+
+    @property
+    def _speed(self) -> float:
+        """Of slips."""
+        return self.samples.radius * self.samples.spin_unit
+
+    @cached_property
+    def slip(self) -> tuple[np.ndarray, ...]:
+        """Speeds (R, *contacts) an axis of the slips of these spins, to the nearest doubles."""
+        found = tuple(np.zeros(still.shape) for still in self.motion.still)
+        for values, still, size in zip(found, self.motion.still, self.motion.size, strict=True):
+            values[~still] = size.value * self._speed
+        return found
+
+    @cached_property
+    def slip_bound(self) -> tuple[np.ndarray, ...]:
+        """Speeds (R, *contacts) an axis that no slip of any minimum exceeds, of contacts with friction; else empty."""
+        if not self.samples.holds:
+            return ()
+        bounds = slip_bounds(self.samples, self.work, self._objective.upper())
+        return tuple(bound * self._speed * (1 + 2.0**-50) for bound in bounds)
+
+    @property
+    def largest_torque(self) -> np.ndarray:
+        """(R,), that the friction leaves on a free sphere, force * length, rounded up."""
+        return _outwards(self.work.largest_torque * self.samples.force_unit * self.samples.radius, np.inf)
 
     @property
     def power(self) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import Samples
-from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN, States
+from taichi_bearings.verifier.states import SATURATED, SLIPLESS, SLIPPING, UNPROVEN, States
 from taichi_bearings.verifier.stored_run import StoredRun
 
 ARITHMETIC = (
@@ -21,6 +21,7 @@ ROUNDED = 1e-12  # relative difference of numbers that the run has computed in d
 EPS = np.finfo(np.float64).eps
 BALANCED = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
 DRIVEN = 3  # state of a contact between driven spheres, in the file
+LOST = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,8 @@ def verdict_of(run: StoredRun) -> Verdict:
     power, bound, states = judgement.power, judgement.lower_bound, judgement.states
     upper = judgement.upper_bound
     gap = [_gap(p, b, unit) for p, b, unit in zip(upper, bound, _natural_power(samples), strict=True)]
-    torque = judgement.work.largest_torque * samples.force_unit * samples.radius
-    found = [*_scene(run), *_driving(samples), *_numbers(run, judgement), *_states(run, states)]
-    found += [*_summary(run, judgement, gap), *_counts(run), *_history(run, upper, bound)]
+    found = [*_scene(run), *_driving(samples), *_numbers(run, judgement), *_forces(run, judgement)]
+    found += [*_states(run, states), *_summary(run, judgement, gap), *_counts(run), *_history(run, upper, bound)]
     return Verdict(
         power=[_finite(value) for value in power],
         upper_bound=[_finite(value) for value in upper],
@@ -68,7 +68,7 @@ def verdict_of(run: StoredRun) -> Verdict:
         gap=gap,
         balanced=(judgement.price <= BALANCED).tolist(),
         inside_discs=(judgement.work.saturation <= 1).tolist(),
-        largest_balance_residual=torque.tolist(),
+        largest_balance_residual=judgement.largest_torque.tolist(),
         states=[_counted(samples, s) for s in states],
         unique=[s.unique for s in states],
         reasons=[s.reason for s in states],
@@ -108,7 +108,11 @@ def _counted(samples: Samples, states: States) -> dict[str, int]:
 
 
 def _driving(samples: Samples) -> Iterator[str]:
-    """The spins of the driven spheres are those that the scene imposes, and each plane turns as one."""
+    """The spins of the driven spheres are those that the scene imposes, and each plane turns as one.
+
+    They are sums of the bottom's and of the jump, each known to some 2^-100: a spin far below both is known no better.
+    """
+    lost = 2.0**-98 * (abs(samples.spin_top) + abs(samples.spin_bottom))
     for plane, name, imposed in ((0, "bottom", samples.spin_bottom), (-1, "top", samples.spin_top)):
         for k in samples.components:
             spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
@@ -116,7 +120,7 @@ def _driving(samples: Samples) -> Iterator[str]:
             expected = imposed * _along(samples, k)
             uneven = any((part != part.reshape(samples.count, -1)[:, :1].reshape(-1, *(1,) * (part.ndim - 1))).any()
                          for part in (high, low))  # fmt: skip
-            if uneven or np.abs(high - expected).max() > 4 * EPS * abs(imposed):
+            if uneven or np.abs(high - expected).max() > 4 * EPS * abs(imposed) + lost:
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
 
 
@@ -149,48 +153,68 @@ def _along(samples: Samples, component: int) -> float:
 
 
 def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
-    """Slip, power and force of every contact follow from spins, coefficients and friction."""
-    samples, motion, speed = run.samples, judgement.motion, run.samples.radius * run.samples.spin_unit
-    rounding = 64 * EPS * speed * max(float(np.abs(part[0]).max()) for part in samples.signed_spin.values())
-    rounding = min(rounding, 64 * EPS * speed * _largest_departure(samples))
-    slack = max(run.setting("static_ratio", 1.0), 1.0) * (1 + 1e-6)  # static over kinetic friction
+    """Slip and power of every contact follow from spins and coefficients, and its state from its slip."""
+    samples, threshold = run.samples, run.claimed("slip_threshold")[0] or 0.0
+    asked = run.settings.get("slip_threshold")
     for axis, name in enumerate("xyz"[: samples.dimension]):
-        slip, power, force, state = (run.reported[key][axis] for key in ("slip", "power", "force", "state"))
-        actual = np.zeros(slip.shape)
-        actual[~motion.still[axis]] = motion.size[axis].value * speed
-        acts = ~samples.between_driven(axis)
-        if (np.abs(slip - np.where(acts, actual, 0.0)) > ROUNDED * actual + rounding).any():
+        slip, power, state = (run.reported[key][axis] for key in ("slip", "power", "state"))
+        actual, acts = judgement.slip[axis], ~samples.between_driven(axis)
+        if not (np.abs(slip - actual) <= ROUNDED * actual).all():
             yield f"slips of contacts along {name} are not those of the spins"
-        strength = samples.coefficient[axis] * (samples.normal_force if samples.holds else 1.0)
+        strength = _strength(samples, axis)
         expected = np.where(acts, strength * slip if samples.holds else strength * slip**2, 0.0)
         if samples.viscosity:
             expected += np.where(acts, samples.viscosity[axis] * slip**2, 0.0)
         if not (np.abs(power - expected) <= ROUNDED * expected).all():
             yield f"powers of contacts along {name} are not friction or damping times slip"
-        friction = samples.friction[axis]
-        if not acts.all() and np.abs(friction[~acts]).max() > 0:
-            yield f"friction along {name} acts between driven spheres"
         if (state == DRIVEN).sum() != (~acts).sum() or not (state[~acts] == DRIVEN).all():
             yield f"states of contacts along {name} do not name those between driven spheres"
-        threshold = run.claimed("slip_threshold")[0] or 0.0
-        if (slip[state == SLIPLESS] > threshold * (1 + ROUNDED) + rounding).any():
-            yield f"contacts along {name} that are said not to slip are faster than the threshold"
         if not np.isin(state, (0, 1, 2, DRIVEN)).all():
             yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
+        if (slip[state == SLIPLESS] > threshold * (1 + ROUNDED)).any():
+            yield f"contacts along {name} that are said not to slip are faster than the threshold"
+        proven = np.stack([of_sample.proven[axis] for of_sample in judgement.states]) == SLIPPING
+        slow = (state == SLIPPING) & ~proven & (slip <= threshold * (1 - ROUNDED))
+        if slow.any() and (asked is not None or "time" in run.history):  # a method may know more than the slip
+            yield f"contacts along {name} that are said to slip are slower than the threshold"
+    if asked is not None and asked != threshold:
+        yield f"the slip threshold is said to be {threshold!r}; the scene asks for {asked!r}"
+
+
+def _strength(samples: Samples, axis: int) -> np.ndarray:
+    """(R, *contacts), friction that a contact bears, or without friction its damping."""
+    return samples.coefficient[axis] * (samples.normal_force if samples.holds else 1.0)
+
+
+def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
+    """Forces are the sizes of the friction, and what is left over is its torque. Those of a dynamics are others: of
+    viscous contacts they follow from the slips, of Coulomb's they are within the static friction, and at the kinetic
+    one where a contact is said to slip."""
+    samples, is_dynamics = run.samples, "time" in run.history
+    most = max(run.setting("static_ratio", 1.0), 1.0) * (1 + SATURATED)
+    for axis, name in enumerate("xyz"[: samples.dimension]):
+        force, slip, state = (run.reported[key][axis] for key in ("force", "slip", "state"))
+        acts, strength = ~samples.between_driven(axis), _strength(samples, axis)
+        size = np.sqrt(sum(part**2 for part in samples.turning[axis].values())) * samples.force_unit
+        if size[~acts].any():
+            yield f"friction along {name} acts between driven spheres"
         if not (np.isfinite(force) & (force >= 0)).all():
             yield f"forces of contacts along {name} are not finite or negative"
-        if not samples.flows and (force > slack * strength).any():
+        if not is_dynamics and not (np.abs(force - size) <= ROUNDED * size + LOST * samples.force_unit).all():
+            yield f"forces of contacts along {name} are not those of the friction"
+        expected = np.where(acts, strength * slip, 0.0)
+        if is_dynamics and not samples.holds and not (np.abs(force - expected) <= ROUNDED * expected).all():
+            yield f"forces of contacts along {name} are not damping times slip"
+        if not samples.flows and (force > most * strength).any():
             yield f"forces of contacts along {name} exceed their friction"
-
-
-def _largest_departure(samples: Samples) -> float:
-    """Of signed spins from those of the bottom."""
-    return max(
-        float(
-            np.abs(high - high[..., :1].reshape(samples.count, -1)[:, :1].reshape(-1, *(1,) * len(samples.shape))).max()
-        )
-        for high, _ in samples.signed_spin.values()
-    )
+        slips = (state == SLIPPING) & is_dynamics & (not samples.flows)
+        if (force[slips] < (1 - SATURATED) * (1 - ROUNDED) * strength[slips]).any():
+            yield f"contacts along {name} that are said to slip do not bear all their friction"
+        if (
+            "slip_bound" in run.reported
+            and not (run.reported["slip_bound"][axis] >= judgement.slip_bound[axis] * (1 - ROUNDED)).all()
+        ):
+            yield f"bounds of the slip along {name} are below what the friction proves"
 
 
 def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
@@ -215,8 +239,6 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"the minimum{which} is said to be unique, and that is not proven"
         if unique[number] is not None and not unique[number] and (found.unique or len(run.samples.needed) != 1):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
-        if proven[number]:
-            yield from _saturated(run, number, given, which)
 
 
 def _is_minimum(run: StoredRun, number: int) -> bool:
@@ -224,30 +246,10 @@ def _is_minimum(run: StoredRun, number: int) -> bool:
     return run.claimed("status")[number] == "certified" and "slip_threshold" not in run.settings
 
 
-def _saturated(run: StoredRun, number: int, given: list[np.ndarray], which: str) -> Iterator[str]:
-    """At a proven minimum the reported forces are those of the friction."""
-    samples = run.samples
-    if samples.flows:
-        return
-    for axis, state in enumerate(given):
-        strength = samples.coefficient[axis][number] * samples.normal_force
-        force = run.reported["force"][axis][number]
-        friction = np.abs(samples.friction[axis][number])
-        size = friction if samples.dimension == 2 else np.sqrt((friction**2).sum(axis=-1))
-        slips = state == SLIPPING
-        slowest = run.reported["slip"][axis][number] * (1 - ROUNDED)
-        if "slip_bound" in run.reported and (run.reported["slip_bound"][axis][number] < slowest).any():
-            yield f"bounds of the slip{which} along {'xyz'[axis]} are below the slip of the minimum"
-        if (np.abs(force - size)[state != DRIVEN] > 1e-6 * strength[state != DRIVEN]).any() or (
-            np.abs(force - strength)[slips] > 1e-6 * strength[slips]
-        ).any():
-            yield f"forces{which} along {'xyz'[axis]} are not those that the friction proves"
-
-
 def _summary(run: StoredRun, judgement: Judgement, gap: list[float | None]) -> Iterator[str]:
     """Power, potential, bound, gap and status of the summary."""
     power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
-    tolerance = run.setting("tolerance", 1e-8)
+    tolerance, natural = run.setting("tolerance", 1e-8), _natural_power(run.samples)
     claimed = {name: run.claimed(name) for name in ("power", "lower_bound", "gap", "status")}
     for number in range(run.samples.count):
         which = f" of sample {number}" if run.samples.count > 1 else ""
@@ -265,12 +267,25 @@ def _summary(run: StoredRun, judgement: Judgement, gap: list[float | None]) -> I
         own = float("inf") if proven is None else proven
         if g is not None and not own <= g * (1 + 1e-9) + 4 * EPS:
             yield f"the gap{which} is said to be {g!r}; what is proven leaves {own!r}"
+        if None not in (g, b, p):
+            follows = _gap(p if potential is None else potential, b, natural[number])
+            if follows is None or not abs(g - follows) <= ROUNDED * abs(follows):
+                yield f"the gap{which} is said to be {g!r}; power or potential and lower bound leave {follows!r}"
         if g is not None and g < -ROUNDED / 100:
             yield f"the gap{which} is negative: {g!r}"
         if status == "certified" and (not own <= tolerance * (1 + 1e-9) or None in (p, b, g)):
             yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {own!r}"
+        yield from _residual(run, judgement, number)
         if bound[number] > objective[number] * (1 + 2 * EPS):
             yield f"the lower bound{which} is above the power or potential: the numbers contradict themselves"
+
+
+def _residual(run: StoredRun, judgement: Judgement, number: int) -> Iterator[str]:
+    """What is left over is the torque of the friction; of a dynamics, what its history ends with."""
+    said, is_dynamics = run.claimed("largest_balance_residual")[number], "time" in run.history
+    rows = _row(run.history.get("unbalanced_torque"), number) if is_dynamics else judgement.largest_torque[[number]]
+    if said is not None and rows is not None and len(rows) and not _close(said, float(rows[-1])):
+        yield f"the largest torque left over is said to be {said!r}; it is {float(rows[-1])!r}"
 
 
 def _counts(run: StoredRun) -> Iterator[str]:
@@ -300,11 +315,19 @@ def _close(said: Any, value: float | None) -> bool:
     return said is not None and value is not None and abs(said - value) <= ROUNDED * abs(value)
 
 
+ENDS = {"time": "time", "energy_residual": "energy_residual", "iterations": "iteration"}
+"""Number of the summary -> column of the history that ends with it."""
+
+
 def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[str]:
     """No bound of the history is above the power, no power below the bound."""
     for number in range(run.samples.count):
         least = "potential" if run.samples.holds and run.samples.flows else "power"
         bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
+        for name, column in ENDS.items():
+            said, rows = run.claimed(name)[number], _row(run.history.get(column), number)
+            if said is not None and rows is not None and len(rows) and said != rows[-1]:
+                yield f"{name.replace('_', ' ')}: the summary says {said!r}, the history {float(rows[-1])!r}"
         if bounds is not None and (bounds > power[number] * (1 + ROUNDED)).any():
             yield f"a lower bound of the history is above the least {least}"
         if powers is not None and (powers < bound[number] * (1 - ROUNDED)).any():

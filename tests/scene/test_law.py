@@ -47,23 +47,6 @@ def test_the_conjugate_is_the_largest_work_less_the_potential(law):
             assert law.conjugate(of, force) + law.potential(of, np.array([slip])) == pytest.approx(force * slip)
 
 
-def test_no_slip_beyond_the_largest_one_is_possible(law):
-    """phi(v) + phi*(f) - f v <= excess holds up to that slip, and at no faster one."""
-    of = coefficients_of(law)
-    for force in (0.0, 0.1, 0.9, 2.5):
-        for excess in (1e-9, 1e-3, 0.2):
-            most = float(law.largest_slip(of, np.array([force]), np.array([excess]))[0])
-            dual = law.conjugate(of, np.array([force]))
-            if not np.isfinite(most):
-                assert law.is_rate_independent
-                assert force >= law.holding_force(of)[0]
-                continue
-            missing = law.potential(of, np.array([most])) + dual - force * most
-            assert missing == pytest.approx(excess, rel=1e-6)
-            faster = most * (1 + 1e-3) + 1e-9
-            assert law.potential(of, np.array([faster])) + dual - force * faster > excess
-
-
 def test_both_coefficients_fall_back_on_the_law_with_one():
     friction, viscosity = RNG.uniform(0.1, 1.0, (2, 5))
     slip, nothing = RNG.uniform(0.0, 2.0, 5), np.zeros(5)
