@@ -28,6 +28,7 @@ from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.law import COULOMB, Coefficients, Law, law_named
 
 AXIS_NAMES = ("x", "y", "z")
+FAINT = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 
 
@@ -123,6 +124,11 @@ class Scene:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
         if len(self.direction) != 3 or not np.all(np.isfinite(self.direction)) or not np.any(self.direction):
             raise InputError(f"direction is {list(self.direction)}; it must be three finite numbers, not all zero")
+        sizes = np.abs(self.direction) / np.max(np.abs(self.direction))
+        if ((sizes > 0) & (sizes < FAINT)).any():
+            raise InputError(
+                f"direction is {list(self.direction)}; a part that is not 0 must be {FAINT:g} of the largest or more"
+            )
         object.__setattr__(self, "direction", tuple(float(part) for part in self.direction))
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
         object.__setattr__(self, "viscosity", _arrays("viscosities", self.viscosity))

@@ -25,7 +25,7 @@ from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.samples import LAWS, Samples
 from taichi_bearings.verifier.states import SLIPPING
 
 
@@ -250,7 +250,9 @@ class _Course:
         objective, bound, residual = final.objective, self.best.bound, final.unbalanced_torque
         power = objective if scene.law.minimises == "power" else scene.total(per_contact)
         force = _acting(scene, final, slip) if is_dynamics(self.method) else _sizes(proof)
-        if judgement is not None:  # what the answer proves is what is reported
+        if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
+            bound = np.zeros_like(bound) if scene.law.name in LAWS else bound
+        else:  # what the answer proves is what is reported
             power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
             residual = residual if is_dynamics(self.method) else judgement.largest_torque
             if scene.law.flows and scene.law.holds and threshold is None:  # unique slips, some of them proven

@@ -19,6 +19,7 @@ ARITHMETIC = (
 )
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 EPS = np.finfo(np.float64).eps
+CLAIMS = ("power", "potential", "lower_bound", "gap", "states_proven", "minimum_is_unique")
 BALANCED = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
 DRIVEN = 3  # state of a contact between driven spheres, in the file
 LOST = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
@@ -52,8 +53,20 @@ def verdict_of(run: StoredRun) -> Verdict:
     if not samples.can_be_judged:
         text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
         false = [False] * count
+        said = [run.claimed(name)[r] for name in CLAIMS for r in range(count)]
+        is_claim = any(said) or "certified" in run.claimed("status")
         return Verdict(
-            nothing, nothing, nothing, nothing, false, false, nothing, unproven, nothing, [text] * count, [text]
+            nothing,
+            nothing,
+            nothing,
+            nothing,
+            false,
+            false,
+            nothing,
+            unproven,
+            nothing,
+            [text] * count,
+            [f"{text}: what is said of it is not proven"] if is_claim else [],
         )
     judgement = Judgement(samples)
     power, bound, states = judgement.power, judgement.lower_bound, judgement.states

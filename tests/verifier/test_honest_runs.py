@@ -13,6 +13,10 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.run import resume, run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import PlanarCut
+from taichi_bearings.solvers.drive import solve
+from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 MIXED = {"law": "coulomb-viscous"}
@@ -187,3 +191,12 @@ def test_each_number_that_is_forged_is_found(name, tmp_path, needs_f64, thorough
             missed += [what] if verify(copy)["verified"] else []
     assert "\n".join(missed) == ""
     assert len(forged) > 25
+
+
+def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):
+    """A direction that no arithmetic of the verifier can follow is refused; scales beyond it are not certified."""
+    with pytest.raises(InputError, match="1e-100 of the largest"):
+        run(RunSettings(shape=(4, 4, 4), direction=(1, 1e-200, 0)), tmp_path / "run")
+    scene = make_scene((4, 5), normal_force=1e-80)
+    answer = solve(scene, PlanarCut().build(), initial_spin(scene, "linear"))
+    assert (answer.lower_bound[0], answer.status.value, answer.resolved[0]) == (0.0, "stalled", False)
