@@ -241,11 +241,7 @@ class _Course:
         friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
         judgement = _judged(scene, spin, spin_rounding, friction)
         slip = _slips(scene, final) if judgement is None else judgement.slip
-        rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
-        resolves = max(final.resolution, rounding) if threshold is None else threshold
-        state = _states(scene, slip, final, resolves, threshold is not None)
-        if threshold is None:  # a method that establishes the states has rounded its slips in another way
-            resolves = max(resolves, float(np.nanmax(separate(scene, slip, state).largest_slipless, initial=0.0)))
+        state, resolves = _told_apart(scene, slip, final, threshold)
         per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
         objective, bound, residual = final.objective, self.best.bound, final.unbalanced_torque
         power = objective if scene.law.minimises == "power" else scene.total(per_contact)
@@ -419,6 +415,19 @@ class _Best:
             better |= new.resolved & (new.lower_bound >= self.bound * (1 - 1e-11))
         pick = better.reshape(1, -1, *(1,) * len(proof))
         self.proof = tuple(np.where(pick, a, b) for a, b in zip(proof, self.proof, strict=True))
+
+
+def _told_apart(
+    scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float | None
+) -> tuple[tuple[np.ndarray, ...], float]:
+    """Contact states, and the slip up to which contacts count as slipless: as asked for, or what can be resolved."""
+    if threshold is not None:
+        return _states(scene, slip, final, threshold, asked=True), threshold
+    rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
+    resolves = max(final.resolution, rounding)
+    state = _states(scene, slip, final, resolves, asked=False)
+    # a method that establishes the states has rounded its slips in another way
+    return state, max(resolves, float(np.nanmax(separate(scene, slip, state).largest_slipless, initial=0.0)))
 
 
 def _states(
