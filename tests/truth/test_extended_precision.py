@@ -1,8 +1,5 @@
 """The oracle itself, against answers worked by hand and by trying all cuts."""
 
-from fractions import Fraction
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -11,6 +8,7 @@ pytest.importorskip("flint")
 from flint import arb, ctx
 
 from tests.scenes import minima, name_of, scene_of
+from tests.truth.cuts import all_cuts
 from tests.truth.extended_precision import DRIVEN, EITHER, SLIPLESS, SLIPPING, exact, least_viscous_power, solve
 
 
@@ -55,22 +53,6 @@ def test_a_sphere_held_in_one_direction_slides_in_the_other():
     assert truth.state[2].ravel().tolist() == [SLIPPING, SLIPLESS, SLIPPING, SLIPPING]
     assert truth.slip[2].ravel()[2] == pytest.approx(0.5**0.5 * 1.25, rel=1e-15)
     assert truth.slip[2].ravel()[3] == pytest.approx(0.5**0.5 * 0.25, rel=1e-15)
-
-
-def all_cuts(coefficient):
-    """Least weight, and for every contact whether it is in some and in all of the lightest cuts."""
-    sideways, upward = coefficient
-    columns, rows = upward.shape[0], upward.shape[1] + 1
-    cuts = []
-    for labels in product((False, True), repeat=columns * (rows - 2)):
-        above = np.zeros((columns, rows), bool)
-        above[:, -1], above[:, 1:-1] = True, np.reshape(labels, (columns, rows - 2))
-        crossed = [above[1:] != above[:-1], above[:, 1:] != above[:, :-1]]
-        weights = np.concatenate([sideways[crossed[0]], upward[crossed[1]]])
-        cuts.append((sum(map(Fraction, weights.tolist())), crossed))
-    least = min(weight for weight, _ in cuts)
-    lightest = [crossed for weight, crossed in cuts if weight == least]
-    return least, [(np.any(c, axis=0), np.all(c, axis=0)) for c in zip(*lightest, strict=True)]
 
 
 @pytest.mark.parametrize("values", [None, (1.0, 2.0), (0.5, 1.0, 1.5), (1.0, 1e12)], ids=str)

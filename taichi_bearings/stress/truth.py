@@ -1,0 +1,247 @@
+"""The least power (or potential) of a sample in 110 decimal digits: a truth that shares no code with any solver.
+
+Two of them. :func:`least` follows the central path of a small sample, contact by contact, in Python's decimals; what it
+says is enclosed by the cost of its spins from above and the work of its balanced forces from below. :func:`layered`
+is for samples of any size whose contacts along the height are alike in each layer: every column then does the same,
+no contact sideways slips or bears a force, and a column is a chain whose answer is written down.
+
+All numbers count exactly as the doubles that they are; spins are staggered, from the bottom, in units of the jump.
+"""
+
+from dataclasses import dataclass, replace
+from decimal import Decimal, localcontext
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.scene import Scene
+
+DIGITS = 110
+CLOSE, FINAL = Decimal("1e-6"), Decimal("1e-25")  # Newton's decrement on the way, and at the end
+SHRINK, TARGET = Decimal("0.01"), Decimal("1e-46")  # of the barrier in a step, and in all, relative to the cost
+NOTHING = Decimal("1e-40")  # cost, relative to that of even spins, below which the least one is zero
+CLEAR = Decimal("1e-20")  # slip over the jump, or margin over the friction, that counts as none at the end
+WANTED = Decimal("1e-20")  # relative width of the enclosure
+MOST_STEPS = 4000
+SLIPLESS, SLIPPING, UNCLEAR = 0, 1, 2  # as in files
+
+
+@dataclass(frozen=True)
+class Truth:
+    """lower, upper : they enclose the least objective, energy/time. state : of each contact, an array an axis: slipless
+    at every minimum, slipping in the middle of the minima, or unclear; empty where it is not known. unit : what errors
+    are relative to if the least is 0: the cost of all contacts with the jump, or without one the spin, for slip."""
+
+    lower: Decimal
+    upper: Decimal
+    state: tuple[np.ndarray, ...] = ()
+    unit: Decimal = Decimal(0)
+
+
+def _decimals(values: np.ndarray) -> np.ndarray:
+    return np.array([Decimal(float(value)) for value in np.ravel(values)], dtype=object)
+
+
+def _costs(scene: Scene, first: Any, second: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """Of a slip d: a |d| + c |d|^2 / 2, with a and c of contacts with these coefficients, energy/time."""
+    speed = Decimal(scene.radius) * abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
+    values, nothing = _decimals(first), np.full(first.size, Decimal(0), dtype=object)
+    if not scene.law.holds:
+        return nothing, values * 2 * speed**2  # the power is twice the potential
+    return values * Decimal(scene.normal_force) * speed, nothing if second is None else _decimals(second) * speed**2
+
+
+def _unit_jump(scene: Scene) -> dict[int, Decimal]:
+    """Components that differ between bottom and top and that contacts along the height feel, of length 1 with the
+    others: the others are constant in each layer at the minimum (docs/equations.md, 3)."""
+    if scene.lattice.dimension == 2:
+        return {2: Decimal(1)}
+    parts = [Decimal(float(part)) for part in scene.direction]
+    length = sum((part * part for part in parts), Decimal(0)).sqrt()
+    return {k: parts[k] / length for k in (0, 1) if parts[k]}
+
+
+class _Sample:
+    """Contacts as rows: `low`, `up` (E, C) are places in the spins, `felt` (E, C) is 1 for components across them."""
+
+    def __init__(self, scene: Scene) -> None:
+        shape, axes = scene.lattice.shape, range(scene.lattice.dimension)
+        self.jump = _unit_jump(scene)
+        count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
+        self.unknowns = free * count
+        place = np.empty((*shape, count), dtype=int)  # free spins, then 0 for the bottom, then the top
+        place[..., 1:-1, :] = np.moveaxis(np.arange(self.unknowns).reshape(-1, *shape[:-1], count), 0, -2)
+        place[..., 0, :] = self.unknowns
+        place[..., -1, :] = self.unknowns + 1 + np.arange(count)
+        rows = []
+        self.friction, self.viscosity, self.of = [], [], []
+        for axis in axes:
+            n, viscosity = shape[axis], scene.viscosity[axis] if scene.viscosity else None
+            a, c = _costs(scene, scene.coefficients[axis], viscosity)
+            pairs = [np.take(place, range(first, n - 1 + first), axis).reshape(-1, count) for first in (0, 1)]
+            felt = np.array([int(k != axis) for k in self.jump])
+            for number, (low, up, held, flow) in enumerate(zip(*pairs, a, c, strict=True)):
+                if (low.min() < self.unknowns or up.min() < self.unknowns or axis == axes[-1]) and held + flow > 0:
+                    rows.append((low, up, felt))
+                    self.friction.append(held)
+                    self.viscosity.append(flow)
+                    self.of.append((axis, number))
+        self.low, self.up, self.felt = (np.array(part).reshape(-1, count) for part in zip(*rows, strict=True))
+        self.a, self.c = (np.array(v, dtype=object)[:, None] for v in (self.friction, self.viscosity))
+        layer = self.unknowns // max(shape[-1] - 2, 1)
+        height = [Decimal(i // layer + 1) / (shape[-1] - 1) for i in range(self.unknowns)]
+        self.top = np.array(list(self.jump.values()), dtype=object)
+        parts = self.top[np.arange(self.unknowns) % count]
+        self.spin = np.concatenate([np.array(height, dtype=object) * parts, [Decimal(0)], self.top])
+        self.box = parts
+
+    def slips(self) -> np.ndarray:
+        return (self.spin[self.up] - self.spin[self.low]) * self.felt
+
+    def torques(self, force: np.ndarray) -> np.ndarray:
+        total = np.full(len(self.spin), Decimal(0), dtype=object)
+        np.add.at(total, self.up, force)
+        np.subtract.at(total, self.low, force)
+        return total[: self.unknowns]
+
+    def forces(self, barrier: Decimal) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Slips, their lengths, friction within its discs, and friction over slip, all (E, C or 1)."""
+        slip = self.slips()
+        length = np.sqrt((slip * slip).sum(axis=1, keepdims=True))
+        width = np.divide(np.full_like(self.a, barrier), self.a, out=np.zeros_like(self.a), where=self.a > 0)
+        self.root = np.sqrt(width * width + length * length)
+        stiffness = np.divide(self.a, width + self.root, out=np.zeros_like(self.a), where=self.a > 0)
+        return slip, length, stiffness * slip, stiffness
+
+    def step(self, barrier: Decimal) -> Decimal:
+        """Newton's step for cost + barrier, damped; returns its decrement (Nesterov and Nemirovskii, 1994)."""
+        slip, _, friction, stiffness = self.forces(barrier)
+        matrix = np.full((len(self.spin), len(self.spin)), Decimal(0), dtype=object)
+        bend = np.divide(stiffness * stiffness, self.a * self.root, out=np.zeros_like(self.a), where=self.a > 0)
+        for low, up, felt, d, w, b, c in zip(
+            self.low, self.up, self.felt, slip, stiffness[:, 0], bend[:, 0], self.c[:, 0], strict=True
+        ):
+            block = np.diag(felt * (w + c)) - b * np.outer(d, d)
+            for here, sign in ((up, 1), (low, -1)):
+                matrix[np.ix_(here, up)] += sign * block
+                matrix[np.ix_(here, low)] -= sign * block
+        gradient = self.torques(friction + self.c * slip)
+        change = _solve(matrix[: self.unknowns, : self.unknowns], gradient)
+        decrement = (max(gradient @ change, Decimal(0)) / barrier).sqrt()
+        self.spin[: self.unknowns] -= change / (1 + decrement if decrement > Decimal("0.25") else 1)
+        return decrement
+
+    def cost(self) -> Decimal:
+        square = (self.slips() ** 2).sum(axis=1, keepdims=True)
+        return (self.a * np.sqrt(square) + self.c * square / 2).sum()
+
+    def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
+        """Bounds of the least cost: work of the driven planes less what leftover torques can take, and the cost."""
+        slip, length, friction, _ = self.forces(barrier)
+        force, viscous = friction + self.c * slip, (self.c * length * length).sum() / 2
+        top = np.concatenate([np.full(self.unknowns + 1, Decimal(0), dtype=object), self.top])
+        work = (force * (top[self.up] - top[self.low]) * self.felt).sum()
+        paid = np.abs(self.torques(force) * self.box).sum()
+        return work - viscous - paid, self.cost()
+
+
+def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """x with matrix x = right by elimination; directions without stiffness (spheres cut off) stay where they are."""
+    n, scale = len(right), matrix.diagonal().copy()
+    matrix, x = matrix.copy(), right.copy()
+    for k in range(n):
+        if matrix[k, k] <= scale[k] * Decimal("1e-90"):
+            matrix[k, k:], x[k] = Decimal(0), Decimal(0)
+            continue
+        share = matrix[k + 1 :, k] / matrix[k, k]
+        used = np.flatnonzero(share)
+        matrix[k + 1 + used, k + 1 :] -= np.outer(share[used], matrix[k, k + 1 :])
+        x[k + 1 + used] -= share[used] * x[k]
+    for k in reversed(range(n)):
+        if matrix[k, k]:
+            x[k] = (x[k] - matrix[k, k + 1 :] @ x[k + 1 :]) / matrix[k, k]
+    return x
+
+
+def least(scene: Scene) -> Truth:
+    """The truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED."""
+    with localcontext() as context:
+        context.prec = DIGITS
+        if not _unit_jump(scene) or scene.spin_top == scene.spin_bottom:
+            return _nothing(scene)
+        sample = _Sample(scene)
+        barrier = first = sample.cost() / len(sample.a)
+        steps, holds, before = 0, any(sample.friction), sample.spin
+        while True:
+            last = not holds or barrier < first * TARGET
+            decrement = sample.step(barrier)
+            steps += 1
+            if decrement < (FINAL if last else CLOSE):
+                lower, upper = sample.enclosure(barrier)
+                if last or upper < first * TARGET:
+                    break
+                barrier *= SHRINK
+                here = sample.spin
+                sample.spin = here + SHRINK * (here - before)  # spins are smooth functions of the barrier
+                before = here
+            if steps > MOST_STEPS:
+                raise ArithmeticError(f"no enclosure of {scene} within {steps} steps")
+        if upper < first * NOTHING:
+            return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit)
+        if upper - lower > upper * WANTED:
+            raise ArithmeticError(f"{scene} is enclosed by {lower:.25e} and {upper:.25e}")
+        return Truth(lower, upper, _states(scene, sample, barrier))
+
+
+def _nothing(scene: Scene) -> Truth:
+    """That nothing need slip."""
+    moving = scene if scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
+    pairs = zip_longest(scene.coefficients, scene.viscosity)
+    costs = [(held + flow / 2).sum() for held, flow in (_costs(moving, *pair) for pair in pairs)]
+    return Truth(Decimal(0), Decimal(0), unit=sum(costs, Decimal(0)))
+
+
+def _states(scene: Scene, sample: _Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
+    if not scene.law.holds:
+        return ()
+    state = [np.full(values.size, UNCLEAR, dtype=np.uint8) for values in scene.coefficients]
+    _, length, _, stiffness = sample.forces(barrier)
+    ratio = np.divide(stiffness * length, sample.a, out=np.ones_like(sample.a), where=sample.a > 0)
+    for (axis, number), slip, room, held in zip(sample.of, length[:, 0], 1 - ratio[:, 0], sample.friction, strict=True):
+        if held and (slip > CLEAR) != (room > CLEAR):
+            state[axis][number] = SLIPPING if slip > CLEAR else SLIPLESS
+    return tuple(part.reshape(values.shape) for part, values in zip(state, scene.coefficients, strict=True))
+
+
+def layered(scene: Scene) -> Truth:
+    """The truth of a sample of any size whose contacts along the height are alike in each layer."""
+    with localcontext() as context:
+        context.prec = DIGITS
+        jump = _unit_jump(scene)
+        across = sum((part * part for part in jump.values()), Decimal(0)).sqrt()
+        last = scene.lattice.dimension - 1
+        one = [parts[last][(0,) * last] if parts else None for parts in (scene.coefficients, scene.viscosity)]
+        a, c = (list(costs) for costs in _costs(scene, *one))
+        columns = int(np.prod(scene.lattice.shape[:-1]))
+        if not across:
+            return _nothing(scene)
+        cost = _chain([held * across for held in a], [flow * across**2 for flow in c]) * columns
+        return Truth(cost, cost)
+
+
+def _chain(a: list[Decimal], c: list[Decimal]) -> Decimal:
+    """Least sum of a v + c v^2 / 2 for v >= 0 with sum 1: all that slip bear the same force, a + c v."""
+    order = sorted(range(len(a)), key=lambda k: a[k])
+    if not c[order[0]]:
+        return a[order[0]]
+    compliance, shift = Decimal(0), Decimal(0)
+    force = Decimal("Infinity")
+    for k in order:
+        if a[k] >= force:
+            break
+        compliance += 1 / c[k]
+        shift += a[k] / c[k]
+        force = (1 + shift) / compliance
+    slips = [max(force - held, Decimal(0)) / flow for held, flow in zip(a, c, strict=True)]
+    return sum((held * v + flow * v * v / 2 for held, flow, v in zip(a, c, slips, strict=True)), Decimal(0))
