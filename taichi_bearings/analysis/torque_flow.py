@@ -216,7 +216,8 @@ def friction_load(force: Arrays, limit: Arrays, state: Arrays, bins: int = 50, l
 
     limit : mu F_n, (*contacts) an axis. bins : of the histograms, evenly spaced. listed : most loaded contacts to name.
     """
-    ratio = tuple(vector_length(f) / bound for f, bound in zip(force, limit, strict=True))
+    sizes = ((vector_length(f), bound) for f, bound in zip(force, limit, strict=True))
+    ratio = tuple(np.divide(size, bound, out=np.zeros_like(size), where=bound > 0) for size, bound in sizes)
     still, moving = (_of_state(ratio, state, which) for which in (ContactState.SLIPLESS, ContactState.SLIPPING))
     edges = np.linspace(0.0, 1.0, bins + 1)
     slipless = [s == ContactState.SLIPLESS for s in state]

@@ -69,7 +69,7 @@ class ProximalSteps:
         self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
         self._system = lattice_system(scene.lattice, spin_axes, scene.driven_values(spin_axes)[1] / unit)
         self._matrix = NewtonMatrix(self._system, dissect(scene.lattice.free_shape, spin_axes))
-        acting = [self._system.gather(scene.coefficient, replica) for replica in range(scene.replicas)]
+        acting = [self._system.gather(scene.positive_coefficient, replica) for replica in range(scene.replicas)]
         mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])
         self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]
         flow = scene.lattice.radius * unit

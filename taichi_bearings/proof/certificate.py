@@ -129,14 +129,15 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
 def relative_gap(scene: Scene, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """(objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows from it.
 
-    Without a jump the least objective is 0 and a relative gap says nothing: it then counts by the natural one, of all
-    contacts with the imposed spin for slip, where that is larger.
+    Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0 and a relative gap
+    says nothing: it then counts by the natural one, of all contacts with the imposed jump, or spin, for slip, where
+    that is larger.
     """
-    unit = objective
-    if scene.jump == 0:
-        speed = np.full((), scene.lattice.radius * abs(scene.spin_top))
+    unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
+    if idle.any():
+        speed = np.full((), scene.lattice.radius * (scene.jump or abs(scene.spin_top)))
         natural = (scene.law.objective(of, speed).reshape(scene.replicas, -1) for of in scene.contact)
-        unit = np.maximum(objective, np.sum([values.sum(axis=1) for values in natural], axis=0))
+        unit = np.where(idle, np.maximum(objective, np.sum([v.sum(axis=1) for v in natural], axis=0)), objective)
     with np.errstate(invalid="ignore", over="ignore"):
         gap = np.divide(objective - bound, unit, out=np.full(np.shape(objective), np.nan), where=unit > 0)
     return np.where((objective == 0) & (bound == 0), 0.0, gap)
@@ -208,12 +209,14 @@ def _worst_saturation(scene: Scene, force: Forces) -> np.ndarray:
 
 
 def saturation(scene: Scene, force: Forces) -> tuple[np.ndarray, ...]:
-    """|f| / (mu F_n) of every contact, one array (R, *contacts) an axis, rounded up; 0 between driven spheres."""
-    up = 1 + 4 * np.finfo(np.float64).eps
-    return tuple(
-        vector_length(values) * up * _inverse(scene.strength * scene.acting_coefficient[axis])
-        for axis, values in enumerate(force)
-    )
+    """|f| / (mu F_n) of every contact, one array (R, *contacts) an axis, rounded up; 0 between driven spheres, infinite
+    for a force at a contact that is absent."""
+    up, found = 1 + 4 * np.finfo(np.float64).eps, []
+    for axis, values in enumerate(force):
+        size = vector_length(values)
+        ratio = size * up * _inverse(scene.strength * scene.acting_coefficient[axis])
+        found.append(np.where((scene.coefficient[axis] == 0) & (size > 0), np.inf, ratio))
+    return tuple(found)
 
 
 def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:

@@ -15,7 +15,7 @@ class ContactState(IntEnum):
     SLIPLESS = 0
     SLIPPING = 1
     UNDECIDED = 2
-    DRIVEN = 3  # between two driven spheres
+    DRIVEN = 3  # between two driven spheres, or absent: it takes no part
 
 
 def all_slipless(scene: Scene) -> tuple[np.ndarray, ...]:
@@ -23,7 +23,7 @@ def all_slipless(scene: Scene) -> tuple[np.ndarray, ...]:
     states = []
     for axis in range(scene.lattice.dimension):
         state = np.full((scene.replicas, *scene.lattice.contact_shape(axis)), ContactState.SLIPLESS, dtype=np.uint8)
-        state[:, scene.lattice.between_driven(axis)] = ContactState.DRIVEN
+        state[scene.idle(axis)] = ContactState.DRIVEN
         states.append(state)
     return tuple(states)
 
@@ -47,7 +47,7 @@ def classify(
         full = ratio > SATURATED if scene.law.holds else fast
         state = np.where(fast & full, ContactState.SLIPPING, ContactState.SLIPLESS)
         state = np.where(fast != full, ContactState.UNDECIDED, state)
-        states.append(np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, state).astype(np.uint8))
+        states.append(np.where(scene.idle(axis), ContactState.DRIVEN, state).astype(np.uint8))
     return tuple(states)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from math import isfinite
 from numbers import Real
 from operator import index
@@ -13,7 +14,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES, tangential
-from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.lattice.incidence import contact_differences, ends
 from taichi_bearings.numerics.double_double import (
     Pair,
     add,
@@ -30,6 +31,7 @@ from taichi_bearings.scene.law import COULOMB, Coefficients, Law, law_named
 AXIS_NAMES = ("x", "y", "z")
 FAINT = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
+WEAK = 1e-12  # of the mean coefficient: what stands for an absent contact where a method must divide by it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +41,8 @@ class Scene:
     coefficients : one array an axis, x, y(, z): (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
         (nx, ny-1); several samples have a leading axis R. Entry [i, j, k] of an axis is of the contact of sphere
         (i, j, k) with its upper neighbour along it. Friction, a pure number, or damping of the viscous law,
-        force * time / length; from 1e-15 to 1e15. The last axis is the height, bottom first.
+        force * time / length; from 1e-15 to 1e15, or 0 where spheres do not touch. The last axis is the height,
+        bottom first.
     law : "coulomb", "viscous" or "coulomb-viscous".
     spin_top, spin_bottom : 1/time; imposed spin of the top and bottom planes, with the sign of the sublattice.
     direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
@@ -146,6 +149,15 @@ class Scene:
         object.__setattr__(self, "seeds", tuple(self.seeds) or tuple(range(samples)))
         for kind, coefficients in (("coefficients", self.coefficients), ("viscosities", self.viscosity)):
             self._check(kind, coefficients)
+        acting = [~self.idle(axis).reshape(self.replicas, -1) for axis in range(dimension)]
+        if not np.concatenate(acting, axis=1).any(axis=1).all():
+            raise InputError("coefficients are 0 at all contacts that could slip; at least one must be positive")
+        for name, held, flowing in zip(AXIS_NAMES, self.coefficients, self.viscosity, strict=False):
+            if ((held == 0) != (flowing == 0)).any():
+                raise InputError(
+                    f"along {name} a contact has friction without viscosity or viscosity without friction; "
+                    "both must be positive, or both 0 for a contact that is absent"
+                )
 
     def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
         for axis, values in enumerate(coefficients):
@@ -153,13 +165,13 @@ class Scene:
             if values.shape != (len(self.seeds), *one) and (values.shape != one or self.replicas > 1):
                 expected = one if self.replicas == 1 else (self.replicas, *one)
                 raise InputError(f"{kind} along {name} have shape {values.shape}; this lattice needs {expected}")
-            bad = ~((values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
+            bad = ~((values == 0) | (values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
             if bad.any():
                 where = tuple(int(i) for i in np.argwhere(bad)[0])
                 word = {"coefficients": "coefficient", "viscosities": "viscosity"}[kind]
                 raise InputError(
                     f"{word} {values[where]} at {list(where[-len(one) :])} along {name} is not allowed; "
-                    f"every {word} must be a positive number from 1e-15 to 1e15"
+                    f"every {word} must be a number from 1e-15 to 1e15, or 0 for a contact that is absent"
                 )
 
     def __repr__(self) -> str:
@@ -269,6 +281,39 @@ class Scene:
     def acting_coefficient(self) -> tuple[np.ndarray, ...]:
         """The coefficients with 0 for contacts between two driven spheres, which take no part."""
         return self._acting(self.coefficient)
+
+    def idle(self, axis: int) -> np.ndarray:
+        """Mask (R, *contacts) of those that take no part: between two driven spheres, or absent."""
+        return self.lattice.between_driven(axis) | (self.coefficient[axis] == 0)
+
+    @cached_property
+    def is_cut_off(self) -> np.ndarray:
+        """(R,), True where absent contacts leave the two driven planes unconnected: no contact need slip then."""
+        if all((values > 0).all() for values in self.coefficient):
+            return np.zeros(self.replicas, dtype=bool)
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        sites, dimension = self.lattice.sites, self.lattice.dimension
+        sphere, joined = np.arange(sites).reshape(self.lattice.shape), np.zeros(self.replicas, dtype=bool)
+        sphere[..., 0], sphere[..., -1] = 0, sites - 1
+        for replica, component in product(range(self.replicas), self.minimum_spin_axes):
+            felt = [axis for axis in range(dimension) if axis != component]
+            there = [self.coefficient[axis][replica] > 0 for axis in felt]
+            pairs = [ends(sphere, axis, dimension) for axis in felt]
+            low, high = (np.concatenate([p[k][t] for p, t in zip(pairs, there, strict=True)]) for k in (0, 1))
+            graph = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(sites, sites))
+            label = connected_components(graph, directed=False)[1]
+            joined[replica] |= label[0] == label[-1]
+        return ~joined
+
+    @cached_property
+    def positive_coefficient(self) -> tuple[np.ndarray, ...]:
+        """The coefficients, with WEAK contacts for absent ones: for methods whose arithmetic needs each sphere held.
+        Answers are judged without them."""
+        means = [np.mean(np.concatenate([part[r].ravel() for part in self.coefficient])) for r in range(self.replicas)]
+        weak = WEAK * np.where(np.array(means) > 0, means, 1.0).reshape(-1, *(1,) * self.lattice.dimension)
+        return tuple(np.where(values == 0, weak, values) for values in self.coefficient)
 
     def _acting(self, values: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         return tuple(np.where(self.lattice.between_driven(axis), 0.0, part) for axis, part in enumerate(values))

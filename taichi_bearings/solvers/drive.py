@@ -437,13 +437,13 @@ def _states(
     and of faster ones none, only if a threshold was asked for."""
     if final.state is None:
         return classify(scene, slip, final.force, threshold)
-    if not asked:
-        return final.state
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     found = []
-    for state, speed in zip(final.state, slip, strict=True):
-        slow, fast = (state == slipping) & (speed <= threshold), (state == slipless) & (speed > threshold)
-        found.append(np.where(slow, slipless, np.where(fast, undecided, state)).astype(np.uint8))
+    for axis, (state, speed) in enumerate(zip(final.state, slip, strict=True)):
+        if asked:
+            slow, fast = (state == slipping) & (speed <= threshold), (state == slipless) & (speed > threshold)
+            state = np.where(slow, slipless, np.where(fast, undecided, state))
+        found.append(np.where(scene.idle(axis), ContactState.DRIVEN, state).astype(np.uint8))
     return tuple(found)
 
 
@@ -458,7 +458,9 @@ def _sizes(force: Forces) -> tuple[np.ndarray, ...]:
 def _acting(scene: Scene, final: Progress, slip: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """Sizes of the forces in a dynamics at this moment: where contacts hold its own, else those of the law."""
     if scene.law.holds:
-        return _sizes(final.force)
+        return tuple(
+            np.where(of == 0, 0.0, size) for of, size in zip(scene.coefficient, _sizes(final.force), strict=True)
+        )
     return tuple(scene.law.force(of, speed) for of, speed in zip(scene.contact, slip, strict=True))
 
 

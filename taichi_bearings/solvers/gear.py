@@ -105,6 +105,8 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
             edges = [(*pair, weight) for pair, weight in zip(pairs, weights, strict=True)]
             edges = [edge for axis, edge in enumerate(edges) if axis != component]
             matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())
+            if not matrix.count_nonzero():
+                continue
             if matrix.shape[0] < 3:
                 found = np.linalg.eigvalsh(matrix.toarray())
             else:

@@ -88,7 +88,9 @@ class ImplicitCundallStrackMethod:
         scene = self.scene
         matrix = NewtonMatrix(self.system, dissect(scene.lattice.free_shape, self.spin_axes))
         replicas = range(scene.replicas)
-        self.strength = [scene.strength * self.system.gather(scene.coefficient, replica) for replica in replicas]
+        self.strength = [
+            scene.strength * self.system.gather(scene.positive_coefficient, replica) for replica in replicas
+        ]
         self.viscosity = [self.system.gather(scene.viscosities, r) if scene.viscosity else None for r in replicas]
         strongest = max(strength.max() for strength in self.strength)
         if not scene.law.holds:

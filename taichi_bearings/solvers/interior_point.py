@@ -115,7 +115,7 @@ class InteriorPointMethod:
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
         scene = self.scene
-        friction, viscosity = self.system.gather(scene.coefficient, replica), None
+        friction, viscosity = self.system.gather(scene.positive_coefficient, replica), None
         strength = friction
         if scene.viscosity:
             flow = (

@@ -71,7 +71,7 @@ class LinearSolverMethod:
         """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
         scene, component = self.scene, self.spin_axes[slot]
         first, second = (
-            self._by_plane(scene.acting_coefficient[axis], slot)[planes]
+            self._by_plane(scene.positive_coefficient[axis], slot)[planes]
             for axis in range(scene.lattice.dimension)
             if axis != component
         )

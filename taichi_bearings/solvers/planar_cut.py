@@ -36,6 +36,7 @@ class PlanarCutMethod:
         planes = 1 if scene.lattice.dimension == 2 else scene.lattice.shape[self.component]
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
+        self.absent = any((values == 0).any() for values in scene.coefficient)  # then ties are not known exactly
         self.iteration = 0
 
     def next_check(self, iteration: int) -> int:
@@ -53,7 +54,7 @@ class PlanarCutMethod:
         replica, plane = (index.ravel() for index in np.indices((replicas, planes)))
         weights = [
             values.reshape(-1, *values.shape[2:])
-            for values in (self._by_plane(self.scene.acting_coefficient[axis]) for axis in (sideways, height))
+            for values in (self._by_plane(self.scene.positive_coefficient[axis]) for axis in (sideways, height))
         ]
         for part, cuts in minimum_cuts(*weights):
             where = replica[part], plane[part]
@@ -105,7 +106,7 @@ class PlanarCutMethod:
             exhausted=cut,
             state=tuple(values.copy() for values in self.state) if cut else None,
             resolved=unique if cut else None,
-            findings=findings if cut and self.top != self.bottom else {},
+            findings=findings if cut and self.top != self.bottom and not self.absent else {},
         )
 
 

@@ -56,19 +56,24 @@ def work_of(samples: Samples) -> Work:
         taken = np.where(np.sign(jump.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
         price = price + row_sum(Enclosure.exact(taken)) * spread(abs(jump), count)
     for axis, turning in enumerate(samples.turning):
-        acts = ~samples.between_driven(axis)
+        acts = ~samples.idle(axis)
         size = length([Enclosure.exact(np.where(acts, part, 0.0)) for part in turning.values()])
         if not samples.flows:
-            full = (size / samples.strength[axis]).reshaped((count, -1))
+            full = (size / _or_one(samples.strength[axis], acts)).reshaped((count, -1))
             saturation = np.maximum(saturation, full.most.max(axis=1, initial=0.0))
             continue
         if samples.holds:  # no less than what is beyond the friction
             size = Enclosure.exact(np.where(acts, np.maximum((size - samples.strength[axis]).upper(), 0.0), 0.0))
-        cost = cost + row_sum((size * size / samples.slope[axis]).signed(0.5).reshaped((count, -1)))
+        cost = cost + row_sum((size * size / _or_one(samples.slope[axis], acts)).signed(0.5).reshaped((count, -1)))
     if not samples.holds:  # a force is damping * radius * spin
         speed = spread(Enclosure.exact([samples.radius * samples.spin_unit]), count)
         work, price, cost = work / speed, price / speed, cost / speed / speed
     return Work(work, price, cost, saturation, largest)
+
+
+def _or_one(values: Enclosure, acts: np.ndarray) -> Enclosure:
+    """The values, and 1 for contacts that take no part."""
+    return Enclosure(*(np.where(acts, part, other) for part, other in zip(values.parts, (1.0, 0.0, 0.0), strict=True)))
 
 
 def lower_bound(samples: Samples, work: Work) -> np.ndarray:

@@ -78,7 +78,7 @@ class Samples:
         return (
             all(LEAST < scale < MOST for scale in scales)
             and all(size < MOST for size in sizes)  # False for what is no number
-            and all(bool((values > LEAST).all()) for values in strengths)
+            and all(bool(((values > LEAST) | (values == 0)).all()) for values in strengths)
             and all(value == 0 or abs(value) > SMALLEST for value in self.exact_jump.values())
         )
 
@@ -198,7 +198,8 @@ class Samples:
         """n x F of every contact by component, in units of `force_unit`: both its spheres feel -R times that."""
         found = []
         for axis, values in enumerate(self.friction):
-            values = values / self.force_unit
+            absent = self.coefficient[axis] == 0  # these bear no force, whatever is stored
+            values = np.where(absent if self.dimension == 2 else absent[..., None], 0.0, values / self.force_unit)
             if self.dimension == 2:
                 found.append({2: values})
                 continue
@@ -212,6 +213,10 @@ class Samples:
         if axis != self.dimension - 1:
             mask[..., [0, -1]] = True
         return mask
+
+    def idle(self, axis: int) -> np.ndarray:
+        """The same, and those that are absent: with a coefficient of 0."""
+        return self.between_driven(axis) | (self.coefficient[axis] == 0)
 
     def ends(self, axis: int) -> tuple[Slices, Slices]:
         """Selections of the lower and of the upper spheres of the contacts along `axis`."""

@@ -83,7 +83,7 @@ def verdict_of(run: StoredRun) -> Verdict:
         balanced=(judgement.price <= BALANCED).tolist(),
         inside_discs=(judgement.work.saturation <= 1).tolist(),
         largest_balance_residual=judgement.largest_torque.tolist(),
-        states=[_counted(samples, s) for s in states],
+        states=[_counted(samples, number, s) for number, s in enumerate(states)],
         unique=[s.unique for s in states],
         reasons=[s.reason for s in states],
         contradictions=found,
@@ -101,20 +101,43 @@ def _gap(power: float, bound: float, natural: float) -> float | None:
 
 
 def _natural_power(samples: Samples) -> np.ndarray:
-    """(R,), of all contacts with the imposed spin for slip, where there is no jump; else 0."""
-    speed = samples.radius * abs(samples.spin_top) if samples.jump_size == 0 else 0.0
+    """(R,), of all contacts with the imposed jump for slip, where nothing joins bottom and top; with the imposed spin
+    where there is no jump; else 0."""
+    speed = samples.radius * (samples.jump_size or abs(samples.spin_top))
     unit = samples.normal_force * speed if samples.holds else speed**2
     total = np.zeros(samples.count)
     for coefficients, weight in ((samples.coefficient, unit), (samples.viscosity, speed**2 / 2)):
         for axis, values in enumerate(coefficients):
             acting = np.where(samples.between_driven(axis), 0.0, values)
             total += weight * acting.reshape(samples.count, -1).sum(axis=1)
-    return total
+    return np.where(_cut_off(samples) | (samples.jump_size == 0), total, 0.0)
 
 
-def _counted(samples: Samples, states: States) -> dict[str, int]:
+def _cut_off(samples: Samples) -> np.ndarray:
+    """(R,), True where absent contacts leave bottom and top unconnected in every component in which they differ."""
+    if all((values > 0).all() for values in samples.coefficient):
+        return np.zeros(samples.count, dtype=bool)
+    return np.array([not any(_joined(samples, number, k) for k in samples.needed) for number in range(samples.count)])
+
+
+def _joined(samples: Samples, number: int, component: int) -> bool:
+    """True if contacts that feel a component lead from the bottom of a sample to its top."""
+    reached, before = np.zeros(samples.shape, dtype=bool), -1
+    reached[..., 0] = True
+    while int(reached.sum()) > before:
+        before = int(reached.sum())
+        for axis in range(samples.dimension):
+            if component in samples.felt(axis):
+                low, high = (end[1:] for end in samples.ends(axis))
+                there = samples.coefficient[axis][number] > 0
+                reached[low] |= there & reached[high]
+                reached[high] |= there & reached[low]
+    return bool(reached[..., -1].any())
+
+
+def _counted(samples: Samples, number: int, states: States) -> dict[str, int]:
     names = {"slipless": SLIPLESS, "slipping": SLIPPING, "unproven": UNPROVEN}
-    acting = [~samples.between_driven(axis)[0] for axis in range(samples.dimension)]
+    acting = [~samples.idle(axis)[number] for axis in range(samples.dimension)]
     return {
         name: sum(int((s[a] == value).sum()) for s, a in zip(states.proven, acting, strict=True))
         for name, value in names.items()
@@ -171,7 +194,7 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     samples = run.samples
     for axis, name in enumerate("xyz"[: samples.dimension]):
         slip, power, state = (run.reported[key][axis] for key in ("slip", "power", "state"))
-        actual, acts = judgement.slip[axis], ~samples.between_driven(axis)
+        actual, acts = judgement.slip[axis], ~samples.idle(axis)
         if not (np.abs(slip - actual) <= ROUNDED * actual).all():
             yield f"slips of contacts along {name} are not those of the spins"
         strength = _strength(samples, axis)
@@ -181,7 +204,7 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         if not (np.abs(power - expected) <= ROUNDED * expected).all():
             yield f"powers of contacts along {name} are not friction or damping times slip"
         if (state == DRIVEN).sum() != (~acts).sum() or not (state[~acts] == DRIVEN).all():
-            yield f"states of contacts along {name} do not name those between driven spheres"
+            yield f"states of contacts along {name} do not name those between driven spheres and those absent"
         if not np.isin(state, (0, 1, 2, DRIVEN)).all():
             yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
 
@@ -224,7 +247,7 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     most = max(run.setting("static_ratio", 1.0), 1.0) * (1 + SATURATED)
     for axis, name in enumerate("xyz"[: samples.dimension]):
         force, slip, state = (run.reported[key][axis] for key in ("force", "slip", "state"))
-        acts, strength = ~samples.between_driven(axis), _strength(samples, axis)
+        acts, strength = ~samples.idle(axis), _strength(samples, axis)
         size = np.sqrt(sum(part**2 for part in samples.turning[axis].values())) * samples.force_unit
         if size[~acts].any():
             yield f"friction along {name} acts between driven spheres"
