@@ -20,6 +20,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "plot": "One figure from a run or a scan.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed, as ratios within one run.",
+    "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
     "info": "Versions, devices, precision and cache.",
 }
 

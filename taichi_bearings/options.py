@@ -1,7 +1,7 @@
 """What can be given: an option is declared once, by the run, the method or the law that owns it."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
 from types import MappingProxyType
@@ -151,3 +151,12 @@ how = partial(option, of_solving=True)
 def options_of(owner: Any) -> dict[str, Option]:
     """The options that a dataclass declares, by name."""
     return {item.name: item.metadata["option"] for item in fields(owner) if "option" in item.metadata}
+
+
+def chosen(option: str, names: str | None, table: Collection[str]) -> tuple[str, ...]:
+    """Names of a table, separated by commas; all of them for None. InputError names the option."""
+    found = tuple(table) if names is None else tuple(dict.fromkeys(names.split(",")))
+    for name in found:
+        if name not in table:
+            raise InputError(f"{option} is {names!r}; {name!r} is none of {', '.join(table)}")
+    return found

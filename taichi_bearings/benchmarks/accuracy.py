@@ -21,6 +21,7 @@ from taichi_bearings import runtime
 from taichi_bearings.benchmarks.conic import conic_programme
 from taichi_bearings.benchmarks.peers import TOLERANCES, Peer
 from taichi_bearings.errors import InputError
+from taichi_bearings.options import chosen
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
@@ -131,11 +132,7 @@ def choose_scenes(shapes: Sequence[str], laws: Sequence[str], **others: Any) -> 
 
 def choose_methods(names: str | None) -> tuple[str, ...]:
     """Methods by their names in METHODS, separated by commas; all of them for None."""
-    chosen = tuple(METHODS) if names is None else tuple(dict.fromkeys(names.split(",")))
-    for name in chosen:
-        if name not in METHODS:
-            raise InputError(f"methods is {names!r}; {name!r} is none of {', '.join(METHODS)}")
-    return chosen
+    return chosen("methods", names, METHODS)
 
 
 def measure_all(

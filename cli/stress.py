@@ -1,0 +1,67 @@
+"""bearings stress"""
+
+import json
+from pathlib import Path
+
+import click
+from taichi_bearings_cli.options import json_option
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Two or three values an axis on smaller samples: about a minute.")
+@click.option("--only", metavar="AXIS[,AXIS...]", help="Axes to try. [default: all]")
+@click.option("--method", metavar="NAME[,NAME...]", help="Methods to stress. [default: all, and auto]")
+@click.option("--law", metavar="LAW[,LAW...]", help="Laws to try. [default: all]")
+@click.option("--seed", default=0, show_default=True, metavar="N", type=click.IntRange(0), help="Of the samples.")
+@click.option("--time-limit", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
+              help="For a solve; some axes take a multiple. [default: 2, 1 with --quick]")  # fmt: skip
+@click.option("--workers", default=0, metavar="N", type=click.IntRange(0), help="Processes. [default: one a processor]")
+@click.option("--out", metavar="DIR", help="Folder; goes on with what it holds. [default: outputs/<time>-stress-<id>]")
+@json_option
+@click.pass_context
+def command(
+    context: click.Context,
+    only: str | None,
+    method: str | None,
+    law: str | None,
+    time_limit: float | None,
+    workers: int,
+    out: str | None,
+    as_json: bool,
+    **of_cells: int,
+) -> None:
+    """Where the numbers end: every method, law, dimension, precision and device at extreme inputs, judged by truths.
+
+    Writes stress.csv (one row a cell), stress.md (tables), summary.json, and a map for each axis (PNG and PDF).
+    Finished cells are kept in the folder: the same command goes on after a kill. Exit code 1 if an answer is wrong
+    without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
+
+    \b
+    Examples:
+      bearings stress --quick
+      bearings stress --only contrast,zeros --method interior-point,gradient-descent --out outputs/stress
+    """
+    from taichi_bearings_cli.progress import Display
+
+    from taichi_bearings.options import chosen
+    from taichi_bearings.runs.run_directory import default_run_path
+    from taichi_bearings.runtime import available_threads
+    from taichi_bearings.scene.law import LAWS
+    from taichi_bearings.stress.axes import AXES, ROWS, cells_of, rows_of
+    from taichi_bearings.stress.report import Sweep, by_axis, lines_of, table
+
+    quick = bool(of_cells["quick"])
+    rows = rows_of(chosen("method", method, ROWS), chosen("law", law, LAWS))
+    cells = cells_of(rows, chosen("only", only, AXES), of_cells["seed"], quick, time_limit or (1.0 if quick else 2.0))
+    sweep = Sweep(Path(out) if out else default_run_path("stress"), cells)
+    with Display():
+        finished = sweep.run(workers or available_threads(), lambda line: click.echo(line, err=True))
+        paths = sweep.write()
+    if as_json:
+        click.echo(json.dumps(sweep.summary() | {"files": [str(path) for path in paths]}, allow_nan=False))
+    else:
+        for axis, lines in by_axis(sweep.rows).items():
+            click.echo(table(axis, lines) + "\n")
+        click.echo("\n".join([*lines_of(sweep.summary()), *(f"RED {x['key']}: {x['reason']}" for x in sweep.red)]))
+        click.echo(str(sweep.folder))
+    context.exit(130 if not finished else 1 if sweep.red else 0)

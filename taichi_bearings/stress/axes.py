@@ -1,0 +1,349 @@
+"""What is tried: the axes of stress, each a small object in one table, and the samples that they start from."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.lattice.grid import Lattice
+from taichi_bearings.options import options_of
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.law import LAWS, law_named
+from taichi_bearings.solvers.cundall_strack import stability_bound
+from taichi_bearings.solvers.table import METHODS, CundallStrack, MethodOptions
+
+SHAPES = {2: (4, 6), 3: (3, 3, 4)}  # of the samples that are no axis of sizes
+SMALL_SHAPES = {2: (3, 5), 3: (2, 3, 4)}
+ROWS: dict[str, type[MethodOptions]] = {"auto": MethodOptions, **METHODS}
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is stressed."""
+
+    method: str
+    law: str
+    dimension: int
+    arch: str = "cpu"
+    precision: str = "f64"
+
+    def __str__(self) -> str:
+        device = "" if self.arch == "cpu" else f" {self.arch}"
+        return f"{self.method} {self.law} {self.dimension}D{device} {self.precision}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A sample and how it is solved. shares : numbers in [0, 1) a contact, from which coefficients are made.
+
+    options : of the method. settings : of the solve. unit, scaled : of
+    energy/time, and what was measured anew in such units, if anything.
+    is_layered : whether its truth is that of columns. refusal : whether it must be refused.
+    """
+
+    scene: Scene
+    options: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    unit: float = 1.0
+    scaled: Scene | None = None
+    is_layered: bool = False
+    refusal: bool = False
+
+    @property
+    def in_plain_units(self) -> Scene:
+        """The scene whose truth, times the unit, is that of this one."""
+        return self.scaled or self.scene
+
+
+Change = Callable[[Case, Any, Row], Case]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One way to strain a solve. values : what the columns say. change : makes a case from the unchanged one.
+
+    rows : which are concerned. patience : factor of the time limit; of such axes the short sweep has the first values.
+    """
+
+    name: str
+    title: str
+    values: tuple[Any, ...]
+    change: Change
+    rows: Callable[[Row], bool] = lambda row: True
+    patience: float = 1.0
+
+
+def make_quantities(shape: Sequence[int], law: str, draw: Callable[..., np.ndarray], seed: int) -> dict[str, Any]:
+    """The coefficients of each kind that the law has, by their name in a Scene."""
+    lattice, found = Lattice(tuple(shape)), dict[str, Any]()
+    for stream, name in zip(range(len(law_named(law).quantities)), ("coefficients", "viscosity"), strict=False):
+        rng = np.random.default_rng([seed, 1 + stream])
+        found[name] = tuple(draw(rng, lattice.contact_shape(axis)) for axis in range(lattice.dimension))
+    return found
+
+
+def _uniform(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return rng.uniform(0.1, 1.0, shape)
+
+
+def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
+    """The sample of a row that no axis has changed; driven about x alone if the method needs that; None if it fails."""
+    shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
+    for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):
+        scene = Scene(law=law_named(row.law), direction=direction, **make_quantities(shape, row.law, _uniform, seed))
+        if not ROWS[row.method].refusal(scene):
+            return Case(scene)
+    return None
+
+
+def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
+    """Method x law x dimension x device x precision; a GPU that is software counts as the CPU that it is."""
+    devices = [("cpu", precision) for precision in runtime.PRECISIONS]
+    for arch, precision in product(runtime.GPUS, runtime.PRECISIONS):
+        if any(not device.is_software for device in runtime.usable(arch, precision)):
+            devices.append((arch, precision))
+    found = []
+    for arch, precision in devices:
+        for method, row in ROWS.items():
+            elsewhere = (arch, precision) != ("cpu", "f64")
+            if elsewhere and (not row.needs_taichi or row.cpu_only or method == "auto"):
+                continue
+            for law in LAWS:
+                if method in methods and law in laws:
+                    found += [Row(method, law, dimension, arch, precision) for dimension in SHAPES]
+    return found
+
+
+def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
+    """Other coefficients on the same lattice."""
+
+    def change(case: Case, value: Any, row: Row) -> Case:
+        quantities = make_quantities(case.scene.lattice.shape, row.law, partial(draw, value=value), 7)
+        return replace(case, scene=replace(case.scene, **quantities))
+
+    return change
+
+
+def _log_uniform(rng: np.random.Generator, shape: tuple[int, ...], value: float) -> np.ndarray:
+    return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
+
+
+def _two_strengths(rng: np.random.Generator, shape: tuple[int, ...], value: float) -> np.ndarray:
+    return 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5))
+
+
+def _tied(rng: np.random.Generator, shape: tuple[int, ...], value: str) -> np.ndarray:
+    values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
+    return rng.choice(values[value], shape)
+
+
+def _absent(case: Case, value: str, row: Row) -> Case:
+    """Coefficients of exactly zero."""
+    scene, changes = case.scene, dict[str, Any]()
+    middle = tuple(n // 2 for n in scene.lattice.shape)
+    for name in ("coefficients", "viscosity"):
+        changes[name] = arrays = tuple(values.copy() for values in getattr(scene, name))
+        rng = np.random.default_rng(11)
+        for axis, values in enumerate(arrays):
+            drawn = rng.uniform(0, 1, values.shape)
+            if value in ("a tenth", "a third"):
+                values[drawn < {"a tenth": 0.1, "a third": 1 / 3}[value]] = 0.0
+            elif value == "a sphere":
+                for place in (middle, tuple(n - (k == axis) for k, n in enumerate(middle))):
+                    if all(i < n for i, n in zip(place, values.shape, strict=True)):
+                        values[place] = 0.0
+            elif value == "a layer" and axis == len(arrays) - 1:
+                values[..., middle[-1] - 1] = 0.0
+            elif value == "all":
+                values[...] = 0.0
+    return replace(case, scene=replace(scene, **changes))
+
+
+def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
+    """The same sample in units that are larger by a power of two; everything that has a unit changes with them."""
+
+    def change(case: Case, value: float, row: Row, name: str) -> Case:
+        two = 2.0 ** round(np.log2(value))
+        flow = two ** (force + time - length)  # of viscosities and dampers
+        scene, owned = case.scene, options_of(ROWS[row.method])
+        changes: dict[str, Any] = {name: getattr(scene, name) * two} if name in Scene.PARAMETERS else {}
+        friction = two if name == "coefficients" else 1.0
+        first = friction if scene.law.holds else flow
+        changes["coefficients"] = tuple(values * first for values in scene.coefficients)
+        changes["viscosity"] = tuple(values * flow for values in scene.viscosity)
+        scales = {"stiffness": two ** (force - length), "damping": flow, "mass": two ** (force + 2 * time - length)}
+        options = {key: owned[key].default * scale for key, scale in scales.items() if key in owned
+                   and (key == "mass" or scene.law.holds)}  # fmt: skip
+        return replace(
+            case, scene=replace(scene, **changes), options=options, unit=two ** (force + length - time), scaled=scene
+        )
+
+    return change
+
+
+def _viscosity(case: Case, value: float, row: Row) -> Case:
+    return replace(case, scene=replace(case.scene, viscosity=tuple(value * v for v in case.scene.viscosity)))
+
+
+def _nearly_equal(case: Case, value: str, row: Row) -> Case:
+    bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
+    return replace(case, scene=replace(case.scene, spin_bottom=float(bottom)))
+
+
+def _direction(case: Case, value: float, row: Row) -> Case:
+    return replace(case, scene=replace(case.scene, direction=(1.0, value, 0.0)))
+
+
+SIDES = {
+    "least": ((2, 3), (2, 2, 3)), "tall": ((2, 64), (2, 2, 64)), "flat": ((256, 3), (16, 16, 3)),
+    "1e3": ((32, 32), (10, 10, 10)), "1e4": ((100, 100), (22, 22, 22)), "1e5": ((316, 316), (46, 46, 46)),
+    "1e6": ((1000, 1000), (100, 100, 100)), "1e7": ((3162, 3162), (215, 215, 215)),
+}  # fmt: skip
+
+
+def _sides(case: Case, value: str, row: Row) -> Case:
+    """Contacts along the height alike in each layer, those sideways random."""
+
+    def draw(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+        values = rng.uniform(0.1, 1.0, shape)
+        is_upward = shape[:-1] == sides[:-1]
+        return np.broadcast_to(values[(0,) * (len(shape) - 1)], shape).copy() if is_upward else values
+
+    sides = SIDES[value][row.dimension - 2]
+    scene = replace(case.scene, **make_quantities(sides, row.law, draw, 7))
+    return replace(case, scene=scene, is_layered=True, settings={"start": "random"})
+
+
+def _option(key: str) -> Change:
+    return lambda case, value, row: replace(case, options={key: value})
+
+
+def _owns(*keys: str) -> Callable[[Row], bool]:
+    return lambda row: set(keys) <= options_of(ROWS[row.method]).keys()
+
+
+def _holds(row: Row) -> bool:
+    return LAWS[row.law].holds
+
+
+def _stable_step(case: Case) -> float:
+    return stability_bound(case.scene, case.scene.minimum_spin_axes, CundallStrack())
+
+
+def _time_step(case: Case, value: float, row: Row) -> Case:
+    return replace(case, options={"time_step": value * _stable_step(case)})
+
+
+def _drift(case: Case, value: float, row: Row) -> Case:
+    return replace(case, settings={"duration": 0.8 * value * _stable_step(case), "iterations": 2**40})
+
+
+def _start(case: Case, value: str, row: Row) -> Case:
+    """Spins to start from, in the laboratory frame."""
+    scene = case.scene
+    shape = scene.lattice.shape if row.dimension == 2 else (*scene.lattice.shape, 3)
+    rng = np.random.default_rng(5)
+    parity = scene.lattice.parity if row.dimension == 2 else scene.lattice.parity[..., None]
+    made = {"huge": lambda: rng.uniform(-1e12, 1e12, shape), "opposite": lambda: -parity * np.ones(shape),
+            "not staggered": lambda: np.ones(shape), "tiny": lambda: rng.uniform(-1e-300, 1e-300, shape),
+            "NaN": lambda: np.full(shape, np.nan), "infinite": lambda: np.full(shape, np.inf)}  # fmt: skip
+    start = made[value]() if value in made else value
+    return replace(case, settings={"start": start}, refusal=value in ("NaN", "infinite"))
+
+
+DECADES = (0, 3, 6, 9, 12, 15, 18)
+SCALES = (1e-12, 1e-6, 1.0, 1e6, 1e12)
+_FORCE, _LENGTH, _RATE = _in_units(force=1), _in_units(length=1), _in_units(time=-1)
+AXES = {
+    axis.name: axis
+    for axis in (
+        Axis("contrast", "decades of coefficients, even in the logarithm", DECADES, _redrawn(_log_uniform)),
+        Axis("two-strengths", "decades between two strengths", DECADES, _redrawn(_two_strengths)),
+        Axis("ties", "coefficients", ("all equal", "1 or 2", "1, 2 or 3", "nearly"), _redrawn(_tied)),
+        Axis("zeros", "contacts absent", ("a tenth", "a third", "a sphere", "a layer", "all"), _absent),
+        Axis("friction-scale", "scale of the coefficients", SCALES, partial(_FORCE, name="coefficients")),
+        Axis("force-scale", "scale of F_n", SCALES, partial(_FORCE, name="normal_force"), _holds),
+        Axis("radius-scale", "scale of R", SCALES, partial(_LENGTH, name="radius")),
+        Axis("spin-scale", "scale of omega_T", SCALES, partial(_RATE, name="spin_top")),
+        Axis("viscosity", "scale of the viscosity", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12), _viscosity,
+             lambda row: row.law == "coulomb-viscous"),
+        Axis("driving", "1 - omega_B / omega_T", ("2", "1e-1", "1e-4", "1e-8", "1e-12", "1e-15", "an ulp", "equal"),
+             _nearly_equal),
+        Axis("direction", "y over x of the direction", (1.0, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15, 0.0), _direction,
+             lambda row: row.dimension == 3),
+        Axis("sides", "spheres", tuple(SIDES), _sides, patience=5.0),
+        Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _option("stiffness"),
+             lambda row: _holds(row) and _owns("stiffness")(row)),
+        Axis("damping", "A_t", (0.0, *(10.0**k for k in range(-1, 8))), _option("damping"),
+             lambda row: _holds(row) and _owns("damping")(row)),
+        Axis("time-step", "time step over the stability bound", (1e-2, 0.5, 0.9, 0.99, 1.0, 1.01, 1.1, 2.0, 10.0, 1e3),
+             _time_step, _owns("time_step")),
+        Axis("start", "spins to start from", ("random", "zero", "minimum-cut", "tiny", "huge", "opposite",
+             "not staggered", "NaN", "infinite"), _start),
+        Axis("threads", "threads", (1, 2), lambda case, value, row: replace(case, settings={"threads": value}),
+             lambda row: ROWS[row.method].needs_taichi),
+        Axis("drift", "steps of 0.8 of the stability bound", (1e4, 1e6, 1e7), _drift, _owns("time_step"), 20.0),
+    )
+}  # fmt: skip
+"""All axes of stress by name, in the order of the report."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One thing that is tried: a value of an axis on a row. most_seconds : of the solve."""
+
+    axis: str
+    value: Any
+    row: Row
+    seed: int
+    quick: bool
+    most_seconds: float
+
+    @property
+    def label(self) -> str:
+        return self.value if isinstance(self.value, str) else f"{self.value:g}"
+
+    @property
+    def key(self) -> str:
+        kind = "quick" if self.quick else "full"
+        return f"{self.axis} {self.label} {self.row} seed {self.seed} {kind} {self.most_seconds:g} s"
+
+    @cached_property
+    def case(self) -> Case:
+        base = unchanged(self.row, self.seed, self.quick)
+        assert base is not None
+        return AXES[self.axis].change(base, self.value, self.row)
+
+
+QUICK = 17  # of so many cells the short sweep takes one
+FIRST = {"sides": 3, "drift": 1}  # values that it takes of axes that need patience
+
+
+def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, seconds: float) -> list[Cell]:
+    """All cells, or some of each row and of each axis. seconds : for a usual solve."""
+    found = []
+    for row in rows:
+        if unchanged(row, seed, quick) is None:
+            continue
+        for axis in (AXES[name] for name in axes if AXES[name].rows(row)):
+            limit = seconds * (1.0 if quick else axis.patience)
+            values = axis.values[: FIRST.get(axis.name)] if quick else axis.values
+            found += [Cell(axis.name, value, row, seed, quick, limit) for value in values]
+
+    def order(cell: Cell) -> tuple[Any, ...]:
+        """Long ones last, and those of one device after another, so that few workers have to start."""
+        row = cell.row
+        return (
+            AXES[cell.axis].patience > 1,
+            row.arch != "cpu",
+            row.arch,
+            row.precision != "f64",
+            cell.axis == "threads",
+        )
+
+    found.sort(key=order)
+    return found[::QUICK] if quick else found

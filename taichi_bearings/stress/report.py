@@ -1,0 +1,162 @@
+"""The sweep over all cells, and its report: a journal that loses nothing, CSV, a table, maps, and numbers."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.files.scan_journal import Journal, read_journal
+from taichi_bearings.files.whole_file import make_folder, write_csv, write_text
+from taichi_bearings.plots.outcomes import draw_outcomes
+from taichi_bearings.plots.style import save
+from taichi_bearings.scans.engine import LocalEngine, Outcome
+from taichi_bearings.stages import alike, each
+from taichi_bearings.stress.axes import AXES, Cell
+from taichi_bearings.stress.cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, solve_tasks
+from taichi_bearings.version import VERSION
+
+Line = dict[str, Any]
+START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
+
+
+class Sweep:
+    """The cells of a folder: those that its journal has, and the others as they are done."""
+
+    def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
+        make_folder(folder)
+        self.folder, self.cells, self.judge = folder, list(cells), Judge()
+        known = read_journal(folder / "cells.jsonl")
+        self.lines = {cell.key: known[cell.key] for cell in cells if cell.key in known}
+
+    def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
+        """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
+        by_key = {cell.key: cell for cell in self.cells}
+        missing = [cell for cell in self.cells if cell.key not in self.lines]
+
+        def take(outcomes: Sequence[Outcome]) -> None:
+            for outcome in outcomes:
+                key = outcome.unit[0].key
+                record = outcome.records[0] if outcome.records else {"crash": outcome.reason}
+                line = self.judge.row(by_key[key], record)
+                journal.append([line])
+                self.lines[key] = line
+                if line["outcome"] in (WRONG, CRASH):
+                    say(f"{line['outcome']}: {key}: {line['reason']}")
+
+        def allowed(unit: tuple[Any, ...]) -> float:
+            return START_UP + 2 * unit[0].cell.most_seconds
+
+        with (
+            Journal(self.folder / "cells.jsonl") as journal,
+            closing(LocalEngine(solve_tasks, workers, allowed)) as engine,
+        ):
+            try:
+                for cell in each(missing, "cell", alike):
+                    while not engine.has_room:
+                        take(engine.collect(0.2))
+                    engine.submit((Task(cell),))
+                while engine.running:
+                    take(engine.collect(0.2))
+            except KeyboardInterrupt:
+                return False
+        return True
+
+    @property
+    def rows(self) -> list[Line]:
+        """The finished cells in the order of the report."""
+        order = {name: number for number, name in enumerate(AXES)}
+        found = [self.lines[cell.key] for cell in self.cells if cell.key in self.lines]
+        return sorted(found, key=lambda line: order[line["axis"]])
+
+    @property
+    def red(self) -> list[Line]:
+        """Cells with an answer that is wrong and does not say so, and crashes."""
+        return [line for line in self.rows if line["outcome"] in (WRONG, CRASH)]
+
+    def write(self) -> list[Path]:
+        """All files but the journal; their paths."""
+        rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "stress.md", "summary.json")]
+        columns = [name for name in rows[0] if name != "key"] if rows else ["axis"]
+        write_csv(paths[0], columns, ([line[name] for name in columns] for line in rows))
+        write_text(paths[1], "\n\n".join(table(axis, lines) for axis, lines in by_axis(rows).items()) + "\n")
+        write_text(paths[2], json.dumps(self.summary(), indent=1, allow_nan=False) + "\n")
+        for axis, lines in by_axis(rows).items():
+            figure = draw_outcomes(AXES[axis].title, *_map(lines))
+            for ending in (".png", ".pdf"):
+                paths.append(self.folder / f"{axis}{ending}")
+                save(figure, paths[-1])
+        return paths
+
+    def summary(self) -> dict[str, Any]:
+        rows = self.rows
+        counts = Counter(line["outcome"] for line in rows)
+        return {
+            "version": VERSION, "cells": len(self.cells), "done": len(rows),
+            "outcomes": {outcome: counts[outcome] for outcome in OUTCOMES},
+            "largest_error_of_right": max((x["error"] or 0.0 for x in rows if x["outcome"] == RIGHT), default=0.0),
+            "scaling": scaling(rows),
+            "red": [{"key": line["key"], "outcome": line["outcome"], "reason": line["reason"]} for line in self.red],
+        }  # fmt: skip
+
+
+def by_axis(rows: Sequence[Line]) -> dict[str, list[Line]]:
+    found: dict[str, list[Line]] = {}
+    for line in rows:
+        found.setdefault(line["axis"], []).append(line)
+    return found
+
+
+def _name(line: Line) -> str:
+    device = "" if line["arch"] == "cpu" else f" {line['arch']}"
+    return f"{line['method']} {line['law']} {line['dimension']}D{device} {line['precision']}"
+
+
+def _map(lines: Sequence[Line]) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str]]]:
+    columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
+    return columns, rows, {(_name(line), line["value"]): (line["outcome"], _decades(line)) for line in lines}
+
+
+def _decades(line: Line) -> str:
+    """Error as a power of ten; 0 below the rounding of doubles, empty without an error."""
+    error = line["error"]
+    return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-")
+
+
+def table(axis: str, lines: Sequence[Line]) -> str:
+    """Text: a row for each method, law, dimension and precision; in each cell the outcome and the error."""
+    columns, rows, cells = _map(lines)
+    text = [[AXES[axis].title, *columns]]
+    for row in rows:
+        text.append([row, *(" ".join(filter(None, cells.get((row, column), ()))) for column in columns)])
+    widths = [max(map(len, column)) for column in zip(*text, strict=True)]
+    text.insert(1, ["-" * width for width in widths])
+    body = ("| " + " | ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)) + " |"
+            for line in text)  # fmt: skip
+    return "\n".join([f"### {axis}", "", *body])
+
+
+def scaling(rows: Sequence[Line]) -> dict[str, Any]:
+    """How answers scale with the units, by method, in double precision: cells that do so bit for bit, of how many, and
+    the largest relative deviation."""
+    found: dict[str, dict[str, Any]] = {}
+    base = {(line["axis"], _name(line)): line["objective"] for line in rows if line["value"] == "1"}
+    for line in rows:
+        before = base.get((line["axis"], _name(line)))
+        if not line["axis"].endswith("-scale") or line["value"] == "1" or not before or line["objective"] is None:
+            continue
+        deviation = abs(line["objective"] / line["unit"] / before - 1)
+        of = found.setdefault(f"{line['method']} {line['precision']}", {"exact": 0, "of": 0, "deviation": 0.0})
+        of |= {"exact": of["exact"] + (deviation == 0), "of": of["of"] + 1,
+               "deviation": max(of["deviation"], deviation)}  # fmt: skip
+    return found
+
+
+def lines_of(summary: Mapping[str, Any]) -> list[str]:
+    """The summary for people."""
+    words = [f"{number} {outcome}" for outcome, number in summary["outcomes"].items()]
+    found = [f"{summary['done']} of {summary['cells']} cells: {', '.join(words)}"]
+    for method, of in summary["scaling"].items():
+        found.append(f"  scales exactly: {method}: {of['exact']} of {of['of']}, else within {of['deviation']:.1e}")
+    return found

@@ -1,0 +1,137 @@
+"""The sweep: its judge tells wrong answers from honest ones, and nothing that was found is lost."""
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from taichi_bearings_cli.main import bearings
+
+from taichi_bearings.files.scan_journal import Journal, read_journal
+from taichi_bearings.solvers import METHODS
+from taichi_bearings.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
+from taichi_bearings.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Answer, Judge, Task, solve_tasks
+from taichi_bearings.stress.truth import least
+
+LAWS = ("coulomb", "viscous", "coulomb-viscous")
+CELL = Cell("friction-scale", 1.0, Row("planar-cut", "coulomb", 2), 0, True, 1.0)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return least(CELL.case.scene)
+
+
+@pytest.fixture
+def answer(truth):
+    value, state = float(truth.upper), tuple(np.where(part == 2, 0, part) for part in truth.state)
+    return Answer("certified", True, value, value * (1 - 1e-12), 1e-12, True, state, 0.1)
+
+
+JUDGE = Judge()
+
+
+def judged(answer, cell=CELL):
+    return JUDGE.row(cell, {"answer": answer})
+
+
+def test_the_truth_itself_is_right(answer):
+    row = judged(answer)
+    assert (row["outcome"], row["reason"], row["states_wrong"]) == (RIGHT, "", 0)
+    assert row["error"] < 1e-15
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"lower_bound": 1 + 1e-9}, "is above the least value"),
+        ({"objective": 1 - 1e-9}, "is below the least one"),
+        ({"objective": 1 + 1e-7}, "certified with an error of 1.0e-07"),
+        ({"objective": 1 + 1e-3, "status": "stationary"}, "stationary with an error of 1.0e-03"),
+        ({"objective": np.nan}, "certified with an error of nan"),
+    ],
+)
+def test_answers_that_claim_what_is_not_true_are_wrong(answer, truth, changes, sentence):
+    scaled = {key: value * float(truth.upper) if key != "status" else value for key, value in changes.items()}
+    row = judged(replace(answer, **scaled))
+    assert row["outcome"] == WRONG
+    assert sentence in row["reason"]
+
+
+def test_states_are_wrong_only_where_they_are_said_to_be_proven(answer):
+    state = (answer.state[0], 1 - answer.state[1])
+    row = judged(replace(answer, state=state))
+    assert row["outcome"] == WRONG
+    assert row["states_wrong"] > 0
+    row = judged(replace(answer, state=state, states_proven=False))
+    assert row["outcome"] == RIGHT
+    assert row["states_unproven"] > 0
+
+
+def test_an_answer_that_says_so_may_be_far_off(answer):
+    far = replace(answer, objective=3 * answer.objective, status="time-limit", reached=False)
+    assert judged(far)["outcome"] == NOT_REACHED
+    assert judged(replace(far, objective=np.nan, lower_bound=np.nan, gap=np.nan))["outcome"] == NOT_REACHED
+
+
+def test_what_must_be_refused_is_wrong_if_it_is_not(answer):
+    cell = replace(CELL, axis="start", value="NaN")
+    assert judged(answer, cell)["outcome"] == WRONG
+    assert JUDGE.row(cell, solve_tasks([Task(cell)])[0])["outcome"] == REFUSED
+    assert JUDGE.row(cell, {"crash": "the worker was ended by SIGSEGV"})["outcome"] == CRASH
+
+
+def test_every_method_law_and_axis_is_tried():
+    rows = rows_of(list(ROWS), LAWS)
+    cells = cells_of(rows, list(AXES), 0, False, 1.0)
+    here = {(cell.row.method, cell.row.law, cell.row.dimension) for cell in cells}
+    assert {method for method, *_ in here} == {"auto", *METHODS}
+    for row in rows:
+        assert ((row.method, row.law, row.dimension) in here) == (unchanged(row, 0, False) is not None)
+    assert len({cell.key for cell in cells}) == len(cells)
+    quick = cells_of(rows, list(AXES), 0, True, 1.0)
+    assert {cell.axis for cell in quick} == set(AXES)
+    assert {cell.row for cell in quick} == {cell.row for cell in cells}
+
+
+@pytest.mark.parametrize("name", [name for name in AXES if name.endswith("-scale")])
+def test_scaled_samples_are_the_same_in_other_units(name):
+    """Planar cuts and factorisations scale bit for bit, and so does the truth without its knowing."""
+    for method, law in (("planar-cut", "coulomb"), ("linear-solver", "viscous")):
+        if not AXES[name].rows(Row(method, law, 2)):
+            continue
+        plain, scaled = (Cell(name, value, Row(method, law, 2), 0, True, 1.0) for value in (1.0, 1e-12))
+        found = [solve_tasks([Task(cell)])[0]["answer"] for cell in (plain, scaled)]
+        assert found[1].objective == found[0].objective * scaled.case.unit
+        truths = [Fraction(least(cell.case.scene).upper) for cell in (plain, scaled)]
+        assert abs(truths[1] / truths[0] / Fraction(scaled.case.unit) - 1) < 1e-40
+
+
+def sweep(folder, *options):
+    arguments = ["stress", "--quick", "--only", "start,ties", "--method", "linear-solver,planar-cut", "--workers", "1"]
+    return CliRunner().invoke(bearings, [*arguments, "--out", str(folder), *options])
+
+
+def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
+    first = sweep(tmp_path, "--json")
+    assert first.exit_code == 0, first.output
+    summary = json.loads(first.stdout)
+    assert summary["done"] == summary["cells"] > 0
+    assert summary["outcomes"]["wrong"] == summary["outcomes"]["crash"] == 0
+    assert {path.name for path in tmp_path.iterdir()} >= {"stress.csv", "stress.md", "summary.json", "cells.jsonl"}
+    assert any(path.suffix == ".png" for path in tmp_path.iterdir())
+    lines = list(read_journal(tmp_path / "cells.jsonl").values())
+    with Journal(tmp_path / "cells.jsonl") as journal:
+        journal.append([lines[0] | {"outcome": WRONG, "reason": "it was changed"}])
+    again = sweep(tmp_path)
+    assert again.exit_code == 1
+    assert f"RED {lines[0]['key']}: it was changed" in again.stdout
+    assert len(read_journal(tmp_path / "cells.jsonl")) == len(lines)
+
+
+def test_bad_options_are_one_sentence(tmp_path):
+    result = CliRunner().invoke(bearings, ["stress", "--only", "contrast,colour", "--out", str(tmp_path / "new")])
+    assert "only is 'contrast,colour'; 'colour' is none of" in str(result.exception)
+    assert not (tmp_path / "new").exists()
