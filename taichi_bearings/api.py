@@ -147,6 +147,10 @@ class Result:
         lambda self: {name: self._of_samples(values) for name, values in self._run.solution.findings.items()},
         doc="What else the method has found, by name; numbers, (R,).",
     )
+    warnings = property(
+        lambda self: self._run.summary["warnings"],
+        doc="What the answer is not, as one may think: sentences with a number; an empty list if there is none.",
+    )
     summary = property(lambda self: self._run.summary, doc="All numbers by name, as `bearings run --json` prints them.")
 
     @property

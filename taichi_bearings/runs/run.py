@@ -237,6 +237,7 @@ def summarise(run: Run) -> dict[str, Any]:
     Numbers that are not finite become None, so that the summary is valid JSON.
     """
     from taichi_bearings import __version__
+    from taichi_bearings.runs.caveats import caveats
 
     solution, settings, scene = run.solution, run.settings, run.solution.scene
 
@@ -285,7 +286,7 @@ def summarise(run: Run) -> dict[str, Any]:
         summary |= {"duration": settings.duration} if settings.duration is not None else {}
     if "energy_residual" in solution.history:
         summary["energy_residual"] = per_seed(solution.history["energy_residual"][-1])
-    return summary
+    return summary | {"warnings": caveats(solution, settings)}
 
 
 def _plain(value: Any) -> Any:

@@ -122,6 +122,8 @@ def _scalars(numbers: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in numbers.items():
         value = value.item() if isinstance(value, np.generic) else value
+        if name == "warnings":
+            value = "; ".join(value) or []  # no column where there is nothing to say
         if name == "shape":
             value = "x".join(map(str, value))
         if isinstance(value, float) and not math.isfinite(value):

@@ -33,6 +33,8 @@ MEANING = {  # column -> (unit, description); others are described in docs/struc
     "tied_contacts": ("1", "contacts that slip at some minima and not at others"),
     "slip_threshold": ("length/time", "slip up to which a contact counts as slipless"),
     "time": ("time", "simulated time"),
+    "elastic_share": ("1", "longest spring over the way of the driven planes past each other"),
+    "warnings": ("1", "what the result is not, as one may think; sentences with a number"),
     "energy_residual": ("1", "what the energy books leave unexplained"),
     "power_minimum_cut": ("energy/time", "power of the lightest interface of two rigid domains"),
     "power_over_cut": ("1", "power / power_minimum_cut"),

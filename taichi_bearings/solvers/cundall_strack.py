@@ -23,6 +23,7 @@ from taichi_bearings.solvers.dynamics import (
     Saturation,
     absolute,
     default_inertia,
+    elastic_share,
     kinetic_energy,
     moving_spin_axes,
     replica_sum,
@@ -208,10 +209,11 @@ class CundallStrackMethod:
         scene = self.scene
         staggered = scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
         force = self._contact_forces("force") if self.iteration else self._damping_force(staggered)
-        springs = force
+        springs, longest = force, np.zeros(scene.replicas)
         if scene.law.holds:
-            springs = tuple(self.options.stiffness * e for e in self._contact_forces("elongation"))
-            springs = self._with_viscosity(springs, staggered)
+            stretch = self._contact_forces("elongation")
+            longest = np.max([vector_length(e).reshape(scene.replicas, -1).max(axis=1) for e in stretch], axis=0)
+            springs = self._with_viscosity(tuple(self.options.stiffness * e for e in stretch), staggered)
         objective = scene.objective(staggered, self.spin_axes)
         bound = lower_bound(scene, springs, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
@@ -237,6 +239,7 @@ class CundallStrackMethod:
             findings={
                 "step_error": np.full(scene.replicas, self.step_error.within(self.iteration)),
                 "accurate_time_step": np.full(scene.replicas, self.step_error.accurate_step(self.iteration)),
+                **elastic_share(scene, longest, self.time),
             },
         )
 

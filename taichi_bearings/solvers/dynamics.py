@@ -41,6 +41,13 @@ def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ..
     return inertia / 2 * replica_sum(absolute(scene, staggered, spin_axes)[..., 1:-1] ** 2)
 
 
+def elastic_share(scene: Scene, longest: np.ndarray, time: float) -> dict[str, np.ndarray]:
+    """How much of the way of the driven planes past each other the longest spring (R,), length, has taken up, as a
+    finding; none before there is a way, or without springs. Rigid contacts would take up nothing."""
+    way = scene.lattice.radius * scene.jump * time
+    return {"elastic_share": longest / way} if way > 0 and scene.law.holds else {}
+
+
 @dataclass(frozen=True)
 class Saturation:
     """Contacts that bear all the friction they can, to a relative `tolerance`, and so slip; none without friction.

@@ -26,7 +26,7 @@ from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.solvers.cundall_strack import BELIEVED
-from taichi_bearings.solvers.dynamics import RestWatch, Saturation, default_inertia, moving_spin_axes
+from taichi_bearings.solvers.dynamics import RestWatch, Saturation, default_inertia, elastic_share, moving_spin_axes
 from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
@@ -277,6 +277,7 @@ class ImplicitCundallStrackMethod:
             slipping=saturation.slipping,
             at_rest=self.rest.at_rest,
             halted=self.halted,
+            findings=elastic_share(scene, np.array([s.elongation.length().max() for s in self.samples]), self.time),
         )
 
     def state(self) -> dict[str, np.ndarray]:

@@ -1,0 +1,111 @@
+"""Where an answer is right and yet not what one may think: sentences with a number, none where there is nothing to say.
+
+They are `warnings` in the summary of a run, and lines on stderr.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from taichi_bearings.proof.contact_state import ContactState, count, separate
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene import Solution, Status
+from taichi_bearings.solvers.step_error import ACCURATE
+from taichi_bearings.words import counted
+
+ELASTIC = 1e-2  # of the way of the planes, that springs may take up
+UNFINISHED = {
+    Status.STEP_LIMIT: "the limit of iterations came",
+    Status.TIME_LIMIT: "the time limit came",
+    Status.INTERRUPTED: "it was interrupted",
+    Status.STALLED: "the method got no closer",
+}
+
+
+def caveats(solution: Solution, settings: RunSettings) -> list[str]:
+    """All that is to be said of an answer, (R,) samples together."""
+    return [sentence for of in CAVEATS for sentence in of(solution, settings)]
+
+
+def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """What remains where a run has ended too early."""
+    reason, history = UNFINISHED.get(solution.status), solution.history
+    if reason is None:
+        return
+    if "time" in history:
+        reached = float(history["time"][-1])
+        if settings.duration is not None:
+            if reached < settings.duration * (1 - 1e-9):
+                yield f"{reason} at the time {reached:.6g} of {settings.duration:.6g}"
+            return
+        left = float(solution.unbalanced_torque.max())
+        yield f"{reason} before the motion was at rest: at the time {reached:.3g} torques of {left:.1e} were left over"
+        return
+    short = ~(solution.gap <= settings.tolerance)
+    if short.any():
+        worst = float(np.max(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
+        of = f" in {int(short.sum()):,} of {len(short):,} samples" if len(short) > 1 else ""
+        words = f"{reason} with a proven gap of {worst:.1e}{of}; the tolerance is {settings.tolerance:g}"
+        if solution.status is Status.STALLED and solution.running.precision == "f32":
+            words += f", which single precision cannot reach here: --precision f64, or a tolerance of {1.5 * worst:.0e}"
+        yield words
+
+
+def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Contacts whose slip and friction disagree."""
+    number = int(count(solution.state, ContactState.UNDECIDED).sum())
+    if number:
+        fast = sum(
+            int(((state == ContactState.UNDECIDED) & (slip > solution.slip_threshold)).sum())
+            for state, slip in zip(solution.state, solution.slip, strict=True)
+        )
+        all_contacts = solution.scene.lattice.contacts * solution.scene.replicas
+        yield (
+            f"{number:,} of {counted(all_contacts, 'contact')} undecided: {fast:,} slip faster than "
+            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - fast:,} the other way round"
+        )
+
+
+def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Slips of the two kinds of contacts that are less than a decade apart."""
+    if not solution.scene.law.holds:
+        return
+    found = separate(solution.scene, solution.slip, solution.state)
+    near = (solution.gap <= settings.tolerance) & ~solution.resolved & (found.decades < 1)
+    if near.any():
+        worst = int(np.argmin(np.where(near, found.decades, np.inf)))
+        yield (
+            f"no clear gap between the two kinds of contacts: slipless contacts slip at most "
+            f"{found.largest_slipless[worst]:.1e}, slipping ones at least {found.smallest_slipping[worst]:.1e}"
+        )
+
+
+def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    tied = int(np.sum(solution.findings.get("tied_contacts", 0)))
+    if tied:
+        yield f"cuts tie exactly: {counted(tied, 'contact')} slip at some minima and not at others"
+
+
+def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """A time step that is too long to follow the course."""
+    error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
+    if error is not None and error.max() > ACCURATE:
+        words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
+        step = float(np.min(advised)) if advised is not None else np.nan
+        yield f"{words}; --time-step {step:.2g} keeps that below {ACCURATE:g}" if np.isfinite(step) else words
+
+
+def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Springs that take up a part of the motion which rigid contacts would slip."""
+    share = solution.findings.get("elastic_share", np.zeros(1))
+    largest = float(np.nanmax(share, initial=0.0))
+    if largest > ELASTIC:
+        yield (
+            f"springs are stretched by up to {largest:.1e} of the way that the planes have turned past each other; "
+            f"a stiffness {largest / ELASTIC:.2g} times as large, or as much more time, keeps that below {ELASTIC:g}"
+        )
+
+
+CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
+    _unfinished, _undecided, _mingled, _tied, _step, _springs,
+)  # fmt: skip

@@ -1,0 +1,119 @@
+"""What an answer is not is said with the right number, and not where there is nothing to say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.caveats import caveats
+from taichi_bearings.runs.run import run
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runtime import Runtime
+from taichi_bearings.scene import Status
+
+pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+
+
+@pytest.fixture
+def solved(tmp_path):
+    def solve(**settings):
+        made = RunSettings(threads=1, figures="none", **({"shape": (4, 5)} | settings))
+        return run(made, tmp_path / "run", force=True)
+
+    return solve
+
+
+def words_of(found, word):
+    """The warnings of a run with this word."""
+    assert found.summary["warnings"] == caveats(found.solution, found.settings)
+    return [sentence for sentence in found.summary["warnings"] if word in sentence]
+
+
+def test_a_proven_answer_needs_no_words(solved):
+    assert solved().summary["warnings"] == []
+    assert solved(shape=(3, 3, 4)).summary["warnings"] == []
+
+
+def test_what_remains_after_a_limit(solved):
+    found = solved(method="gradient-descent", iterations=50)
+    gap = found.summary["gap"]
+    assert gap > 1e-3
+    assert words_of(found, "limit") == [
+        f"the limit of iterations came with a proven gap of {gap:.1e}; the tolerance is 1e-08"
+    ]
+    two = solved(method="gradient-descent", iterations=50, replicas=2)
+    assert f"{max(two.summary['gap']):.1e} in 2 of 2 samples" in two.summary["warnings"][0]
+    found = solved(method="rigid-limit", duration=5.0, iterations=3)
+    assert f"at the time {found.summary['time']:.6g} of 5" in words_of(found, "limit")[0]
+    found = solved(method="rigid-limit", iterations=3)
+    assert f"torques of {found.summary['largest_balance_residual']:.1e} were" in words_of(found, "limit")[0]
+
+
+def test_a_tolerance_beyond_single_precision_is_named(solved):
+    found = solved(method="gradient-descent", iterations=2000)
+    stuck = replace(found.solution, status=Status.STALLED, gap=np.array([2.1e-5]))
+    assert "single precision" not in "".join(caveats(stuck, found.settings))
+    single = replace(stuck, running=Runtime("cpu", "f32", 1))
+    (sentence,) = (s for s in caveats(single, found.settings) if "single precision" in s)
+    assert "a proven gap of 2.1e-05; the tolerance is 1e-08" in sentence
+    assert sentence.endswith("or a tolerance of 3e-05")
+    assert "single precision" not in "".join(caveats(single, replace(found.settings, tolerance=1e-4)))
+
+
+def test_undecided_contacts_are_counted(solved):
+    found = solved(method="gradient-descent", iterations=50)
+    number = found.summary["undecided"]
+    assert number > 0
+    (sentence,) = words_of(found, "undecided")
+    assert sentence.startswith(f"{number} of 25 contacts undecided: ")
+    state, slip = (np.concatenate([a.ravel() for a in parts]) for parts in (found.solution.state, found.solution.slip))
+    fast = int((slip[state == ContactState.UNDECIDED] > found.summary["slip_threshold"]).sum())
+    assert f": {fast} slip faster" in sentence
+    assert f"friction, {number - fast} the other" in sentence
+
+
+def test_slips_of_two_kinds_that_mingle(solved):
+    found = solved(shape=(3, 3, 4), method="interior-point")
+    known = found.solution
+    slow, fast = (
+        tuple(
+            np.where(state == ContactState.SLIPLESS, slip, known.slip[axis]) for axis, state in enumerate(known.state)
+        )
+        for slip in (1e-20, 1e9)
+    )
+    unproven = replace(known, resolved=np.array([False]))
+    assert caveats(replace(unproven, slip=slow), found.settings) == []
+    (sentence,) = caveats(replace(unproven, slip=fast), found.settings)
+    assert f"at most 1.0e+09, slipping ones at least {found.summary['smallest_slipping_slip']:.1e}" in sentence
+    assert caveats(replace(known, slip=fast), found.settings) == []
+
+
+def test_ties_are_counted(solved):
+    found = solved(distribution="constant:1")
+    (sentence,) = words_of(found, "tie")
+    assert f" {found.summary['tied_contacts']} contacts slip at some minima" in sentence
+    assert found.summary["tied_contacts"] > 0
+
+
+def test_springs_that_take_up_the_motion_of_the_planes(solved):
+    """At first they take up all of it; in the end they bear what the contacts bear."""
+    dynamics = {"method": "implicit-cundall-strack", "stiffness": 1e3}
+    start = solved(**dynamics, damping=1e-3, mass=1e9, duration=1e-3, initial="zero")
+    assert start.summary["elastic_share"] == pytest.approx(1.0, rel=1e-3)
+    assert "a stiffness 1e+02 times as large" in words_of(start, "springs")[0]
+    for method in ("implicit-cundall-strack", "cundall-strack"):
+        end = solved(shape=(2, 3), method=method, stiffness=100.0, damping=10.0, duration=20.0)
+        strongest = max(float(force.max()) for force in end.solution.force)  # at rest: the dampers are idle
+        assert end.summary["elastic_share"] == pytest.approx(strongest / 100.0 / (0.5 * 20.0), rel=1e-3)
+        assert f"up to {end.summary['elastic_share']:.1e} of the way" in words_of(end, "springs")[0]
+    assert words_of(solved(method="cundall-strack", duration=2.0), "springs") == []
+    assert "elastic_share" not in solved(law="viscous", method="cundall-strack", duration=0.1).summary
+
+
+def test_answers_in_python_have_their_warnings_too():
+    scene = tb.Scene.random((4, 5), distribution="constant:1")
+    answer = tb.solve(scene, threads=1)
+    assert any("tie exactly" in sentence for sentence in answer.warnings)
+    assert tb.solve(tb.Scene.random((4, 5)), threads=1).warnings == []
