@@ -261,7 +261,7 @@ _FORCE, _LENGTH, _RATE = _in_units(force=1), _in_units(length=1), _in_units(time
 AXES = {
     axis.name: axis
     for axis in (
-        Axis("contrast", "decades of coefficients, even in the logarithm", DECADES, _redrawn(_log_uniform)),
+        Axis("contrast", "decades of the coefficients", DECADES, _redrawn(_log_uniform)),
         Axis("two-strengths", "decades between two strengths", DECADES, _redrawn(_two_strengths)),
         Axis("ties", "coefficients", ("all equal", "1 or 2", "1, 2 or 3", "nearly"), _redrawn(_tied)),
         Axis("zeros", "contacts absent", ("a tenth", "a third", "a sphere", "a layer", "all"), _absent),
@@ -319,7 +319,7 @@ class Cell:
         return AXES[self.axis].change(base, self.value, self.row)
 
 
-QUICK = 17  # of so many cells the short sweep takes one
+QUICK = 23  # of so many cells the short sweep takes one
 FIRST = {"sides": 3, "drift": 1}  # values that it takes of axes that need patience
 
 

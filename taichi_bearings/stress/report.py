@@ -121,7 +121,7 @@ def _map(lines: Sequence[Line]) -> tuple[list[str], list[str], dict[tuple[str, s
 def _decades(line: Line) -> str:
     """Error as a power of ten; 0 below the rounding of doubles, empty without an error."""
     error = line["error"]
-    return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-")
+    return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-").replace("e+00", "")
 
 
 def table(axis: str, lines: Sequence[Line]) -> str:
@@ -138,13 +138,14 @@ def table(axis: str, lines: Sequence[Line]) -> str:
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
-    """How answers scale with the units, by method, in double precision: cells that do so bit for bit, of how many, and
+    """How right answers scale with the units, by method and precision: cells that do so bit for bit, of how many, and
     the largest relative deviation."""
     found: dict[str, dict[str, Any]] = {}
-    base = {(line["axis"], _name(line)): line["objective"] for line in rows if line["value"] == "1"}
-    for line in rows:
-        before = base.get((line["axis"], _name(line)))
-        if not line["axis"].endswith("-scale") or line["value"] == "1" or not before or line["objective"] is None:
+    scaled = [line for line in rows if line["axis"].endswith("-scale") and line["outcome"] == RIGHT]
+    plain = {(line["axis"], _name(line)): line["objective"] for line in scaled if line["value"] == "1"}
+    for line in scaled:
+        before = plain.get((line["axis"], _name(line)))
+        if line["value"] == "1" or not before:
             continue
         deviation = abs(line["objective"] / line["unit"] / before - 1)
         of = found.setdefault(f"{line['method']} {line['precision']}", {"exact": 0, "of": 0, "deviation": 0.0})
