@@ -122,7 +122,8 @@ class Result:
         lambda run: run.solution.friction,
     )
     state = _field(
-        "State of each contact: 0 slipless, 1 slipping, 2 undecided, 3 between driven spheres; an array an axis.",
+        "State of each contact: 0 slipless, 1 slipping, 2 undecided, 3 between driven spheres, or absent; an array "
+        "an axis.",
         lambda run: run.solution.state,
     )
     slip_bound = _field(

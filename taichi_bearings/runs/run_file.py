@@ -25,7 +25,7 @@ CONTACT_SETS = {  # name -> (attribute of Solution, unit, description)
     "slip": ("slip", "length/time", "slip speed |v|"),
     "power": ("power_per_contact", "energy/time", "power dissipated at the contact"),
     "force": ("force", "force", "magnitude of the tangential contact force"),
-    "state": ("state", "1", "0 slipless, 1 slipping, 2 undecided, 3 between driven spheres"),
+    "state": ("state", "1", "0 slipless, 1 slipping, 2 undecided, 3 between driven spheres or absent"),
 }
 HISTORY_UNITS = {
     "iteration": ("1", "iterations done"),
