@@ -14,7 +14,7 @@ from taichi_bearings.words import counted
 @click.command(cls=SettingsCommand)
 @click.argument("scene", required=False, metavar="[SCENE.toml]")
 @click.option("--out", metavar="DIR", default=None, help="Run directory. [default: outputs/<time>-run-<id>]")
-@click.option("--force", is_flag=True, default=None, help="Replace an existing run directory.")
+@click.option("--force", is_flag=True, help="Replace an existing run directory.")
 @click.option("--resume", metavar="RUN", default=None, help="Go on with a run that has a checkpoint, in its directory.")
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
@@ -25,7 +25,7 @@ def command(
     context: click.Context,
     scene: str | None,
     out: str | None,
-    force: bool | None,
+    force: bool,
     resume: str | None,
     verify: bool,
     as_json: bool,
@@ -63,10 +63,12 @@ def command(
             verdict = _verdict(found, verify)
         _finish(context, found, resume, verdict, display.times(), as_json)
     values = read_toml(Path(scene)) if scene else {}
-    stored_out, stored_force = values.pop("out", None), values.pop("force", False)
-    out, force = out or stored_out, stored_force if force is None else force
-    if not isinstance(out, str | None) or not isinstance(force, bool):
-        raise InputError(f"out is {out!r} and force is {force!r}; they must be a text, and true or false")
+    stored_out = values.pop("out", None)
+    if values.pop("force", False) is not False:
+        raise InputError(f"force in {scene}: a file replaces nothing; give --force on the command line")
+    if not isinstance(stored_out, str | None):
+        raise InputError(f"out is {stored_out!r}; it must be a text")
+    out = out or stored_out
     settings = RunSettings.from_mapping(values | given, scene or "the options")
     with Display(STARTED) as display:
         found = study.run(settings, Path(out) if out else None, force)

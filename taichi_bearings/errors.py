@@ -1,8 +1,17 @@
 """Exceptions that a user may see: each message is one sentence that names the offending value."""
 
+MOST_LETTERS = 1000
+
 
 class BearingsError(Exception):
-    """Base of all errors raised on purpose by this package."""
+    """Base of all errors raised on purpose by this package. As a text it is one line that does nothing to a terminal:
+    control characters, which names and files may hold, are escaped, and the middle of a long one is left out."""
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        if len(text) > MOST_LETTERS:
+            text = f"{text[: 2 * MOST_LETTERS // 3]} ... {text[-MOST_LETTERS // 3 :]}"
+        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputError(BearingsError):

@@ -14,6 +14,7 @@ Readable with plain h5py and pandas:
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_csv, write_hdf5
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import ROUNDING
 
 SCHEMA = "taichi_bearings.scan"
@@ -155,6 +157,21 @@ class StoredScan:
     units: dict[str, str]
     descriptions: dict[str, str]
     histograms: SampleHistograms
+
+    def __post_init__(self) -> None:
+        """FileError for tables that no scan leaves, where what reads them would fail."""
+        table, counts = self.table, self.histograms
+        laws, shape = "|".join(map(re.escape, LAWS)), r"\d{1,9}(x\d{1,9}){1,2}"
+        for name, form in (("status", "[a-z-]+"), ("law", f"({laws})?"), ("shape", f"({shape})?")):
+            if not all(isinstance(text, str) and re.fullmatch(form, text) for text in table.get(name, ())):
+                raise FileError(f"{self.path} is damaged or was changed: its column {name} holds something else")
+        if "status" not in table or counts.count.ndim != 2 or counts.edges.ndim != 1:
+            raise FileError(f"{self.path} is damaged or was changed: it lacks statuses or histograms")
+        lengths = {len(values) if values.ndim == 1 else -1 for values in table.values()}
+        lengths |= {len(values) for values in (counts.count, counts.slipping, counts.slipless, counts.undecided)}
+        bins = max(len(counts.edges) - 1, 0)
+        if len(lengths) > 1 or counts.count.shape[1] != bins or not (counts.edges > 0).all():
+            raise FileError(f"{self.path} is damaged or was changed: its columns differ in length")
 
     @property
     def samples(self) -> int:

@@ -15,11 +15,12 @@ from types import TracebackType
 from typing import Any
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 
 NAME = "samples.jsonl"
 HEAD = '{"crc32": "%08x", "sample": '
 HEAD_LENGTH = len(HEAD % 0)
+MOST_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
 
 
 def _line(sample: Mapping[str, Any]) -> bytes:
@@ -33,8 +34,30 @@ def _is_whole(line: bytes) -> bool:
 
 
 def _sample(line: bytes) -> dict[str, Any] | None:
-    """What a line holds, None if it is not whole."""
-    return json.loads(line[HEAD_LENGTH:-2]) if _is_whole(line) else None
+    """What a line holds, None if it is not whole or no sample."""
+    try:
+        sample = json.loads(line[HEAD_LENGTH:-2]) if _is_whole(line) else None
+        return sample if _is_sample(sample) else None
+    except (ValueError, RecursionError):
+        return None
+
+
+def _is_sample(sample: Any) -> bool:
+    """Key, scalars and bins, of the kinds and sizes that a solve leaves: a number of a bin may ask for no memory."""
+    if not isinstance(sample, dict) or not isinstance(sample.get("key"), str):
+        return False
+    scalars, bins = sample.get("scalars"), sample.get("bins")
+    if not isinstance(scalars, dict) or not isinstance(scalars.get("status"), str) or not isinstance(bins, dict):
+        return False
+    if not all(value is None or isinstance(value, (bool, int, float, str)) for value in scalars.values()):
+        return False
+    if not all(isinstance(scalars.get(name), int | None) for name in ("slipping", "slipless", "undecided")):
+        return False
+    if not isinstance(scalars.get("power"), int | float | None):
+        return False
+    if not all(abs(value) < 2**62 for value in scalars.values() if type(value) is int):
+        return False
+    return all(abs(int(name)) < MOST_BINS and type(many) is int and 0 <= many < 2**31 for name, many in bins.items())
 
 
 def read_journal(path: Path) -> dict[str, dict[str, Any]]:
@@ -60,6 +83,7 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        refuse_link_out(path)
         try:
             self._length = self._drop_damaged_lines()
             self._file = path.open("ab", buffering=0)

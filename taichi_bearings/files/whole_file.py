@@ -11,8 +11,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.checksums import UNREADABLE, check, seal
+from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, WriteError
+from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 
 Buffer = bytes | memoryview
 
@@ -32,11 +33,18 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
 
 
+def refuse_link_out(path: Path) -> None:
+    """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
+    if path.is_symlink() and path.resolve().parent != path.parent.resolve():
+        raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
+
+
 def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
     """Replace `path` by a file with this content in one move; WriteError if that cannot be done.
 
     ending : of the name that the file has meanwhile; processes that may write it at the same time need different ones.
     """
+    refuse_link_out(path)
     path = path.resolve()  # a link stays one
     temporary = path.with_name(path.name + ending)
     try:
@@ -96,7 +104,7 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
     kind : what it is for people, such as "a run".
     """
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             if file.attrs.get("schema") != schema:
                 raise FileError(f"{path} is not {kind}: it was not written by taichi_bearings as such")
             found = file.attrs.get("schema_version")
@@ -115,7 +123,7 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
     """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
 
     def copy(whole: h5py.File) -> None:
-        with h5py.File(path, "r") as old:
+        with open_hdf5(path) as old:
             check(path, old)
             for key, value in old.attrs.items():
                 whole.attrs[key] = value

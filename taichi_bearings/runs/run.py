@@ -380,6 +380,8 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
     with in_use(path):
         checkpoint = read_checkpoint(path)
         stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+        if stored.checkpoint_every is None:
+            raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
             _refuse_past(path, stored.duration, checkpoint.arrays or {})
         job = prepare(
@@ -413,8 +415,8 @@ def _solve_with_checkpoints(
         except FileError as error:  # a full disk may have room again before the end
             logging.getLogger(__name__).warning("bearings: %s; the run goes on", error)
 
-    assert stored.checkpoint_every is not None
-    solution = solve_job(job, monitors, Checkpoints(stored.checkpoint_every, write, arrays))
+    every = stored.checkpoint_every or np.inf
+    solution = solve_job(job, monitors, Checkpoints(every, write, arrays))
     found = Run(job.settings, solution, job.spin, path, _command())
 
     def complete() -> Run:

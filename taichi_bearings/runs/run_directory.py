@@ -18,7 +18,7 @@ from typing import IO
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import make_folder, write_text
+from taichi_bearings.files.whole_file import make_folder, refuse_link_out, write_text
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
 """Hidden names beside the directory `name`: its lock, a new directory on its way, and an old one on its way out."""
@@ -194,9 +194,9 @@ def _complete(path: Path) -> None:
     """Move the files of a complete folder into its directory, run.h5 last."""
     folder = path / COMPLETE
     if (folder / OUTDATED).exists():
-        for name in (folder / OUTDATED).read_text(encoding="utf-8").splitlines():
-            with contextlib.suppress(OSError):
-                (path / name).unlink()
+        for name in (folder / OUTDATED).read_text(encoding="utf-8", errors="replace").splitlines():
+            with contextlib.suppress(OSError, ValueError):
+                (path / Path(name).name).unlink()  # whoever wrote the list, it reaches nothing outside
     for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
         if file.name != OUTDATED:
             file.replace(path / file.name)
@@ -214,7 +214,7 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
     with _locked(lock, f"{part} in {path}" if part else f"{path}") as held:
         if held and not part:
             try:
-                if (path / COMPLETE).is_dir():
+                if (path / COMPLETE).is_dir() and not (path / COMPLETE).is_symlink():
                     _complete(path)
                 for left in (CHECKPOINT, "run.h5"):
                     (path / f"{left}.partial").unlink(missing_ok=True)
@@ -227,6 +227,7 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
 @contextlib.contextmanager
 def _locked(lock: Path, what: str) -> Iterator[bool]:
     """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
+    refuse_link_out(lock)
     while True:
         try:
             file = lock.open("a")

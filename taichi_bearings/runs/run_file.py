@@ -1,6 +1,6 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
@@ -141,29 +142,43 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
     axes = AXES[: len(attributes["shape"])]
     one = file["coefficient/x"].ndim == len(axes)
 
-    def get(name: str) -> np.ndarray:
-        values = file[name][()]
-        return values[None] if one else values
+    shape = tuple(int(side) for side in attributes["shape"])
+    parts = () if len(shape) == 2 else (3,)
+    count = 1 if one else len(file["coefficient/x"])
 
-    def each_axis(name: str) -> tuple[np.ndarray, ...]:
+    def get(name: str, *expected: int | None) -> np.ndarray:
+        """With an axis of replicas. expected : the shape without it, None for any length; checked before reading."""
+        stored, whole = file[name], expected if one else (count, *expected)
+        fits = len(stored.shape) == len(whole) and all(w in (None, n) for n, w in zip(stored.shape, whole, strict=True))
+        if not fits or stored.dtype.kind not in "fiub":
+            words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {whole}"
+            raise FileError(f"{name} in {path} is damaged: {words}")
+        return stored[()][None] if one else stored[()]
+
+    def each_axis(name: str, *parts: int) -> tuple[np.ndarray, ...]:
         names = [name.format(axis) for axis in axes]
-        return tuple(get(name) for name in names) if all(name in file for name in names) else ()
+        if not all(name in file for name in names):
+            return ()
+        contacts = [[side - (a == axis) for a, side in enumerate(shape)] for axis in range(len(shape))]
+        return tuple(get(name, *sides, *parts) for name, sides in zip(names, contacts, strict=True))
 
     sets: dict[str, Any] = {
-        attribute: tuple(get(f"contact/{axis}/{key}") for axis in axes) for key, (attribute, *_) in CONTACT_SETS.items()
+        attribute: each_axis(f"contact/{{}}/{key}") for key, (attribute, *_) in CONTACT_SETS.items()
     }
+    if lacking := [key for key, (attribute, *_) in CONTACT_SETS.items() if not sets[attribute]]:
+        raise KeyError(f"it lacks contact/.../{lacking[0]}")
     scene = _scene(path, attributes, each_axis("coefficient/{}"), each_axis("viscosity/{}"))
     number = partial(_numbers, attributes, scene.replicas)
-    spin = get("spin")
+    spin = get("spin", *shape, *parts)
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
         status=_status(attributes["status"]),
         iterations=int(attributes["iterations"]),
         spin=spin,
-        spin_rounding=get("spin_rounding") if "spin_rounding" in file else np.zeros_like(spin),
+        spin_rounding=get("spin_rounding", *shape, *parts) if "spin_rounding" in file else np.zeros_like(spin),
         **sets,
-        friction=each_axis("contact/{}/friction"),
+        friction=each_axis("contact/{}/friction", *parts),
         slip_bound=each_axis("contact/{}/slip_bound"),
         resolved=number("states_proven", 0.0) == 1,
         power=number("power"),
@@ -174,10 +189,12 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         unbalanced_torque=number("largest_balance_residual"),
         seconds=float(attributes["seconds"]),
         seconds_compile=float(attributes["seconds_compile"]),
-        history={key: _column(key, get(f"history/{key}")) for key in file["history"]},
+        history={key: _column(key, get(f"history/{key}", None)) for key in file["history"]},
         findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
-        snapshots=_snapshots(get("snapshots/time"), get("snapshots/spin")) if "snapshots" in file else None,
+        snapshots=_snapshots(get("snapshots/time", None), get("snapshots/spin", None, *shape, *parts))
+        if "snapshots" in file
+        else None,
     )
 
 
@@ -223,16 +240,32 @@ def _snapshots(time: np.ndarray, spin: np.ndarray) -> Snapshots:
 
 
 def _check_arrays(run: StoredRun) -> None:
-    """FileError if spins or slips have another shape than the scene needs, or are not finite though the run was."""
-    solution, lattice = run.solution, run.solution.scene.lattice
-    wanted = [("spin", solution.spin, lattice.shape if lattice.dimension == 2 else (*lattice.shape, 3))]
-    wanted += [
-        (f"slip along {AXES[axis]}", slip, lattice.contact_shape(axis)) for axis, slip in enumerate(solution.slip)
-    ]
-    for name, values, shape in wanted:
-        finite = solution.status is Status.NOT_FINITE or np.isfinite(values).all()
-        if values.shape[1:] != tuple(shape) or not finite:
-            raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers of shape {tuple(shape)}")
+    """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
+    solution = run.solution
+    ended_finite, samples = solution.status is not Status.NOT_FINITE, solution.scene.replicas
+    for name, values in (("spin", solution.spin), *_of_contacts(solution)):
+        if len(values) != samples or (ended_finite and not np.isfinite(values).all()):
+            raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers, of {samples} samples")
+        if name in CONTACT_SETS and (values < 0).any():
+            raise FileError(f"{name} in {run.path} is damaged: it must hold no negative numbers")
+    if any(values.dtype.kind not in "ui" or (values > max(ContactState)).any() for values in solution.state):
+        raise FileError(f"state in {run.path} is damaged: it must hold whole numbers from 0 to {max(ContactState)}")
+    history, lengths = solution.history, {len(values) for values in solution.history.values()}
+    needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in history else set())
+    if needed - history.keys() or len(lengths) != 1 or 0 in lengths:
+        raise FileError(f"history in {run.path} is damaged: it must hold columns of one length, {', '.join(needed)}")
+    if solution.snapshots is not None and len(solution.snapshots.time) != len(solution.snapshots.spin):
+        raise FileError(f"snapshots in {run.path} are damaged: times and spins differ in number")
+
+
+ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
+
+
+def _of_contacts(solution: Solution) -> Iterator[tuple[str, np.ndarray]]:
+    """Names and arrays of what lies on the contacts."""
+    for name, (attribute, *_) in CONTACT_SETS.items():
+        yield from ((name, values) for values in getattr(solution, attribute))
+    yield from (("friction", values) for values in solution.friction)
 
 
 def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:

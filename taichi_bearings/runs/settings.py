@@ -7,6 +7,7 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import accumulate
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -250,18 +251,31 @@ def _escaped(letter: str) -> str:
     return f"\\u{ord(letter):04x}" if is_control else f"\\{letter}" if letter in '"\\' else letter
 
 
+MOST_TEXT = 2**26  # bytes of a scene or scan file
+MOST_NESTED = 20
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Key-value pairs of a scene file; names of files in it are taken relative to its folder.
 
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
+    from taichi_bearings.hdf5 import UNREADABLE
+
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     try:
-        text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        if path.suffix in (".h5", ".hdf5"):
+            text = _scene_of_run(path)
+        else:
+            with path.open("rb") as file:
+                content = file.read(MOST_TEXT + 1)
+            if len(content) > MOST_TEXT:
+                raise FileError(f"scene file {path} is longer than {MOST_TEXT:,} bytes; that is the most that is read")
+            text = content.decode()
+    except UNREADABLE as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
     return parse_toml(text, path)
 
@@ -291,7 +305,10 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     else:
         import tomli as tomllib
     try:
+        if _is_deep(text):  # deeper ones would spend Python's stack
+            raise ValueError("its brackets do not close")
         values = tomllib.loads(text)
+        _refuse_unwritable(values)
     except (ValueError, RecursionError) as error:  # too many digits or brackets too
         raise FileError(f"scene file {path} is not valid TOML: {error}") from None
     if path is None:
@@ -304,12 +321,27 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     return values
 
 
+def _is_deep(text: str) -> bool:
+    if text.count("[") + text.count("{") <= 5 * MOST_NESTED:
+        return False
+    return max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED
+
+
+def _refuse_unwritable(value: Any, depth: int = 0) -> None:
+    """ValueError for numbers and nests that TOML can hold but nobody can write down again."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        raise ValueError("whole numbers are limited to 64 bits")
+    if depth > MOST_NESTED:
+        raise ValueError(f"lists and tables are nested more than {MOST_NESTED} deep")
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _refuse_unwritable(part, depth + 1)
+
+
 def _scene_of_run(path: Path) -> str:
-    import h5py
-
     from taichi_bearings.checksums import check
+    from taichi_bearings.hdf5 import open_hdf5
 
-    with h5py.File(path, "r") as file:
+    with open_hdf5(path) as file:
         check(path, file)
         if "scene" not in file.attrs:
             raise FileError(f"{path} holds no scene; it was not written by `bearings run`")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.hdf5 import look_through
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
@@ -25,6 +26,9 @@ def verify(path: Path) -> dict[str, Any]:
     """
     began = time.perf_counter()
     with stage("reading"):
+        file = path / "run.h5" if path.is_dir() else path
+        if file.is_file():
+            look_through(file)
         run = read_stored_run(path)
     with stage("proving"):
         report = as_report(verdict_of(run), run.samples.count)

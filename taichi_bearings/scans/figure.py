@@ -284,7 +284,7 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     a, b = request.collapse or (0.0, 0.0)
     used = {request.x, *request.parts, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
-    over = [key for key in scan.scanned if key not in used and len(groups(columns, [key])) > 1]
+    over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
     census = Census.of(_reasons(columns, request).tolist())
     number = sum(point.number for point in points)
     alike = f", {number:,} independent" if number < census.used else ""

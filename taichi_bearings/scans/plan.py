@@ -159,7 +159,10 @@ def _override(text: str, document: dict[str, Any], single: dict[str, Any], table
 
 def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
     wishes, table = Wishes.taken_from(document), settings_table()
-    axes = [_zip({key: given}) for key, given in single.items()] + [_zip(table) for table in tables]
+    axes, number = [], 1
+    for part in [*({key: given} for key, given in single.items()), *tables]:
+        axes.append(_zip(part, MOST_SAMPLES // number))
+        number *= len(axes[-1][1])
     scanned = tuple(key for keys, _ in axes for key in keys)
     for key in scanned:
         if key in table and table[key].not_scanned:
@@ -169,9 +172,6 @@ def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: 
     for key in ("replicas", "checkpoint_every"):
         if key in document:
             raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
-    number = math.prod(len(values) for _, values in axes)
-    if number > MOST_SAMPLES:
-        raise InputError(f"the scan has {number:,} samples; at most {MOST_SAMPLES:,} are allowed")
     samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
     return ScanPlan(scanned, samples, _text(document, single, tables), wishes)
 
@@ -201,9 +201,9 @@ def _samples(
         yield Sample(key, settings, point)
 
 
-def _zip(table: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Keys that advance together, as one axis: their names, and their values at each of its points."""
-    columns = {key: _values(key, given) for key, given in table.items()}
+def _zip(table: Mapping[str, Any], most: int) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+    """Keys that advance together, as one axis: their names, and their values at each of its points, `most` of them."""
+    columns = {key: _values(key, given, most) for key, given in table.items()}
     lengths = {key: len(values) for key, values in columns.items()}
     if len(set(lengths.values())) > 1:
         words = ", ".join(f"{key} has {length}" for key, length in lengths.items())
@@ -211,16 +211,18 @@ def _zip(table: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[Any, ...
     return tuple(columns), list(zip(*columns.values(), strict=True))
 
 
-def _values(key: str, given: Any) -> list[Any]:
+def _values(key: str, given: Any, most: int) -> list[Any]:
     """The values of one scanned key."""
-    values = _range(key, given) if isinstance(given, Mapping) else given
+    values = _range(key, given, most) if isinstance(given, Mapping) else given
+    if isinstance(values, list) and len(values) > most:
+        raise _too_many(key, len(values))
     if not isinstance(values, list) or not values:
         raise InputError(f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}")
     return values
 
 
-def _range(key: str, table: Mapping[str, Any]) -> list[Any]:
-    """A range written as a table. Whole numbers stay whole."""
+def _range(key: str, table: Mapping[str, Any], most: int) -> list[Any]:
+    """A range written as a table. Whole numbers stay whole. No list of more than `most` is made."""
     form = {"start", "stop", "number", "spacing"} if "number" in table else {"start", "stop", "step"}
     bad = InputError(f"{key} in [scan] is {toml_value(table)}; a range is {RANGES}")
     if not {"start", "stop"} <= set(table) <= form:
@@ -229,20 +231,23 @@ def _range(key: str, table: Mapping[str, Any]) -> list[Any]:
     if any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in (start, stop, step)):
         raise bad
     if "number" in table:
-        return _spaced(table, bad)
-    count = math.ceil((stop - start) / step - 1e-9) if step else 0
-    if count < 1:
+        return _spaced(key, table, bad, most)
+    steps = (stop - start) / step if step else 0.0
+    count = math.ceil(steps - 1e-9) if abs(steps) < math.inf else math.inf
+    if count < 1 or not steps > 0:
         raise InputError(f"{key} in [scan] is {toml_value(table)}, which is empty; stop is excluded")
-    if count > MOST_SAMPLES:
-        raise InputError(f"{key} in [scan] has {count:,} values; at most {MOST_SAMPLES:,} samples are allowed")
-    return [start + i * step for i in range(count)]
+    if count > most:
+        raise _too_many(key, count)
+    return [start + i * step for i in range(int(count))]
 
 
-def _spaced(table: Mapping[str, Any], bad: InputError) -> list[Any]:
+def _spaced(key: str, table: Mapping[str, Any], bad: InputError, most: int) -> list[Any]:
     """``number`` values from start to stop, both included, evenly spaced in themselves or in their logarithm."""
     start, stop, number, spacing = table["start"], table["stop"], table["number"], table.get("spacing", "linear")
-    if isinstance(number, bool) or not isinstance(number, int) or not 2 <= number <= MOST_SAMPLES:
+    if isinstance(number, bool) or not isinstance(number, int) or number < 2:
         raise bad
+    if number > most:
+        raise _too_many(key, number)
     if spacing not in ("linear", "log") or (spacing == "log" and min(start, stop) <= 0) or start == stop:
         raise bad
     shares = [i / (number - 1) for i in range(number)]
@@ -251,6 +256,12 @@ def _spaced(table: Mapping[str, Any], bad: InputError) -> list[Any]:
     else:
         between = [start * (stop / start) ** share for share in shares]
     return [start, *between[1:-1], stop]
+
+
+def _too_many(key: str, count: float) -> InputError:
+    return InputError(
+        f"{key} in [scan] has {count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
+    )
 
 
 def sample_key(settings: RunSettings) -> str:
@@ -273,6 +284,8 @@ def sample_key(settings: RunSettings) -> str:
 def _content(name: str) -> str:
     """Hash of a file's content; of a run directory, of its run.h5."""
     path, digest = Path(name) / "run.h5" if Path(name).is_dir() else Path(name), hashlib.sha256()
+    if not path.is_file():
+        raise FileError(f"{name} does not exist or is not a file")
     try:
         with path.open("rb") as file:
             for piece in iter(lambda: file.read(2**20), b""):

@@ -15,7 +15,7 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan, write_scan_csv
 from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
-from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import read_run_file
@@ -221,6 +221,7 @@ def scan(
     with writable_folder(folder, name):
         journals = journal_bytes(folder) or 0
         missing, records = missing_samples(plan, folder, wanted, part)
+        refuse_link_out(folder / STATES)
         replace_file(folder / "scan.toml", plan.text.encode(), f".{name or 'whole'}.partial")
         if engine is None:
             work = partial(solve_samples, wanted=wanted)

@@ -3,11 +3,9 @@
 import logging
 from pathlib import Path
 
-import h5py
-
-from taichi_bearings.checksums import UNREADABLE
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import SCHEMA, StoredScan, read_scan
+from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of, with_missing
@@ -20,9 +18,9 @@ def is_scan(path: Path) -> bool:
     if path.is_dir():
         return (path / "scan.h5").is_file() or journal_bytes(path) is not None
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             return bool(file.attrs.get("schema") == SCHEMA)
-    except UNREADABLE:
+    except (*UNREADABLE, FileError):
         return False
 
 

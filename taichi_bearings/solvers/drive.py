@@ -133,6 +133,14 @@ def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:
     return Fields(make_layout(scene.replicas, scene.lattice.shape, getattr(method, "block", CPU_BLOCK)), spec)
 
 
+def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:
+    """ValueError for arrays of a checkpoint that cannot be the state of a method, which is `fresh` at the start."""
+    for name, own in fresh.items():
+        found, like = stored[name], np.asarray(own)
+        if found.dtype.kind != like.dtype.kind or (like.dtype.kind == "f" and found.shape != like.shape):
+            raise ValueError(f"{name} has {found.dtype} of shape {found.shape}, not {like.dtype} of {like.shape}")
+
+
 class _Course:
     """The loop of :func:`solve` from the start, or from a checkpoint, to the end."""
 
@@ -153,12 +161,13 @@ class _Course:
         resume = checkpoints.resume if checkpoints else None
         if resume is not None and is_dynamics(method):
             try:
+                _refuse_unlike(resume, method.state())
                 method.restore(resume)
                 self.recorder.restore(resume)
                 self.best.restore(resume)
                 self.began = time.perf_counter() - float(resume["elapsed"])
                 looked = bool(resume["looked"])
-            except (KeyError, ValueError, IndexError, TypeError) as error:
+            except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
                 raise FileError(f"the checkpoint is incomplete or of another scene: {error}") from None
             self.target = method.iteration
             if not looked:
@@ -402,8 +411,11 @@ class _Best:
         return {f"proof_{axis}": force for axis, force in enumerate(self.proof)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        axes = range(self.scene.lattice.dimension)
-        self.proof = tuple(np.array(state[f"proof_{axis}"]) for axis in axes)
+        lattice = self.scene.lattice
+        self.proof = tuple(np.array(state[f"proof_{axis}"], dtype=float) for axis in range(lattice.dimension))
+        for axis, force in enumerate(self.proof):
+            if force.shape[1:] != (self.scene.replicas, *lattice.contact_shape(axis)) or not np.isfinite(force).all():
+                raise ValueError(f"proof_{axis} holds something else than the forces of its contacts")
 
     def _take_proof(self, new: Progress) -> None:
         proof = new.force if new.proof is None else new.proof

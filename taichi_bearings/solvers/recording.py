@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from taichi_bearings.errors import FileError
 from taichi_bearings.scene import Progress, Scene, Snapshots
 
 MOST_TIMES = 1_000_000
@@ -103,6 +104,9 @@ class Recorder:
             for name in ("kinetic", "spring", "injected", "dissipated"):
                 row[f"{name}_energy"] = getattr(energy, name)
             row["energy_residual"] = energy.residual
+        shapes = {name: np.asarray(values[-1]).shape for name, values in self._columns.items()}
+        if shapes and shapes != {name: np.asarray(value).shape for name, value in row.items()}:
+            raise FileError("the checkpoint is damaged or was changed: its history has other columns than this run")
         for name, value in row.items():
             self._columns.setdefault(name, []).append(value)
 
@@ -130,3 +134,13 @@ class Recorder:
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
         self._last_time = float(state["last_time"])
+        lengths = {len(values) for values in self._columns.values()}
+        spins = (
+            self._scene.replicas,
+            *self._scene.lattice.shape,
+            *(() if self._scene.lattice.dimension == 2 else (3,)),
+        )
+        if lengths and (len(lengths) > 1 or 0 in lengths):
+            raise ValueError("history has columns of different lengths, or empty ones")
+        if [np.shape(spin) for spin in self._snapshot_spins] != [spins] * len(self._snapshot_times):
+            raise ValueError(f"snapshots must hold spins of shape {spins}, one for each time")

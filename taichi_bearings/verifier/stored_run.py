@@ -130,8 +130,17 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     )
     names = [*REPORTED, *(["slip_bound"] if "contact/z/slip_bound" in file or "contact/y/slip_bound" in file else [])]
     reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
-    history = {name: np.asarray(values[()]) for name, values in file.get("history", {}).items()}
+    history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
     return StoredRun(path, samples, attributes, settings, reported, history, _changed(file))
+
+
+def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarray:
+    """A column of the history; FileError if it is none."""
+    if stored.dtype.kind not in "fiu" or not (
+        len(stored.shape) == 1 or (len(stored.shape) == 2 and len(stored) == count)
+    ):
+        raise FileError(f"{path} has history/{name} of {stored.dtype} and shape {stored.shape}; it must be numbers")
+    return np.asarray(stored[()])
 
 
 def _changed(file: h5py.File) -> tuple[str, ...] | None:

@@ -10,7 +10,8 @@ from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_journal import Journal, read_journal
 
 SAMPLES = [
-    {"key": f"{number:016x}", "scalars": {"power": number / 3, "name": "ä\n"}, "bins": {}} for number in range(5)
+    {"key": f"{number:016x}", "scalars": {"status": "finished", "power": number / 3, "name": "ä\n"}, "bins": {}}
+    for number in range(5)
 ]
 
 
@@ -66,7 +67,7 @@ def test_a_changed_line_goes_once_the_journal_goes_on(path, caplog):
 
 
 def test_of_two_lines_with_one_key_the_later_counts(path):
-    later = SAMPLES[2] | {"scalars": {"power": 7.0}}
+    later = SAMPLES[2] | {"scalars": {"status": "finished", "power": 7.0}, "bins": {}}
     with Journal(path) as journal:
         journal.append([later])
     assert len(read_journal(path)) == 5

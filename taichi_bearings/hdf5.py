@@ -1,0 +1,182 @@
+"""HDF5 files from anywhere, which are data and nothing else.
+
+The HDF5 library loops for ever, crashes or takes any amount of memory on some damaged files, and Ctrl-C ends none of
+that. So a file is looked through in a process of its own, with limits on its time and memory, before it is opened here.
+"""
+
+import contextlib
+import faulthandler
+import gc
+import math
+import mmap
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import NoReturn
+
+import h5py
+from h5py._objects import phil
+
+from taichi_bearings.errors import FileError
+
+UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
+"""What HDF5 and NumPy raise at damaged files."""
+PACKED, SPARE = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
+ROOM, TIMES = 64 * 2**20, 4  # bytes of memory for looking through a file, and for each byte of it
+SECONDS, PACE = 5.0, 20e6  # processor time for that, and bytes that need another second of it
+FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
+
+
+@contextlib.contextmanager
+def open_hdf5(path: Path) -> Iterator[h5py.File]:
+    """The file, open for reading; FileError if it would do harm. What else HDF5 raises is in UNREADABLE."""
+    look_through(path)
+    with h5py.File(path, "r") as file:
+        yield file
+
+
+def look_through(path: Path) -> None:
+    """FileError if HDF5 would hang or crash on a file, or if that leads out of itself or claims more than it can hold;
+    OSError if it is not there."""
+    found = os.stat(path)
+    reason = _reason_found(os.path.abspath(path), found.st_size, found.st_mtime_ns, found.st_ino)
+    if reason:
+        raise FileError(f"{path} is not read: {reason}")
+
+
+@lru_cache(maxsize=1024)
+def _reason_found(path: str, size: int, *_: int) -> str:
+    """What a child says of a file, or what its end says; empty if the file can be opened."""
+    if sys.platform == "linux":
+        return _asked_of_a_fork(path, size)
+    command, paths = [sys.executable, "-m", __name__, path], os.pathsep.join(sys.path)
+    try:
+        done = subprocess.run(
+            command, capture_output=True, timeout=10 * (SECONDS + size / PACE), env=os.environ | {"PYTHONPATH": paths}
+        )
+    except subprocess.TimeoutExpired:
+        return "it is damaged, HDF5 comes to no end with it"
+    return done.stdout.decode(errors="replace").strip() if done.returncode == 0 else "it is damaged, HDF5 fails at it"
+
+
+def _asked_of_a_fork(path: str, size: int) -> str:
+    reading, writing = os.pipe()
+    with phil, warnings.catch_warnings():  # no other thread is within HDF5 now
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: the child needs none of them
+        child = os.fork()
+    if child == 0:
+        _answer(path, size, writing)
+    os.close(writing)
+    status = None
+    try:
+        with os.fdopen(reading, "rb") as answer:
+            words = answer.read().decode(errors="replace")
+        status = os.waitpid(child, 0)[1]
+    finally:
+        if status is None:  # Ctrl-C
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+    if os.WIFSIGNALED(status):
+        hangs = os.WTERMSIG(status) == signal.SIGPROF
+        return "it is damaged, HDF5 " + ("comes to no end with it" if hangs else "crashes on it")
+    return words
+
+
+def _answer(path: str, size: int, pipe: int) -> NoReturn:
+    """The child's part: say why a file must not be read, within the limits, and end."""
+    import resource
+
+    try:
+        gc.disable()
+        faulthandler.disable()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPROF):
+            signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_PROF, SECONDS + size / PACE)
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        limit = used + ROOM + TIMES * size
+        resource.setrlimit(resource.RLIMIT_AS, (limit if hard < 0 else min(limit, hard), hard))
+        os.write(pipe, reason_against(path, size).encode(errors="replace")[:4000])
+    finally:
+        os._exit(0)
+
+
+def reason_against(path: str, size: int) -> str:
+    """Why a file must not be read, in words; empty if it can be, or if HDF5 itself refuses it."""
+    if _has_endless_heap(path):
+        return "it is damaged, HDF5 comes to no end with it"
+    try:
+        file = h5py.File(path, "r")
+    except UNREADABLE:
+        return ""
+    try:
+        links: list[tuple[bytes, int]] = []
+        file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
+        if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
+            return f"{leads_out[0]} in it is a link to another file; such links are not followed"
+        items: list[tuple[str, h5py.HLObject]] = [("/", file)]
+        file.visititems(lambda name, item: items.append((name, item)))
+        declared = 0
+        for name, item in items:
+            if not isinstance(item, h5py.Dataset):
+                for attribute in list(item.attrs):
+                    with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
+                        item.attrs[attribute]
+            else:
+                if reason := _reason_against_data(item):
+                    return f"{name} in it {reason}"
+                claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
+                declared += claimed
+                if claimed > PACKED * item.id.get_storage_size() + SPARE or declared > PACKED * size + SPARE:
+                    return (
+                        f"{name} in it claims to hold {claimed:,} bytes, more than there can be in its {size:,} bytes"
+                    )
+                if h5py.check_string_dtype(item.dtype):
+                    item[()]
+    except MemoryError:
+        return "it takes more memory than a file of its size can need"
+    except UNREADABLE as error:
+        return f"it is damaged: {' '.join(str(error).split())}"
+    return ""
+
+
+HEAP = b"GCOL\x01\0\0\0"
+
+
+def _has_endless_heap(path: str) -> bool:
+    """True if texts lie in a list with an entry of no length, which HDF5 (2.0 and before) reads over and over."""
+    with open(path, "rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        start = content.find(HEAP)
+        while start >= 0:
+            end = min(start + int.from_bytes(content[start + 8 : start + 16], "little"), len(content))
+            place = start + 16
+            while place + 16 <= end:
+                length = int.from_bytes(content[place + 8 : place + 16], "little")
+                if int.from_bytes(content[place : place + 2], "little") == 0:
+                    if length == 0:
+                        return True
+                    break
+                place += 16 + -(-length // 8) * 8
+            start = content.find(HEAP, start + 8)
+    return False
+
+
+def _reason_against_data(stored: h5py.Dataset) -> str:
+    """What keeps a data set from being read, in words."""
+    if stored.is_virtual or stored.external:
+        return "lies in other files, which are not read"
+    settings = stored.id.get_create_plist()
+    numbers = [settings.get_filter(number)[0] for number in range(settings.get_nfilters())]
+    if strange := [number for number in numbers if number not in FILTERS]:
+        return f"is packed by filter {strange[0]}; {', '.join(FILTERS.values())} are read"
+    return ""
+
+
+if __name__ == "__main__":
+    print(reason_against(sys.argv[1], os.path.getsize(sys.argv[1])))

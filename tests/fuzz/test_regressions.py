@@ -1,0 +1,213 @@
+"""What fuzzing has found, each input once."""
+
+import json
+import os
+import shutil
+import sys
+import zlib
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.fuzz.answers import answer_to
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
+
+
+def refused(*words):
+    answer = answer_to(*words)
+    assert not answer.fault, answer.fault
+    assert answer.code == 2, answer
+    return answer.errors
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "seed = 0x" + "f" * 5000,
+        "seed = " + "9" * 5000,
+        "record = " + "[" * 3000,
+        "record = " + "[" * 90 + "]" * 90,
+        "initial = 1979-05-27",
+        "initial = 1979-05-27T07:32:00Z",
+        "coefficients = 07:32:00",
+        "out = 3",
+        'distribution = "\\u0007\\u001b[2J"',
+        "shape = [4, nan]",
+        "shape = [1e400, 4]",
+        "force = 1",
+        "force = true",
+    ],
+    ids=lambda line: line[:30],
+)
+def test_scene_files(tmp_path, line):
+    (tmp_path / "scene.toml").write_text(f"{line}\n")
+    refused("run", tmp_path / "scene.toml", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "seed = { start = -1e308, stop = 1e308, step = 1e-308 }",
+        "seed = { start = 0, stop = 9223372036854775807 }",
+        "seed = { start = 0, stop = 0x" + "f" * 5000 + " }",
+        "seed = { start = 0, stop = 3, step = -1 }",
+        "\n".join(
+            f"{key} = {{ start = 0, stop = 100000 }}" for key in ("seed", "iterations", "spin_top", "spin_bottom")
+        ),
+        "seed = " + "[" * 90 + "]" * 90,
+        "[[scan.zip]]\nzip = 3",
+    ],
+    ids=lambda line: line[:40],
+)
+def test_scan_files(tmp_path, line):
+    (tmp_path / "scan.toml").write_text(f"shape = [4, 5]\n[scan]\n{line}\n")
+    refused("scan", tmp_path / "scan.toml", "--dry-run")
+
+
+def test_a_file_that_is_none_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\ncoefficients = ['fifo', '/dev/zero']\n")
+    assert "is not a file" in refused("scan", tmp_path / "scan.toml", "--dry-run")
+    assert "not exist" in refused("run", tmp_path / "fifo")
+    assert "is not a file" in refused("run", "--coefficients", tmp_path / "fifo", "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        ("scalars", "slipping", "failed"),
+        ("scalars", "slipless", 1e308),
+        ("scalars", "undecided", 2**70),
+        ("scalars", "status", 3),
+        ("scalars", "power", []),
+        ("bins", "1000000000000", 1),
+        ("bins", "-99999", 1),
+        ("bins", "a", 1),
+        ("bins", "3", 2**40),
+        ("", "scalars", None),
+        ("", "key", []),
+        ("", "bins", [1]),
+    ],
+)
+def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_path, part, name, value, caplog):
+    shutil.copyfile(corpus.scan / "scan.toml", tmp_path / "scan.toml")
+    first, *others = (corpus.scan / "samples.jsonl").read_bytes().splitlines(keepends=True)
+    record = json.loads(first)["sample"]
+    (record[part] if part else record)[name] = value
+    text = json.dumps(record).encode()
+    changed = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
+    (tmp_path / "samples.jsonl").write_bytes(changed + b"".join(others))
+    answer = answer_to("histogram", tmp_path, "--out", tmp_path / "out", "--json")
+    assert not answer.fault, answer.fault
+    assert answer.code == 0
+    assert "is damaged; its sample counts as missing" in caplog.text
+
+
+@pytest.mark.parametrize(("name", "value"), [("law", "\x1b\n"), ("shape", True), ("law", 3)])
+def test_a_journal_of_another_system_is_refused(corpus, tmp_path, name, value):
+    shutil.copyfile(corpus.scan / "scan.toml", tmp_path / "scan.toml")
+    first, *others = (corpus.scan / "samples.jsonl").read_bytes().splitlines(keepends=True)
+    record = json.loads(first)["sample"]
+    record["scalars"][name] = value
+    text = json.dumps(record).encode()
+    changed = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
+    (tmp_path / "samples.jsonl").write_bytes(changed + b"".join(others))
+    assert f"column {name}" in refused("plot", "scan", tmp_path, "--y", "power", "--x", "L")
+
+
+def unsealed(file):
+    file.attrs.pop("sha256", None)
+    return file
+
+
+@pytest.mark.parametrize("scanned", [["."], ["seed", "nowhere"]])
+def test_a_scan_without_its_columns(corpus, tmp_path, scanned):
+    shutil.copyfile(corpus.scan / "scan.h5", tmp_path / "scan.h5")
+    with h5py.File(tmp_path / "scan.h5", "r+") as file:
+        unsealed(file).attrs["scanned"] = scanned
+    answer = answer_to("plot", "scan", tmp_path, "--y", "gap", "--x", "L", "--bars", "quartiles")
+    assert not answer.fault, answer.fault
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("snapshots/spin", np.zeros((2, 4))),
+        ("snapshots/time", np.zeros(7)),
+        ("history/power", np.zeros(3)),
+        ("history/nothing", np.zeros((1, 1))),
+        ("spin", np.zeros((1, 1, 3, 4), dtype=int)),
+        ("force_0", np.zeros((1, 1, 2, 2))),
+        ("proof_1", np.zeros(3)),
+        ("times", np.zeros(2)),
+        ("elapsed", np.zeros(2)),
+    ],
+)
+def test_checkpoints_of_something_else(corpus, tmp_path, name, values):
+    shutil.copyfile(corpus.resumable / "checkpoint.h5", tmp_path / "checkpoint.h5")
+    with h5py.File(tmp_path / "checkpoint.h5", "r+") as file:
+        if name in unsealed(file):
+            del file[name]
+        file[name] = values
+    assert "checkpoint" in refused("run", "--resume", tmp_path, "--time-limit", "1")
+
+
+def test_a_checkpoint_whose_scene_has_none(corpus, tmp_path):
+    shutil.copyfile(corpus.resumable / "checkpoint.h5", tmp_path / "checkpoint.h5")
+    with h5py.File(tmp_path / "checkpoint.h5", "r+") as file:
+        lines = unsealed(file).attrs["scene"].splitlines()
+        file.attrs["scene"] = "\n".join(line for line in lines if not line.startswith("checkpoint"))
+    assert "names no checkpoint_every" in refused("run", "--resume", tmp_path)
+
+
+@pytest.mark.parametrize("header", [b"(", b"{" * 5000, b"[" * 9000, b"\x00" * 50, b"{'shape': (1,)}"])
+def test_headers_of_arrays(tmp_path, header):
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    (tmp_path / "a.npy").write_bytes(content)
+    assert "cannot be read" in refused(
+        "run", "--shape", "4,5", "--initial", tmp_path / "a.npy", "--out", tmp_path / "b"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("contact/x/power", -1.0), ("contact/y/slip", np.nan), ("contact/x/force", np.inf), ("contact/y/state", 57),
+        ("spin", np.inf), ("contact/x/friction", np.nan),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_solve_leaves(corpus, tmp_path, name, value):
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        unsealed(file)[name][1, 1] = value
+    for words in (["analyse"], ["plot", "power"], ["histogram"]):
+        assert "is damaged" in refused(*words, tmp_path, "--out", tmp_path / "out.png")
+
+
+@pytest.mark.parametrize(
+    "name", ["contact/x/power", "contact/y/state", "coefficient/y", "spin", "history/power", "history"]
+)
+@pytest.mark.parametrize("change", ["group", "empty", "shape", "kind", "lost", "cycle"])
+def test_things_of_a_run_that_are_something_else(corpus, tmp_path, name, change):
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        values = unsealed(file)[name][()] if name != "history" else np.zeros((2, 3))
+        del file[name]
+        if change == "group":
+            file.create_group(name)
+        elif change == "cycle":
+            file[name] = h5py.SoftLink("/")
+        elif change != "lost":
+            made = {"empty": h5py.Empty("f8"), "shape": values[None, :-1], "kind": np.full(values.shape, b"text")}
+            file[name] = made[change]
+    for words in (["verify"], ["analyse", "--out", tmp_path / "out"], ["plot", "history", "--out", tmp_path / "a.png"]):
+        answer = (
+            answer_to(words[0], *words[1:2], tmp_path, *words[2:])
+            if words[0] == "plot"
+            else answer_to(words[0], tmp_path, *words[1:])
+        )
+        assert not answer.fault, answer.fault
+        assert answer.code == 2 or words[0] == "verify"
