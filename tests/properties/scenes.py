@@ -34,6 +34,7 @@ SPREADS = {  # of coefficients, from 1 over `contrast` to 1, about
     "bimodal": lambda rng, contrast, shape: np.where(rng.random(shape) < 0.5, 1.0, 1.0 / contrast),
     "power-law": lambda rng, contrast, shape: contrast ** rng.uniform(-1.0, 0.0, shape),
 }
+ABSENT = (0.0, 0.0, 0.0, 0.1, 0.5)  # shares of contacts that are not there
 THOROUGH, QUICK = 1000, 0.4  # cases from which a profile is thorough; share of those of the others
 seeds = st.integers(0, 2**32 - 1)
 
@@ -67,7 +68,7 @@ def scenes(
     lattice = Lattice(draw(st.sampled_from(shapes)), draw(decades(scale)))
     force, speed = draw(decades(scale)), draw(decades(scale))
     top, bottom = (speed * spin for spin in draw(st.sampled_from(DRIVINGS)))
-    given = {"coefficients": draw(coefficients(lattice, count, contrast))}
+    given, absent = {"coefficients": draw(coefficients(lattice, count, contrast))}, draw(st.sampled_from(ABSENT))
     if law != "viscous":
         given["normal_force"] = force
     if law == "coulomb-viscous":  # friction and viscosity alike, or one of them as good as absent
@@ -76,6 +77,10 @@ def scenes(
         given["viscosity"] = draw(coefficients(lattice, count, contrast, unit))
     if lattice.dimension == 3:
         given["direction"] = draw(st.sampled_from(directions))
+    if absent:
+        there = _present(lattice, count, absent, draw(seeds))
+        for name in given.keys() & {"coefficients", "viscosity"}:
+            given[name] = tuple(values * held for values, held in zip(given[name], there, strict=True))
     return Scene(
         law=law,
         spin_top=top,
@@ -84,6 +89,14 @@ def scenes(
         seeds=tuple(range(count)),
         **given,
     )
+
+
+def _present(lattice, replicas, absent, seed):
+    """1 for contacts that are there, else 0, of every axis; the first one along the height is."""
+    rng = np.random.default_rng(seed)
+    found = [rng.random((replicas, *lattice.contact_shape(axis))) >= absent for axis in range(lattice.dimension)]
+    found[-1][(slice(None), *(0,) * lattice.dimension)] = True
+    return [part.astype(float) for part in found]
 
 
 def changed(scene, function, **changes):

@@ -90,7 +90,7 @@ def test_gears_method_has_its_order_against_the_matrix_exponential(scene, order)
     errors = []
     for steps in (64, 128):
         options = CundallStrack(gear_order=order, inertia=inertia, time_step=1 / steps)
-        answer = solve(scene, options.build(), bearing_of_the_bottom(scene), StopRule(1e-14, steps))
+        answer = solve(scene, options.build(), bearing_of_the_bottom(scene), StopRule(1e-14, steps, duration=1.0))
         assert answer.iterations == steps
         errors.append(np.abs(relative_spins(scene, answer.spin, motion.free) - exact * np.sign(jump)).max())
     rounding = 1e-14 * (1 + abs(scene.spin_bottom / jump))  # of laboratory spins beside the jump

@@ -20,7 +20,7 @@ from tests.verifier.laboratory import Laboratory
 
 EXACT = Fraction(1, 10**60)  # relative: what 80 digits lose on the way
 BOTTOM, TOP = "bottom", "top"
-NEVER, ALWAYS, SOMETIMES, DRIVEN = range(4)  # slips so at the minima; also the numbers of the states of a contact
+NEVER, ALWAYS, SOMETIMES, DRIVEN = range(4)  # slips so at the minima, or takes no part; also the numbers of states
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Enclosure:
 
 def least(scene):
     """Enclosure of the least objective of a scene of one sample; the tightest there is."""
-    if scene.law.name == "viscous":
+    if scene.law.name == "viscous" and all((values > 0).all() for values in scene.coefficient):
         driving = (scene.lattice.radius, scene.spin_top, scene.spin_bottom, scene.direction)
         power = least_viscous_power([c[0] for c in scene.coefficient], *driving)
         return Enclosure(_exactly(power.lower()), _exactly(power.upper()))
@@ -86,6 +86,8 @@ def cut(scene):
             continue
         ends = [BOTTOM if s[-1] == 0 else TOP if s[-1] == shape[-1] - 1 else s for s in (lower, upper)]
         capacity = int(exact[axis, lower] * unit)
+        if not capacity:
+            continue
         contacts.append((axis, lower, *ends))
         for a, b in (ends, ends[::-1]):
             known = graph.edges[a, b]["capacity"] if graph.has_edge(a, b) else 0
@@ -103,7 +105,7 @@ def _states(scene, flow, contacts):
     part = {site: number for number, group in enumerate(networkx.strongly_connected_components(rest)) for site in group}
     states = [np.full(scene.lattice.contact_shape(axis), NEVER) for axis in range(scene.lattice.dimension)]
     for axis, state in enumerate(states):
-        state[scene.lattice.between_driven(axis)] = DRIVEN
+        state[scene.lattice.between_driven(axis) | (scene.coefficient[axis][0] == 0)] = DRIVEN
     for axis, lower, *ends in contacts:
         a, b = ends
         if (a in below and b in above) or (b in below and a in above):
@@ -134,7 +136,8 @@ def kinematics(scene):
     direction = direction / np.abs(direction).max()
     direction = direction / np.linalg.norm(direction)
     free = {site: n for n, site in enumerate(s for s in np.ndindex(shape) if not is_driven(s, shape))}
-    acting = [c for c in neighbours(shape) if not (is_driven(c[0], shape) and is_driven(c[1], shape))]
+    there = ((c, scene.coefficient[c[2]][0][c[0]] > 0) for c in neighbours(shape))
+    acting = [c for c, held in there if held and not (is_driven(c[0], shape) and is_driven(c[1], shape))]
     turning, fixed = sparse.lil_matrix((3 * len(acting), 3 * len(free))), np.zeros(3 * len(acting))
     for row, (lower, upper, axis) in enumerate(acting):
         turn = -np.cross(np.eye(3), np.eye(3)[axis]).T  # of a spin: -w x n

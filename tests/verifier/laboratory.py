@@ -50,12 +50,13 @@ class Laboratory:
 
     def contacts(self):
         """(lower site, upper site, direction, friction that it bears, viscosity, force on the upper sphere) of those
-        that can slip."""
+        that can slip and are not absent, which bear no force."""
         for axis, coefficient in enumerate(self.samples.coefficient):
             n = tuple(Decimal(int(k == axis)) for k in range(3))
             for lower in np.ndindex(*coefficient.shape[1:]):
                 upper = tuple(x + (k == axis) for k, x in enumerate(lower))
-                if self.is_driven(lower) and self.is_driven(upper):
+                absent = coefficient[(self.number, *lower)] == 0
+                if absent or (self.is_driven(lower) and self.is_driven(upper)):
                     continue
                 force = exactly(self.samples.friction[axis][(self.number, *lower)])
                 if self.flat:
