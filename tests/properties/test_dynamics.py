@@ -1,10 +1,13 @@
 """What a course in time obeys: books that close, powers that fall, an order in the step, and bits that can go on."""
 
+import pickle
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
@@ -122,3 +125,26 @@ def test_energy_books_of_springs_close_as_the_step_falls(scene, stiffness, dampi
         history = course(scene, options, round(100 / share)).history
         missing.append(float(np.abs(history["energy_residual"][-1]).max()))
     assert missing[1] < max(missing[0] / 4, 1e-9)
+
+
+DRAWN = """
+import hashlib, pickle, sys
+from taichi_bearings import runtime
+runtime.start("cpu", "f64", int(sys.argv[1]))
+import taichi_bearings.fields.fields as fields
+fields.LEAST_SHARE = 1  # as many workers as there are threads, however small the scene
+from tests.properties.answers import answer_of, methods_of
+for scene in pickle.loads(sys.stdin.buffer.read()):
+    for method in methods_of(scene):
+        print(method, hashlib.sha256(answer_of(scene, method).spin.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.thorough
+@settings(max_examples=2, phases=(Phase.generate,))
+@given(st.lists(scenes(replicas=(1, 3)), min_size=20, max_size=40))
+def test_threads_change_no_bit(drawn):
+    words, given = [sys.executable, "-c", DRAWN], pickle.dumps(drawn)
+    one, two = (subprocess.run([*words, str(n)], input=given, capture_output=True, check=True).stdout for n in (1, 2))
+    assert one.count(b"\n") >= 3 * len(drawn)
+    assert one == two

@@ -157,6 +157,8 @@ def test_the_power_of_any_spins_has_the_symmetries(scene, seed):
     axes = (0, 1, 2)
     spin = np.random.default_rng(seed).standard_normal((3, 1, *scene.lattice.shape)) * scene.jump
     power = scene.power(spin, axes)[0]
+    if scene.law.minimises == "power":
+        assert scene.power(2 * spin, axes)[0] == 2**scene.law.share * power
     assert flipped(0)(scene).power(np.flip(spin, 2), axes)[0] == pytest.approx(power, rel=1e-13)
     swapped = with_axes_exchanged(scene).power(spin[[1, 0, 2]].swapaxes(2, 3), axes)[0]
     assert swapped == pytest.approx(power, rel=1e-13)

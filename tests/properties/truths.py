@@ -15,9 +15,10 @@ from scipy import sparse
 
 from taichi_bearings.verifier.samples import Samples
 from tests.kernels.twins import is_driven, neighbours
-from tests.truth.extended_precision import least_viscous_power
+from tests.truth import oracle_or_skip
 from tests.verifier.laboratory import Laboratory
 
+ORACLE = oracle_or_skip()
 EXACT = Fraction(1, 10**60)  # relative: what 80 digits lose on the way
 BOTTOM, TOP = "bottom", "top"
 NEVER, ALWAYS, SOMETIMES, DRIVEN = range(4)  # slips so at the minima, or takes no part; also the numbers of states
@@ -35,7 +36,7 @@ def least(scene):
     """Enclosure of the least objective of a scene of one sample; the tightest there is."""
     if scene.law.name == "viscous" and all((values > 0).all() for values in scene.coefficient):
         driving = (scene.lattice.radius, scene.spin_top, scene.spin_bottom, scene.direction)
-        power = least_viscous_power([c[0] for c in scene.coefficient], *driving)
+        power = ORACLE.least_viscous_power([c[0] for c in scene.coefficient], *driving)
         return Enclosure(_exactly(power.lower()), _exactly(power.upper()))
     if scene.law.name == "coulomb" and len(turned(scene)) == 1:
         weight, _ = cut(scene)
