@@ -19,7 +19,7 @@ from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.runs import settings as keys
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.array_files import read_coefficients, short_name
+from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.solvers import METHODS
 from tests.api.test_front_door import public, same
 from tests.properties.answers import LIMITS
@@ -111,19 +111,27 @@ def test_settings_survive_their_text(data):
     assert again.to_toml() == settings.to_toml()
 
 
+NAMES = {"coefficient": "{}", "viscosity": "{}_viscosity"}  # of the arrays along an axis, in npz files
+
+
+def short_names(scene):
+    return {
+        NAMES[kind].format(a): v
+        for kind, of in scene.named_coefficients.items()
+        for a, v in zip("xyz", of, strict=False)
+    }
+
+
 @cases()
 @given(scenes(replicas=(1, 2)))
 def test_coefficients_survive_their_file(scene):
     with folder() as place:
-        arrays = {
-            f"{kind}/{a}": v for kind, of in scene.named_coefficients.items() for a, v in zip("xyz", of, strict=False)
-        }
-        np.savez(place / "short.npz", **{short_name(name): values for name, values in arrays.items()})
-        np.savez(place / "long.npz", **arrays)
-        with h5py.File(place / "c.h5", "w") as file:
-            for name, values in arrays.items():
-                file[name] = values
-        for file in ("short.npz", "long.npz", "c.h5"):
+        np.savez(place / "short.npz", **short_names(scene))
+        with h5py.File(place / "long.h5", "w") as file:
+            for kind, arrays in scene.named_coefficients.items():
+                for axis, values in zip("xyz", arrays, strict=False):
+                    file[f"{kind}/{axis}"] = values
+        for file in ("short.npz", "long.h5"):
             for kind, values in scene.named_coefficients.items():
                 assert same(read_coefficients(place / file, scene.lattice.dimension, kind), values)
 
@@ -153,12 +161,7 @@ def test_the_command_line_the_scene_in_arrays_and_the_scene_in_a_file_are_one(sc
     """The same bits, whichever door a scene comes in by."""
     answer = tb.solve(scene, tolerance=1e-9, threads=1)
     with folder() as place:
-        arrays = {
-            f"{kind}/{a}": v[0]
-            for kind, of in scene.named_coefficients.items()
-            for a, v in zip("xyz", of, strict=False)
-        }
-        np.savez(place / "c.npz", **{short_name(name): values for name, values in arrays.items()})
+        np.savez(place / "c.npz", **{name: values[0] for name, values in short_names(scene).items()})
         words = {name: getattr(scene, name) for name in Scene.PARAMETERS if name != "normal_force" or scene.law.holds}
         words |= {"law": scene.law, "shape": scene.lattice.shape, "coefficients": place / "c.npz", "out": place / "run"}
         words |= {"tolerance": 1e-9, "threads": 1, "figures": "none"}
