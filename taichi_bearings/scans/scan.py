@@ -377,6 +377,7 @@ class _Course:
             "solved_now": self.progress.done - self.progress.before,
             "reached": sum(status in REACHED for status in statuses),
             "failed": len(failed),
+            "warned": sum("warnings" in self.records[key]["scalars"] for key in solved),
             "missing": len(self.plan.samples) - len(statuses),
             "lacking": lacking,
             "unanalysed": len(solved) - analysed if analysed else 0,

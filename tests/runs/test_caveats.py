@@ -11,6 +11,8 @@ from taichi_bearings.runs.caveats import caveats
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import Runtime
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.sample import Wanted, solve_samples
 from taichi_bearings.scene import Status
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -117,3 +119,12 @@ def test_answers_in_python_have_their_warnings_too():
     answer = tb.solve(scene, threads=1)
     assert any("tie exactly" in sentence for sentence in answer.warnings)
     assert tb.solve(tb.Scene.random((4, 5)), threads=1).warnings == []
+
+
+def test_a_scan_has_them_as_text_where_there_are_any(tmp_path):
+    file = tmp_path / "scan.toml"
+    file.write_text('shape = [4, 5]\n[scan]\ndistribution = ["constant:1", "uniform:0.1,1.0"]\n')
+    tied, other = (record["scalars"] for record in solve_samples(read_plan(file).samples, Wanted()))
+    assert "tie exactly" in tied["warnings"]
+    assert f" {tied['tied_contacts']} contacts" in tied["warnings"]
+    assert "warnings" not in other

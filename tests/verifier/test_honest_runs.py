@@ -2,6 +2,7 @@
 
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -10,12 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.runs.run import resume, run
+from taichi_bearings.runs.run import resume, run, write_state
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
-from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.drive import solve, with_forces_of
 from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
@@ -200,3 +201,20 @@ def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):
     scene = make_scene((4, 5), normal_force=1e-80)
     answer = solve(scene, PlanarCut().build(), initial_spin(scene, "linear"))
     assert (answer.lower_bound[0], answer.status.value, answer.resolved[0]) == (0.0, "stalled", False)
+
+
+def test_an_answer_with_the_forces_of_another_proves_what_it_says(tmp_path, needs_f64):
+    """As where operator splitting goes on from a stalled answer: spins of the one, friction of the other."""
+    wanted = {"shape": (3, 3, 4), "threads": 1, "replicas": 2, "figures": "none"}
+    rough = RunSettings(method="gradient-descent", iterations=300, **wanted)
+    near = RunSettings(method="interior-point", iterations=9, **wanted)
+    spins, forces = (run(settings, tmp_path / settings.method) for settings in (rough, near))
+    answer = with_forces_of(spins.solution, forces.solution)
+    assert (answer.lower_bound == forces.solution.lower_bound).all()
+    assert (answer.lower_bound > spins.solution.lower_bound).all()
+    assert (answer.gap < spins.solution.gap).all()
+    write_state(tmp_path / "both.h5", replace(spins, solution=answer), rough)
+    assert verify(tmp_path / "both.h5")["contradictions"] == []
+    mixed = replace(spins.solution, lower_bound=answer.lower_bound, gap=answer.gap)
+    write_state(tmp_path / "mixed.h5", replace(spins, solution=mixed), rough)
+    assert not verify(tmp_path / "mixed.h5")["verified"]
