@@ -5,6 +5,7 @@ import io
 import logging
 import os
 import sys
+from typing import Any
 
 import click
 
@@ -35,6 +36,13 @@ class LazyGroup(click.Group):
         if name not in COMMANDS:
             return None
         return importlib.import_module(f"taichi_bearings_cli.{name}").command
+
+    def invoke(self, context: click.Context) -> Any:
+        try:
+            return super().invoke(context)
+        except BrokenPipeError:  # the reader of our output went away, which is no fault
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            context.exit(0)
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -90,9 +98,6 @@ def main() -> None:
     except MemoryError as error:
         click.echo(f"bearings: not enough memory for this scene: {error}", err=True)
         code = 1
-    except BrokenPipeError:  # the reader of our output went away
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
     except OSError as error:
         click.echo(f"bearings: {error}", err=True)
         code = 1

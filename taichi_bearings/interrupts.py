@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from multiprocessing import resource_tracker
 from types import FrameType
 from typing import Any
 
@@ -60,6 +61,20 @@ def awaited() -> Iterator[threading.Event]:
     heard = threading.Event()
     with handled(lambda *_: heard.set()):
         yield heard
+
+
+@contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """Processes that are started inside never hear of Ctrl-C and SIGTERM: this one ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # whose start, before that of the first process, would undo this
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def is_loading(frame: FrameType | None) -> bool:

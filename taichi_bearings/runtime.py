@@ -7,6 +7,7 @@ repeat with the same choice and refuses a different one.
 import contextlib
 import io
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -106,7 +107,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             )
         return _current
     cache = compiler.cache_folder()
-    with contextlib.redirect_stdout(io.StringIO()), compiler.environment():
+    with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():
         ti.init(
             arch=getattr(ti, arch),
             default_fp=getattr(ti, precision),
@@ -116,13 +117,24 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             enable_fallback=False,
             real_matrix_scalarize=arch != "cpu",  # on a CPU, blocks of sites are read and written by SIMD instructions
             debug=debug,
-            log_level=ti.ERROR,
+            log_level=ti.CRITICAL,  # what goes wrong is an exception, too
             offline_cache=cache is not None,
             offline_cache_file_path=str(cache or Path(__file__).parent),  # at its end it makes sure that this is there
         )
     ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
     _current, _owner = wanted, os.getpid()
     return wanted
+
+
+@contextlib.contextmanager
+def _out_of_memory() -> Iterator[None]:
+    """MemoryError for what Taichi says then."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "allocation" not in str(error):
+            raise
+        raise MemoryError(str(error).partition("] ")[2] or str(error)) from None
 
 
 def _what_is_missing(arch: str, precision: str) -> str:

@@ -4,11 +4,14 @@ import multiprocessing
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 
 import numpy as np
 
 from taichi_bearings import runtime
+from taichi_bearings.errors import BearingsError
 from taichi_bearings.fields import Fields, make_layout
+from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.lattice.layout import Layout
@@ -103,8 +106,23 @@ class NumpySweep:
 
 def measure(shape: tuple[int, ...], threads: int) -> list[Throughput]:
     """Rows for `threads` threads, measured in a process of their own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_measure_here, (shape, threads))
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    with unheard_by_children():
+        process = context.Process(target=_measure_and_send, args=(theirs, shape, threads), daemon=True)
+        process.start()
+    theirs.close()
+    try:
+        found: list[Throughput] = ours.recv()
+    except EOFError:
+        raise BearingsError(f"the measurement with {threads} threads ended without a result") from None
+    finally:
+        process.kill()
+    return found
+
+
+def _measure_and_send(pipe: Connection, shape: tuple[int, ...], threads: int) -> None:
+    pipe.send(_measure_here(shape, threads))
 
 
 def _measure_here(shape: tuple[int, ...], threads: int) -> list[Throughput]:

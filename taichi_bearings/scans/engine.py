@@ -24,6 +24,7 @@ from typing import Any, Protocol, TypeVar
 
 from taichi_bearings.errors import BearingsError, WriteError
 from taichi_bearings.files.scan_file import FAILED
+from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.runs.settings import RunSettings
 
 
@@ -192,7 +193,7 @@ class LocalEngine:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
-        with _main_left_out():
+        with _main_left_out(), unheard_by_children():
             process.start()
         theirs.close()
         worker = _Worker(process, ours, device)
@@ -278,7 +279,7 @@ def serve(pipe: Connection, work: Work) -> None:
 
     After an exception the process is not trusted any more: it hands over what it has and ends.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, who ends us
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with contextlib.suppress(OSError):  # if memory runs out, let it be a worker that goes, not the scan
         Path("/proc/self/oom_score_adj").write_text("500")

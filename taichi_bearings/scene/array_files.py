@@ -10,6 +10,8 @@ from taichi_bearings.checksums import check
 from taichi_bearings.errors import FileError
 from taichi_bearings.hdf5 import PACKED, open_hdf5
 
+LAYOUT = 1  # version of run.h5
+
 
 def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
     """The named arrays; in npz ``coefficient/x`` may also be stored as ``x``, ``viscosity/x`` as ``x_viscosity``.
@@ -34,6 +36,9 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
                     for name, member in members.items()
                 }
         with open_hdf5(path) as file:
+            if file.attrs.get("schema_version", LAYOUT) != LAYOUT:
+                found = file.attrs["schema_version"]
+                raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
             check(path, file)
             return {name: file[name][()] for name in names}
     except KeyError:

@@ -15,6 +15,7 @@ from taichi_bearings.errors import FileError
 from taichi_bearings.verifier.samples import LAWS, Samples
 
 AXES = "xyz"
+LAYOUT = 1  # version that is read
 NEEDED = (
     "law",
     "shape",
@@ -84,6 +85,10 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
     if attributes.get("schema") != "taichi_bearings.run":
         raise FileError(f"{path} was not written by taichi_bearings")
+    if attributes.get("schema_version", LAYOUT) != LAYOUT:
+        raise FileError(
+            f"{path} has layout version {attributes['schema_version']}; this program reads version {LAYOUT}"
+        )
     for name in NEEDED:
         if name not in attributes:
             raise FileError(f"{path} lacks the attribute {name!r}; it is damaged or was changed")
