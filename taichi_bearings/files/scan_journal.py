@@ -9,7 +9,7 @@ import json
 import logging
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -33,18 +33,13 @@ def _is_whole(line: bytes) -> bool:
     return line == (HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
-def _sample(line: bytes) -> dict[str, Any] | None:
-    """What a line holds, None if it is not whole or no sample."""
-    try:
-        sample = json.loads(line[HEAD_LENGTH:-2]) if _is_whole(line) else None
-        return sample if _is_sample(sample) else None
-    except (ValueError, RecursionError):
-        return None
+def _has_key(record: Any) -> bool:
+    return isinstance(record, dict) and isinstance(record.get("key"), str)
 
 
-def _is_sample(sample: Any) -> bool:
+def is_sample(sample: Any) -> bool:
     """Key, scalars and bins, of the kinds and sizes that a solve leaves: a number of a bin may ask for no memory."""
-    if not isinstance(sample, dict) or not isinstance(sample.get("key"), str):
+    if not _has_key(sample):
         return False
     scalars, bins = sample.get("scalars"), sample.get("bins")
     if not isinstance(scalars, dict) or not isinstance(scalars.get("status"), str) or not isinstance(bins, dict):
@@ -60,15 +55,25 @@ def _is_sample(sample: Any) -> bool:
     return all(abs(int(name)) < MOST_BINS and type(many) is int and 0 <= many < 2**31 for name, many in bins.items())
 
 
-def read_journal(path: Path) -> dict[str, dict[str, Any]]:
-    """Samples by their key; of several lines with one key the last. Damaged lines are named in a warning."""
+def _record(line: bytes, fits: Callable[[Any], bool]) -> dict[str, Any] | None:
+    """What a line holds, None if it is not whole or does not fit."""
+    try:
+        record = json.loads(line[HEAD_LENGTH:-2]) if _is_whole(line) else None
+        return record if fits(record) else None
+    except (ValueError, RecursionError):
+        return None
+
+
+def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, dict[str, Any]]:
+    """Samples by their key; of several lines with one key the last. Damaged lines, and those with something that is no
+    such sample, are named in a warning."""
     samples: dict[str, dict[str, Any]] = {}
     try:
         lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
     for number, line in enumerate(lines, start=1):
-        sample = _sample(line)
+        sample = _record(line, fits)
         if sample is not None:
             samples[sample["key"]] = sample
         elif line.endswith(b"\n"):

@@ -14,7 +14,7 @@ from typing import Any
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.files.scan_journal import NAME, read_journal
+from taichi_bearings.files.scan_journal import NAME, is_sample, read_journal
 from taichi_bearings.scans.plan import ScanPlan, groups_of
 
 JOURNAL = re.compile(r"part-(\d+)-of-(\d+)\.jsonl")
@@ -90,7 +90,7 @@ def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
     """Records by sample of all journals in a folder; of several a result before a failure, then the fullest."""
     records: dict[str, dict[str, Any]] = {}
     for name in [*(part.journal for part in parts_in(folder)), NAME]:
-        for key, record in read_journal(folder / name).items():
+        for key, record in read_journal(folder / name, is_sample).items():
             if key not in records or _worth(record) >= _worth(records[key]):
                 records[key] = record
     return records

@@ -72,7 +72,8 @@ class Strike:
         run_directory._swap = lambda *names: (sys.audit("swap"), swap(*names))[1]
 
     def hear(self, event, given):
-        if event in CHANGES or (event == "open" and isinstance(given[2], int) and given[2] & WRITES):
+        writes = event == "open" and isinstance(given[2], int) and given[2] & WRITES and given[0] != os.devnull
+        if event in CHANGES or writes:
             self.steps += 1
             if self.steps == self.at:
                 os.kill(os.getpid(), self.what)
