@@ -11,6 +11,7 @@ from taichi_bearings_cli.main import bearings
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.solvers import METHODS
+from taichi_bearings.stress import cells
 from taichi_bearings.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
 from taichi_bearings.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Answer, Judge, Task, solve_tasks
 from taichi_bearings.stress.truth import least
@@ -83,17 +84,24 @@ def test_what_must_be_refused_is_wrong_if_it_is_not(answer):
     assert JUDGE.row(cell, {"crash": "the worker was ended by SIGSEGV"})["outcome"] == CRASH
 
 
+def test_a_cell_beyond_the_memory_is_refused(monkeypatch):
+    monkeypatch.setattr(cells, "MEMORY_SHARE", 1e-9)
+    row = JUDGE.row(CELL, solve_tasks([Task(CELL)])[0])
+    assert row["outcome"] == REFUSED
+    assert "it needs about 0.2 GB, more than" in row["reason"]
+
+
 def test_every_method_law_and_axis_is_tried():
     rows = rows_of(list(ROWS), LAWS)
-    cells = cells_of(rows, list(AXES), 0, False, 1.0)
-    here = {(cell.row.method, cell.row.law, cell.row.dimension) for cell in cells}
+    every = cells_of(rows, list(AXES), 0, False, 1.0)
+    here = {(cell.row.method, cell.row.law, cell.row.dimension) for cell in every}
     assert {method for method, *_ in here} == {"auto", *METHODS}
     for row in rows:
         assert ((row.method, row.law, row.dimension) in here) == (unchanged(row, 0, False) is not None)
-    assert len({cell.key for cell in cells}) == len(cells)
+    assert len({cell.key for cell in every}) == len(every)
     quick = cells_of(rows, list(AXES), 0, True, 1.0)
     assert {cell.axis for cell in quick} == set(AXES)
-    assert {cell.row for cell in quick} == {cell.row for cell in cells}
+    assert {cell.row for cell in quick} == {cell.row for cell in every}
 
 
 @pytest.mark.parametrize("name", [name for name in AXES if name.endswith("-scale")])
