@@ -83,22 +83,30 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result
             stream.reconfigure(errors="backslashreplace")
     try:
-        code = bearings.main(standalone_mode=False)
-    except click.ClickException as error:
-        error.show()
-        code = 2
-    except click.Abort:
-        code = 130
+        code = _exit_code()
     except KeyboardInterrupt:
         click.echo("interrupted", err=True)
         code = 130
+    interrupts.ignored()
+    sys.exit(code)
+
+
+def _exit_code() -> int:
+    """Of the command that the arguments of this process name, once it is done and every error is said."""
+    try:
+        code = bearings.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return 2
+    except click.Abort:
+        return 130
     except BearingsError as error:
         click.echo(f"bearings: {error}", err=True)
-        code = 2
+        return 2
     except MemoryError as error:
         click.echo(f"bearings: not enough memory for this scene: {error}", err=True)
-        code = 1
+        return 1
     except OSError as error:
         click.echo(f"bearings: {error}", err=True)
-        code = 1
-    sys.exit(code if isinstance(code, int) else 0)
+        return 1
+    return code if isinstance(code, int) else 0

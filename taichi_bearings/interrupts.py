@@ -94,6 +94,14 @@ def interrupt(_: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
+def ignored() -> None:
+    """For a process of our own that is about to end."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
 def heard_at_once() -> None:
     """For a process of our own: Ctrl-C, SIGTERM and the alarm of :func:`interrupt` end what is under way."""
     for number in (*SIGNALS, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else [])):

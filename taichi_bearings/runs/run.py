@@ -21,6 +21,7 @@ from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import ContactState, count, separate
 from taichi_bearings.runs.run_directory import (
@@ -95,6 +96,9 @@ def method_options(settings: RunSettings, row: type[MethodOptions]) -> MethodOpt
     """The method with the options that the settings give to it."""
     given = {key: getattr(settings, key) for key in options_of(row)}
     return row(**{key: value for key, value in given.items() if value is not None})
+
+
+ROUGHLY = 3  # up to which factor the memory of a method is known
 
 
 @dataclass(frozen=True)
@@ -174,6 +178,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
         settings = replace(settings, **{key: settings_table()[key].default for key in unused})
     if reason := row.refusal(scene):
         raise InputError(reason)
+    least = row.bytes(scene.lattice.sites) / ROUGHLY
+    refuse_beyond(least, f"{row.name} of {scene.lattice.sites:,} spheres")
     return Job(settings, scene, spin, method_options(settings, row).build())
 
 

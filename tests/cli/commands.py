@@ -46,11 +46,7 @@ def _server():
 
 def _serve():
     """Fork a process for each line of the input, one after the other; its exit code is a line of the output."""
-    for package in ("taichi_bearings", "taichi_bearings_cli"):
-        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            if not module.name.endswith("__main__"):
-                importlib.import_module(module.name)
-    gc.freeze()  # what is shared stays shared
+    import_everything()
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
@@ -58,6 +54,14 @@ def _serve():
             return
         _, status = os.waitpid(child, 0)
         print(os.waitstatus_to_exitcode(status), flush=True)
+
+
+def import_everything():
+    for package in ("taichi_bearings", "taichi_bearings_cli"):
+        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+    gc.freeze()  # what is shared stays shared
 
 
 def _become_bearings(request):

@@ -15,6 +15,7 @@ from taichi_bearings.kernels.assembly import (
     OWN,
     UPDATE,
 )
+from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.numerics.cholesky.fronts import Pattern
 
 MOST_REALS = 2**31 - 1  # the kernel counts in 32 bits
@@ -53,6 +54,7 @@ class Storage:
             size += longest
         if size > MOST_REALS:
             raise MemoryError(f"the factorisation needs {size} numbers; at most {MOST_REALS} can be indexed")
+        refuse_beyond(8 * size, f"the factorisation of {len(pattern.order):,} unknowns")
         columns = []
         for number in np.concatenate(self.members):
             children = fronts[number].children

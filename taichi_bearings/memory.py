@@ -1,0 +1,37 @@
+"""How much memory there is, so that what cannot fit is refused before it is begun and not ended by the system."""
+
+import math
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+CGROUP = Path("/sys/fs/cgroup")
+LITTLE = 1e8  # bytes
+
+
+def free_bytes() -> float:
+    """Memory that this process may still get, bytes; infinite where that is not known."""
+    room = math.inf
+    with suppress(OSError, StopIteration, ValueError):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        room = 1024.0 * int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1])
+    with suppress(OSError, ValueError):  # "max" is no number
+        limit, used = ((CGROUP / name).read_text() for name in ("memory.max", "memory.current"))
+        room = min(room, int(limit) - int(used))
+    if sys.platform != "win32":
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if most != resource.RLIM_INFINITY:
+            with suppress(OSError):
+                pages = int(Path("/proc/self/statm").read_text().split()[0])
+                room = min(room, most - pages * os.sysconf("SC_PAGE_SIZE"))
+    return room
+
+
+def refuse_beyond(needed: float, what: str) -> None:
+    """MemoryError if so many bytes are not there; little is not worth a look."""
+    room = free_bytes() if needed > LITTLE else needed
+    if needed > room:
+        raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(room, 0) / 1e9:.1f} GB are free")

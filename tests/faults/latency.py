@@ -1,0 +1,118 @@
+"""How long commands take to end after Ctrl-C, stage by stage: seconds from the signal to the exit of the process.
+
+Run as ``python -m tests.faults.latency`` for the table of docs/files.md: the longest of some moments in each stage.
+"""
+
+import os
+import signal
+import struct
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+from taichi_bearings_cli import main as command_line
+
+from taichi_bearings import stages
+from tests.cli.commands import import_everything
+
+MOMENTS = (0.0, 0.1, 0.4, 1.0, 3.0, 8.0)  # seconds after a stage has begun
+STAGES = (
+    "reading", "starting Taichi", "compiling", "preparing", "solving", "settling contact states",
+    "proving contact states", "writing", "drawing", "analysing", "drawing figure", "proving",
+)  # fmt: skip
+SMALL = "8x8x8"  # at one moment only
+COMMANDS = {
+    SMALL: "run --shape 8,8,8",
+    "16x16x16": "run --shape 16,16,16",
+    "24x24x24": "run --shape 24,24,24",
+    "32x32x32": "run --shape 32,32,32",
+    "300x300": "run --shape 300,300",
+    "rigid limit, 16x16x16": "run --shape 16,16,16 --method rigid-limit --initial random --duration 1e9",
+    "implicit, 16x16x16": "run --shape 16,16,16 --method implicit-cundall-strack --initial random --duration 1e9",
+    "Cundall-Strack, 32x32x32": "run --shape 32,32,32 --method cundall-strack --duration 1e9",
+    "gradient descent, 32x32x32": "run --shape 32,32,32 --method gradient-descent --tolerance 1e-12",
+    "splitting, 32x32x32": "run --shape 32,32,32 --method operator-splitting --tolerance 1e-12",
+    "analyse 24x24x24": "analyse {}/24x24x24",
+    "verify 24x24x24": "verify {}/24x24x24",
+}
+
+
+def strike_in(stage, after, pipe):
+    """Send this process Ctrl-C so many seconds after a stage of this name has begun, and tell when."""
+    begin = stages.Watch.begin
+
+    def strike():
+        os.write(pipe, struct.pack("d", time.monotonic()))
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def begin_and_strike(watch, new):
+        begin(watch, new)
+        if new.name == stage:
+            stages.Watch.begin = begin
+            timer = threading.Timer(after, strike)
+            timer.daemon = True
+            timer.start()
+
+    stages.Watch.begin = begin_and_strike
+
+
+def seconds_to_exit(words, stage, after):
+    """(seconds, exit code) of a command that is interrupted then; None if it ended before."""
+    ours, theirs = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(ours)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        os.dup2(nothing, 1)
+        sys.argv = ["bearings", *words]
+        strike_in(stage, after, theirs)
+        try:
+            command_line.main()
+        except SystemExit as end:
+            os._exit(end.code or 0)
+        os._exit(99)
+    os.close(theirs)
+    status = os.waitpid(child, 0)[1]
+    ended = time.monotonic()
+    struck = os.read(ours, 8)
+    os.close(ours)
+    return (ended - struct.unpack("d", struck)[0], os.waitstatus_to_exitcode(status)) if struck else None
+
+
+def measure(folder, name):
+    """Stage -> the longest of the seconds where a command is interrupted."""
+    found, moments = {}, (0.02,) if name == SMALL else MOMENTS
+    words = COMMANDS[name].format(folder).split()
+    words += ["--out", f"{folder}/struck", "--force"] if words[0] != "verify" else []
+    for stage in STAGES:
+        for after in moments:
+            took = seconds_to_exit(words, stage, after)
+            if took is None:  # it is over by then, or there is no such stage
+                break
+            found[stage] = max(found.get(stage, 0.0), took[0])
+            assert took[1] in (0, 130), (stage, after, took)
+            print(f"{name:28} {stage:26} {after:4.1f} s after its start: {took[0]:5.2f} s, exit {took[1]}", flush=True)
+    return found
+
+
+def main(folder, names):
+    import_everything()
+    child = os.fork() if any("{}" in COMMANDS[name] for name in names) else -1
+    if child == 0:
+        sys.argv = f"bearings run --shape 24,24,24 --out {folder}/24x24x24 --force".split()
+        try:
+            command_line.main()
+        finally:
+            os._exit(0)
+    if child > 0:
+        os.waitpid(child, 0)
+    rows = [(took, name, stage) for name in names for stage, took in measure(folder, name).items()]
+    for took, name, stage in sorted(rows, reverse=True):
+        print(f"{took:6.2f} s  {name}: {stage}")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as scratch:
+        main(Path(scratch), sys.argv[1:] or list(COMMANDS))
