@@ -26,10 +26,15 @@ from tests.properties.answers import LIMITS
 from tests.properties.scenes import DISCS, SPHERES, cases, scenes
 
 SMALL = (*DISCS[:4], *SPHERES[:4])
+NORMAL = {
+    "allow_nan": False,
+    "allow_infinity": False,
+    "allow_subnormal": False,
+}  # Taichi has its process flush the rest
 SIZES = st.floats(options.LEAST, options.MOST)
 SIGNED = st.one_of(st.just(0.0), SIZES, SIZES.map(lambda size: -size))
 WORDS = st.text(st.characters(codec="utf-8"), min_size=1).filter(lambda text: not text.startswith("/"))
-TIMES = st.lists(st.floats(0, 1e6), min_size=1, max_size=4, unique=True).map(sorted)
+TIMES = st.lists(st.floats(0, 1e6, allow_subnormal=False), min_size=1, max_size=4, unique=True).map(sorted)
 VALUES = {  # what an option of each kind can be
     options.REAL: SIGNED,
     options.POSITIVE: SIZES,
@@ -40,7 +45,7 @@ VALUES = {  # what an option of each kind can be
     options.TEXT: WORDS,
     options.FILE: WORDS,
     keys.SHAPE: st.lists(st.integers(-5, 10**9), min_size=2, max_size=3),
-    keys.VECTOR: st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=3),
+    keys.VECTOR: st.lists(st.floats(**NORMAL), min_size=3, max_size=3),
     keys.TIMES: TIMES,
 }
 OTHERS = {"tolerance": st.floats(1e-300, 1.0), "static_ratio": st.floats(1, 1e9), "gear_order": st.integers(2, 5)}
@@ -136,9 +141,7 @@ def test_coefficients_survive_their_file(scene):
                 assert same(read_coefficients(place / file, scene.lattice.dimension, kind), values)
 
 
-SCALARS = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text()
-)
+SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(**NORMAL), st.text())
 SAMPLES = st.fixed_dictionaries({"key": st.text(), "scalars": st.dictionaries(st.text(), SCALARS, max_size=4)})
 
 
