@@ -141,8 +141,16 @@ def test_coefficients_survive_their_file(scene):
                 assert same(read_coefficients(place / file, scene.lattice.dimension, kind), values)
 
 
-SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(**NORMAL), st.text())
-SAMPLES = st.fixed_dictionaries({"key": st.text(), "scalars": st.dictionaries(st.text(), SCALARS, max_size=4)})
+COUNTS = st.integers(0, 2**31 - 1)
+SCALARS = st.one_of(st.none(), st.booleans(), st.integers(-(2**61), 2**61), st.floats(**NORMAL), st.text())
+OWN = {"status": st.text(), "slipping": st.none() | COUNTS, "power": st.none() | st.floats(**NORMAL)}
+SAMPLES = st.fixed_dictionaries(
+    {
+        "key": st.text(),
+        "scalars": st.builds(dict.__or__, st.dictionaries(st.text(), SCALARS, max_size=3), st.fixed_dictionaries(OWN)),
+        "bins": st.dictionaries(st.integers(-300, 300).map(str), COUNTS, max_size=3),
+    }
+)
 
 
 @cases()
