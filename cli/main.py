@@ -5,7 +5,6 @@ import io
 import logging
 import os
 import sys
-from typing import Any
 
 import click
 
@@ -36,13 +35,6 @@ class LazyGroup(click.Group):
         if name not in COMMANDS:
             return None
         return importlib.import_module(f"taichi_bearings_cli.{name}").command
-
-    def invoke(self, context: click.Context) -> Any:
-        try:
-            return super().invoke(context)
-        except BrokenPipeError:  # the reader of our output went away, which is no fault
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            context.exit(0)
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -106,6 +98,10 @@ def _exit_code() -> int:
     except MemoryError as error:
         click.echo(f"bearings: not enough memory for this scene: {error}", err=True)
         return 1
+    except (BrokenPipeError, SystemExit):  # the reader of our output went away: click makes the latter of that alone
+        sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())
+        return 0
     except OSError as error:
         click.echo(f"bearings: {error}", err=True)
         return 1

@@ -24,6 +24,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import make_folder, refuse_standing
+from taichi_bearings.interrupts import awaited
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path
@@ -216,14 +217,15 @@ def histogram(
     with stage("counting"):
         found = pooled(sources, bins_per_decade, normalise, by)
     make_folder(folder)
-    with stage("writing"):
-        write_table(table, found, by)
-        write_arrays(arrays, found, by)
     with stage("drawing"):
         from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
         from taichi_bearings.plots.style import save
 
-        save(draw_histograms(found, by), figure)
+        drawn = draw_histograms(found, by)
+    with stage("writing"), awaited():  # all three or none
+        write_table(table, found, by)
+        write_arrays(arrays, found, by)
+        save(drawn, figure)
     return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
 
 

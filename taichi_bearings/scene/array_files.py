@@ -26,7 +26,10 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         if path.suffix == ".npy":
             if len(names) > 1:
                 raise FileError(f"{path} holds one array but {', '.join(names)} are needed; use npz or HDF5")
-            return {names[0]: np.array(np.load(path, mmap_mode="r", allow_pickle=False))}  # none longer than its file
+            mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # none longer than its file
+            if mapped.dtype.itemsize == 0:  # and so without limit
+                raise ValueError
+            return {names[0]: np.array(mapped)}
         if path.suffix == ".npz":
             with zipfile.ZipFile(path) as stored:
                 members = {name: f"{name}.npy" for name in names}
@@ -59,7 +62,7 @@ def _member(stored: zipfile.ZipFile, name: str, size: int) -> np.ndarray:
     with stored.open(found) as file:
         header = read.read_array_header_1_0 if read.read_magic(file) == (1, 0) else read.read_array_header_2_0
         shape, _, dtype = header(file)
-        if math.prod(shape) * dtype.itemsize > min(found.file_size, PACKED * size):
+        if dtype.itemsize == 0 or math.prod(shape) * dtype.itemsize > min(found.file_size, PACKED * size):
             raise ValueError
     with stored.open(found) as file:
         return np.asarray(read.read_array(file, allow_pickle=False))

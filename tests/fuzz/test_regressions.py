@@ -1,15 +1,19 @@
 """What fuzzing has found, each input once."""
 
+import io
 import json
 import os
 import shutil
+import subprocess
 import sys
+import zipfile
 import zlib
 
 import h5py
 import numpy as np
 import pytest
 
+from taichi_bearings import runtime
 from tests.fuzz.answers import answer_to
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
@@ -172,6 +176,20 @@ def test_headers_of_arrays(tmp_path, header):
     )
 
 
+@pytest.mark.parametrize("ending", ["npy", "npz"])
+@pytest.mark.parametrize("kind", ["|V0", "|S0", "<U0"])
+def test_numbers_of_no_size_are_without_number(tmp_path, ending, kind):
+    whole = io.BytesIO()
+    np.lib.format.write_array_header_1_0(whole, {"descr": kind, "fortran_order": False, "shape": (10**12,)})
+    file = tmp_path / f"a.{ending}"
+    if ending == "npy":
+        file.write_bytes(whole.getvalue())
+    else:
+        with zipfile.ZipFile(file, "w") as stored:
+            stored.writestr("spin.npy", whole.getvalue())
+    assert "cannot be read" in refused("run", "--shape", "4,5", "--initial", file, "--out", tmp_path / "b")
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -211,3 +229,27 @@ def test_things_of_a_run_that_are_something_else(corpus, tmp_path, name, change)
         )
         assert not answer.fault, answer.fault
         assert answer.code == 2 or words[0] == "verify"
+
+
+def test_an_interrupted_histogram_leaves_nothing(corpus, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("taichi_bearings.plots.histogram.draw_histograms", interrupted)
+    assert answer_to("histogram", corpus.folder / "flat", "--out", tmp_path / "out").code == 130
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize("words", [("info",), ("verify", "flat"), ("histogram", "flat", "--json")])
+def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path, words):
+    command = [sys.executable, "-m", "taichi_bearings_cli", *(corpus.folder / w if w == "flat" else w for w in words)]
+    done = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
+    done.stdout.close()
+    assert done.stderr.read() == ""
+    done.stderr.close()
+    assert done.wait() == 0
+
+
+def test_taichi_without_room_is_a_lack_of_memory():
+    with pytest.raises(MemoryError, match="Virtual memory allocation"), runtime._memory_wanted():
+        raise RuntimeError("[memory_pool.cpp:allocate@62] Virtual memory allocation (1073741824 B) failed.")
