@@ -1,5 +1,7 @@
 """Options shared by commands; those of a run come from the one table in runs/settings.py."""
 
+from functools import lru_cache
+
 import click
 
 from taichi_bearings.options import Option, options_of
@@ -15,7 +17,7 @@ class SettingsCommand(click.Command):
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
-        return [*(_click_option(key, item) for key, item in settings_table().items()), *super().get_params(context)]
+        return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context)]
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         table, groups = settings_table(), {tuple(METHODS): list[tuple[str, str]]()}
@@ -28,6 +30,12 @@ class SettingsCommand(click.Command):
             title = "Options" if owners == tuple(METHODS) else f"Options of {', '.join(owners)}"
             with formatter.section(title):
                 formatter.write_dl(records)
+
+
+@lru_cache(maxsize=8)
+def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
+    """The settings as options, by the names of methods and laws, on which they depend."""
+    return [_click_option(key, item) for key, item in settings_table().items()]
 
 
 def _click_option(key: str, item: Option) -> click.Option:

@@ -69,7 +69,7 @@ def work(root: Path, cases: list[tuple[str, int]], first: int) -> None:
 def watch(root: Path, options: argparse.Namespace, cases: list[tuple[str, int]]) -> Counter:
     """Start workers until all cases are met; the counts by kind and answer."""
     counts: Counter = Counter()
-    first, most = options.first, 0
+    first, most, end = options.first, 0, time.monotonic() + 60 * options.minutes
     while first < len(cases):
         command = [sys.executable, "-m", "tests.fuzz", *sys.argv[1:], "--worker", str(root), "--first", str(first)]
         worker = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -95,8 +95,12 @@ def watch(root: Path, options: argparse.Namespace, cases: list[tuple[str, int]])
                         flush=True,
                     )
                 first = said["done"] + 1
-                if first == len(cases):
+                if first % 1000 == 0:
+                    print(f"{first:,} met", flush=True)
+                if first == len(cases) or time.monotonic() > end:
+                    worker.kill()
                     worker.wait()
+                    first = len(cases)
                     break
     print(f"most memory: {most:,} bytes")
     return counts
@@ -105,6 +109,7 @@ def watch(root: Path, options: argparse.Namespace, cases: list[tuple[str, int]])
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--inputs", type=int, default=100_000)
+    parser.add_argument("--minutes", type=float, default=1e6, help="stop then, with what is met")
     parser.add_argument("--kind", choices=KINDS, action="append")
     parser.add_argument("--case", type=int)
     parser.add_argument("--show", type=int, default=1500, help="letters of a fault that are shown")
