@@ -108,7 +108,7 @@ class Judge:
         of, answer = cell.row, record.get("answer")
         row: dict[str, Any] = {
             "key": cell.key, "axis": cell.axis, "value": cell.label, "method": of.method, "law": of.law,
-            "dimension": of.dimension, "arch": of.arch, "precision": of.precision, "outcome": "", "status": None,
+            "dimension": of.dimension, "arch": of.arch, "precision": of.precision, "outcome": "", "status": "none",
             "error": None, "gap": None, "states_wrong": None, "states_unproven": None, "states_proven": None,
             "objective": None, "truth": None, "unit": cell.case.unit if answer else 1.0, "seconds": None, "reason": "",
         }  # fmt: skip

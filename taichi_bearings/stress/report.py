@@ -28,7 +28,7 @@ class Sweep:
         make_folder(folder)
         self.folder, self.cells, self.judge = folder, list(cells), Judge()
         known = read_journal(folder / "cells.jsonl")
-        self.lines = {cell.key: known[cell.key] for cell in cells if cell.key in known}
+        self.lines: dict[str, Line] = {cell.key: known[cell.key]["scalars"] for cell in cells if cell.key in known}
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
@@ -40,7 +40,7 @@ class Sweep:
                 key = outcome.unit[0].key
                 record = outcome.records[0] if outcome.records else {"crash": outcome.reason}
                 line = self.judge.row(by_key[key], record)
-                journal.append([line])
+                journal.append([{"key": key, "scalars": line, "bins": {}}])
                 self.lines[key] = line
                 if line["outcome"] in (WRONG, CRASH):
                     say(f"{line['outcome']}: {key}: {line['reason']}")

@@ -132,7 +132,8 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     assert any(path.suffix == ".png" for path in tmp_path.iterdir())
     lines = list(read_journal(tmp_path / "cells.jsonl").values())
     with Journal(tmp_path / "cells.jsonl") as journal:
-        journal.append([lines[0] | {"outcome": WRONG, "reason": "it was changed"}])
+        changed = lines[0]["scalars"] | {"outcome": WRONG, "reason": "it was changed"}
+        journal.append([lines[0] | {"scalars": changed}])
     again = sweep(tmp_path)
     assert again.exit_code == 1
     assert f"RED {lines[0]['key']}: it was changed" in again.stdout
