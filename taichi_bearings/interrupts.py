@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from multiprocessing import resource_tracker
 from types import FrameType
 from typing import Any
 
@@ -69,6 +68,8 @@ def unheard_by_children() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    from multiprocessing import resource_tracker  # which --help does not need
+
     resource_tracker.ensure_running()  # whose start, before that of the first process, would undo this
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
