@@ -39,6 +39,14 @@ def minimum(stop=None):
     return solve(SCENE, InteriorPoint().build(), initial_spin(SCENE, "linear"), stop)
 
 
+@pytest.fixture(autouse=True)
+def heard():
+    """SIGINT as Python hears it, though a shell that starts tests in the background would have it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture
 def own_handlers():
     """Those of the command line, for this test."""
