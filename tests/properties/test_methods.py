@@ -57,11 +57,12 @@ def test_methods_agree_within_what_they_prove(scene):
 @cases()
 @given(scenes(("coulomb",), directions=PLANAR), st.sampled_from(("planar-cut", "interior-point", "operator-splitting")))
 def test_states_are_those_of_the_exact_cuts(scene, name):
-    """Planar cuts say it of every contact, other methods where they say that their states are proven."""
+    """Planar cuts say it of every contact unless some are absent, and any method where it calls its states proven."""
+    whole = all((values > 0).all() for values in scene.coefficient)
     answer, (_, truth) = answer_of(scene, name), truths.cut(scene)
     full = scene.lattice.radius * float(truths.jump_of(scene, truths.turned(scene)[0]))
     for states, slips, bounds in zip(truth, answer.state, answer.slip_bound, strict=True):
-        if name == "planar-cut" or answer.resolved[0]:
+        if (name == "planar-cut" and whole) or answer.resolved[0]:
             assert (slips[0] == states).all()
         moving = (states == truths.ALWAYS) | (states == truths.SOMETIMES)
         assert (bounds[0][moving] >= full * (1 - 1e-15)).all()

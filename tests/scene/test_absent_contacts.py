@@ -1,6 +1,7 @@
 """Coefficients of exactly 0: contacts that are absent, spheres that are cut off."""
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
@@ -30,8 +31,14 @@ def draw(shape, law, absent, seed=3):
     return tb.Scene(tuple(arrays), law, viscosity=viscosity)
 
 
-CASES = [(method, law, shape) for method in METHODS for law in ("coulomb", "viscous", "coulomb-viscous")
-         for shape in ((4, 5), (3, 2, 4)) if not METHODS[method].refusal(draw(shape, law, 0.1))]  # fmt: skip
+def can_be_tried(method, law, shape):
+    """The rigid limit takes seconds for a few spheres; its conic steps are those of the interior point."""
+    takes_long = method == "rigid-limit" and law != "viscous"
+    return not takes_long and not METHODS[method].refusal(draw(shape, law, 0.1))
+
+
+SHAPES, LAWS = ((4, 5), (3, 2, 4)), ("coulomb", "viscous", "coulomb-viscous")
+CASES = [case for case in product(METHODS, LAWS, SHAPES) if can_be_tried(*case)]
 
 
 @pytest.mark.parametrize(("method", "law", "shape"), CASES, ids=str)
