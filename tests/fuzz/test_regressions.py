@@ -251,5 +251,5 @@ def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path, words):
 
 
 def test_taichi_without_room_is_a_lack_of_memory():
-    with pytest.raises(MemoryError, match="Virtual memory allocation"), runtime._memory_wanted():
+    with pytest.raises(MemoryError, match="Virtual memory allocation"), runtime._out_of_memory():
         raise RuntimeError("[memory_pool.cpp:allocate@62] Virtual memory allocation (1073741824 B) failed.")
