@@ -4,8 +4,11 @@ Python tells its main thread of a signal between two of its own steps. What may 
 once (`heard_at_once`). What must not be half done looks up where it may end (`look_up`, inside `while_wanted`).
 """
 
+import _thread
+import math
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,6 +17,7 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SOON = 0.02  # seconds
+IMPATIENCE = 5.0  # seconds
 
 
 class GivenUp(KeyboardInterrupt):
@@ -107,3 +111,53 @@ def heard_at_once() -> None:
     """For a process of our own: Ctrl-C, SIGTERM and the alarm of :func:`interrupt` end what is under way."""
     for number in (*SIGNALS, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else [])):
         signal.signal(number, interrupt)
+
+
+class Interrupt:
+    """Hears Ctrl-C or a batch queue's SIGTERM without being torn out of a step.
+
+    A second one ends the process, unless it comes so soon that the step cannot have ended.
+    """
+
+    def __init__(self) -> None:
+        self.heard, self._first, self._at_once, self._too_late = False, 0.0, False, False
+        self._context = handled(self._hear)
+
+    def __enter__(self) -> "Interrupt":
+        self._context.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._context.__exit__(None, None, None)
+
+    @contextmanager
+    def at_once(self, seconds: float = math.inf) -> Iterator[None]:
+        """What is inside ends with GivenUp where it is, by an interrupt or after so many seconds."""
+        timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), self._end)
+        try:
+            if threading.current_thread() is threading.main_thread() and seconds < math.inf:
+                timer.start()
+            self._at_once = True
+            if self.heard or not seconds > 0:
+                raise GivenUp
+            yield
+        finally:
+            self._at_once = False
+            timer.cancel()
+            if timer.ident is not None:
+                timer.join()  # it is too late for the last time
+
+    def _end(self) -> None:
+        self._too_late = True
+        _thread.interrupt_main()
+
+    def _hear(self, _: int, frame: FrameType | None) -> None:
+        if self._too_late:
+            self._too_late = False
+        elif not self.heard:
+            self.heard, self._first = True, time.monotonic()
+        elif time.monotonic() - self._first > IMPATIENCE:
+            raise KeyboardInterrupt
+        if self._at_once and not is_loading(frame):
+            self._at_once = False
+            raise GivenUp

@@ -227,7 +227,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     """Of two answers to one scene, each proven by the best forces of both, the second if it is clearly closer."""
-    from taichi_bearings.solvers.drive import with_forces_of
+    from taichi_bearings.solvers.answer import with_forces_of
 
     answers = with_forces_of(first, second), with_forces_of(second, first)
     gaps = [float(answer.gap.max()) for answer in answers]

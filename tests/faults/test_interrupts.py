@@ -83,7 +83,7 @@ def test_before_the_first_step_there_is_nothing_to_save(monkeypatch):
 
 @pytest.mark.parametrize("what", interrupts.SIGNALS)
 def test_the_proof_of_contact_states_is_given_up(monkeypatch, what):
-    monkeypatch.setattr(drive, "_proven", lambda *_: (strike(what), for_ever()))
+    monkeypatch.setattr(drive, "proven", lambda *_: (strike(what), for_ever()))
     found = minimum()
     assert found.interrupted
     assert found.status is Status.CERTIFIED
@@ -93,7 +93,7 @@ def test_the_proof_of_contact_states_is_given_up(monkeypatch, what):
 
 def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
     minimum()  # compiled
-    monkeypatch.setattr(drive, "_proven", for_ever)
+    monkeypatch.setattr(drive, "proven", for_ever)
     began = time.monotonic()
     found = minimum(StopRule(seconds=1.0))
     assert time.monotonic() - began < 4

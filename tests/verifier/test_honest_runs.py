@@ -16,7 +16,8 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
-from taichi_bearings.solvers.drive import solve, with_forces_of
+from taichi_bearings.solvers.answer import with_forces_of
+from taichi_bearings.solvers.drive import solve
 from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
