@@ -1,5 +1,6 @@
 """Entry point of the console script `bearings`. Commands load what they need only when they run."""
 
+import errno
 import importlib
 import io
 import logging
@@ -103,6 +104,6 @@ def _exit_code() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())
         return 0
     except OSError as error:
-        click.echo(f"bearings: {error}", err=True)
-        return 1
+        click.echo(f"bearings: {BearingsError(str(error))}", err=True)
+        return 2 if error.errno == errno.ENAMETOOLONG else 1  # a name that was given
     return code if isinstance(code, int) else 0

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
+from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
 
 ENERGY_PER_TIME = "energy/time"
@@ -97,6 +98,9 @@ def count_powers(
     return SampleCounts(first, bins_per_decade, anchor, count, *outside)
 
 
+MOST_BINS = 100_000  # more than numbers of any size need
+
+
 def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor: float = 1.0) -> SampleCounts:
     """Counts whose powers are lost, in other bins: powers in multiples of `unit`, (S,), and fewer bins a decade.
 
@@ -112,6 +116,8 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor:
         )
     used = number[fine.count > 0]
     first, bins = int(used.min()), int(np.ptp(used)) + 1
+    if bins > MOST_BINS:
+        raise InputError(f"the powers are {bins / bins_per_decade:.3g} decades apart; no scan has such units")
     count = np.zeros((len(fine.count), bins), dtype=int)
     sample, column = np.nonzero(fine.count)
     np.add.at(count, (sample, number[sample, column] - first), fine.count[sample, column])

@@ -134,6 +134,8 @@ class Recorder:
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
         self._last_time = float(state["last_time"])
+        if any(np.asarray(values).dtype.kind not in "fiu" for values in state.values() if np.ndim(values)):
+            raise ValueError("it holds something else than numbers")
         lengths = {len(values) for values in self._columns.values()}
         spins = (
             self._scene.replicas,

@@ -33,6 +33,8 @@ class Answer:
             return f"{self.grown:,} bytes of memory"
         if "not enough memory" in self.errors:
             return self.errors
+        if self.code == 2 and self.errors.startswith("Usage: ") and "\nError: " in self.errors:  # the user's own words
+            return ""
         lines = [line for line in self.errors.splitlines() if not line.startswith(("Usage: ", "Try ")) and line]
         said = [line for line in lines if line.startswith(("bearings: ", "Error: "))]
         if self.code == 2 and (
@@ -41,8 +43,6 @@ class Answer:
             or any(line.startswith("bearings") and len(line) > 2000 for line in said)
         ):
             return f"no clear sentence: {self.errors!r}"
-        if self.errors.startswith("Usage: "):  # the user's own words
-            return ""
         return "control characters" if re.search(r"[\x00-\x09\x0b-\x1f\x7f]", self.errors) else ""
 
 

@@ -247,3 +247,8 @@ def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path, words):
     assert done.stderr.read() == ""
     done.stderr.close()
     assert done.wait() == 0
+
+
+@pytest.mark.parametrize("words", [(), ("--coefficients",), ("--initial",)])
+def test_names_that_no_file_can_have(tmp_path, words):
+    assert "too long" in refused("run", *words, "9" * 5000, "--shape", "4,5", "--out", tmp_path / "out")
