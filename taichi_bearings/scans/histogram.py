@@ -92,9 +92,10 @@ class Source:
             return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
         if (self.column("law") != "coulomb").any():
             raise InputError("normalise is 'unit', F_n R omega_T, which the viscous law does not know; use 'mean'")
-        unit = self.column("normal_force") * self.column("radius") * np.abs(self.column("spin_top"))
-        if (unit == 0).any():
-            raise InputError("normalise is 'unit', F_n R omega_T, but a top has spin 0; use 'mean'")
+        with np.errstate(over="ignore"):
+            unit = self.column("normal_force") * self.column("radius") * np.abs(self.column("spin_top"))
+        if not ((unit > 0) & (unit < np.inf)).all():
+            raise InputError("normalise is 'unit', F_n R omega_T, but a top has spin 0 or no finite one; use 'mean'")
         return unit
 
     def counts(self, bins_per_decade: int, unit: np.ndarray, anchor: float) -> SampleCounts:
