@@ -82,10 +82,10 @@ def test_a_limit_before_the_duration_is_told_whatever_the_gap():
 def test_an_interrupt_during_the_proof_loses_nothing(monkeypatch):
     def interrupted(*arguments):
         signal.raise_signal(signal.SIGINT)
-        return judged(*arguments)
+        return answered(*arguments)
 
-    judged = drive._judged
-    monkeypatch.setattr(drive, "_judged", interrupted)
+    answered = drive.answered
+    monkeypatch.setattr(drive, "answered", interrupted)
     solution = run(make_scene((3, 4)), stop=StopRule(1e-3))
     assert solution.status is Status.CERTIFIED
 
