@@ -24,8 +24,8 @@ class NewtonMatrix:
         self._map = system.laplacian_map(pattern.entry, len(pattern.row))
         self._diagonal = np.flatnonzero(pattern.row == pattern.column)
 
-    def factorise(self, stiffness: Arrays, inertia: float = 0.0) -> None:
-        """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin.
+    def factorise(self, stiffness: Arrays, inertia: float | np.ndarray = 0.0) -> None:
+        """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin, (unknowns,).
 
         Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by
         as little as helps, and iterative refinement has to mend the rest.
@@ -35,7 +35,8 @@ class NewtonMatrix:
         if self._empty:
             return
         values = self._map @ stacked(stiffness)
-        diagonal = values[self._diagonal] + inertia
+        diagonal = values[self._diagonal]
+        diagonal += inertia if np.isscalar(inertia) else inertia[self._cholesky.pattern.order]
         for shift in SHIFTS:
             values[self._diagonal] = diagonal * (1 + shift)
             try:
@@ -48,12 +49,19 @@ class NewtonMatrix:
         """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)
 
-    def balanced(self, dual: Arrays, stiffness: Arrays, load: np.ndarray | float = 0.0) -> Arrays:
+    def balanced(
+        self,
+        dual: Arrays,
+        stiffness: Arrays,
+        load: np.ndarray | float = 0.0,
+        inertia: float | np.ndarray = 0.0,
+    ) -> Arrays:
         """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
 
-        load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
+        load : torques (unknowns,) that are to stay. inertia : of springs that are to take none.
+        Raises NotPositiveDefinite if the springs do not hold every spin.
         """
-        self.factorise(stiffness)
+        self.factorise(stiffness, inertia)
         for _ in range(REFINEMENTS):  # each from the forces of the last: what a stretch rounds falls with the stretch
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))

@@ -27,7 +27,7 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.motion import Motion, largest_parts
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import bear
+from taichi_bearings.conic.slipless_forces import Borne, bear, nearly_borne
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
 from taichi_bearings.numerics.double_double import Pair
 
@@ -66,11 +66,11 @@ class Resolved:
         return self.dual
 
 
-def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], top: Pair) -> Resolved | None:
+def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMatrix, top: Pair) -> Resolved | None:
     """Spins, forces and contact states at the minimum; None if they cannot be had in double precision.
 
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
-    parts : of its system. top : (C,), imposed on the top, in twice the precision.
+    parts, matrix : of its system. top : (C,), imposed on the top, in twice the precision.
     """
     settled = None
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
@@ -81,7 +81,7 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], top: Pair) -> Res
                 found = None if slipping is None else _minimum(iterate, parts, path, slipping, top)
                 if found is None:
                     break
-                borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
+                borne = _borne(iterate, parts, matrix, found)
                 if borne.dual is not None:
                     settled = replace(found, dual=borne.dual, borne=True)
                 if borne.motion is None:
@@ -96,6 +96,15 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], top: Pair) -> Res
     if settled is None or not -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME:
         return None
     return settled
+
+
+def _borne(iterate: Iterate, parts: list[Part], matrix: NewtonMatrix, found: Resolved) -> Borne:
+    """What slipless contacts do: the forces that they have near the end of the path, nearly, or else whatever it is."""
+    near = where(found.slipping, found.dual, iterate.dual)
+    whole = nearly_borne(iterate.system, matrix, iterate.friction, near, found.slipping)
+    if whole is not None:
+        return Borne(dual=whole)
+    return bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
 
 
 def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath, left: Arrays, top: Pair) -> Resolved | None:

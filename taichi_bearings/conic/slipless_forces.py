@@ -17,11 +17,11 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import balance, newton_step
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, where
+from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.motion import Motion
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.numerics.cholesky import Part
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
 
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
@@ -66,15 +66,38 @@ def bear(system: ContactSystem, parts: list[Part], friction: Arrays, dual: Array
             still = balance(still, matrix)
         if still.unbalanced < BALANCED:
             whole = dual.placed(kept, still.dual)
-            left = np.abs(system.torques(whole))  # also on the spins held
-            surely = slipping | (friction - whole.length() > SURELY * float(left.sum()))
-            if left.max(initial=0.0) < SURELY * BALANCED and surely.all():
+            if _inside(system, friction, whole, slipping):
                 return Borne(dual=whole)
         ratios = point.slip_over_margin
         if ratios.max() > CLEAR or point.complementarity < CLOSE:
             moving = each(np.zeros_like, slipping).placed(kept, ratios > 1)
             return Borne(motion=Motion(np.append(point.spins, 0.0)[number], moving))
     return Borne()
+
+
+@np.errstate(all="ignore")
+def nearly_borne(
+    system: ContactSystem, matrix: NewtonMatrix, friction: Arrays, dual: Arrays, slipping: Arrays
+) -> Arrays | None:
+    """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance.
+
+    Most often that is enough near the end of the central path; None if not. matrix : of the system. The others as for
+    :func:`bear`, the dual of slipless contacts nearly in balance and inside their friction discs.
+    """
+    room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), 0.0))
+    domains = (_held(system, slipping) < 0).astype(float)  # a spring each, that nothing stretches
+    try:
+        whole = matrix.balanced(dual, isotropic(dual, room**2), inertia=domains)
+    except NotPositiveDefinite:
+        return None
+    return whole if _inside(system, friction, whole, slipping) else None
+
+
+def _inside(system: ContactSystem, friction: Arrays, dual: Arrays, slipping: Arrays) -> bool:
+    """Is the dual in balance, and with room in all friction discs of slipless contacts for what is not?"""
+    left = np.abs(system.torques(dual))  # also on spins that are held
+    surely = slipping | (friction - dual.length() > SURELY * float(left.sum()))
+    return left.max(initial=0.0) < SURELY * BALANCED and surely.all()
 
 
 def _free(numbers: np.ndarray) -> np.ndarray:

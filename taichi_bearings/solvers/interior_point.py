@@ -161,7 +161,7 @@ class InteriorPointMethod:
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             with stage("settling contact states"):
-                sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.top)
+                sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
             sample.done |= sample.resolved is not None
 
     def progress(self) -> Progress:
