@@ -35,8 +35,9 @@ class NewtonMatrix:
         if self._empty:
             return
         values = self._map @ stacked(stiffness)
-        diagonal = values[self._diagonal]
-        diagonal += inertia if np.isscalar(inertia) else inertia[self._cholesky.pattern.order]
+        if isinstance(inertia, np.ndarray):
+            inertia = inertia[self._cholesky.pattern.order]
+        diagonal = values[self._diagonal] + inertia
         for shift in SHIFTS:
             values[self._diagonal] = diagonal * (1 + shift)
             try:

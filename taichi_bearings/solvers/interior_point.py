@@ -35,6 +35,7 @@ from taichi_bearings.stages import stage
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
+QUICK, LAST_STEPS = 10_000, 8  # spheres up to which nobody waits for the steps from there to about the end
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
@@ -133,19 +134,21 @@ class InteriorPointMethod:
         return sample
 
     def next_check(self, iteration: int) -> int:
-        """Every second step at first: a look costs a fifth of a step at 10^3."""
+        """Every second step at first: a look costs half a step at 10^3. There the next is once states are settled."""
         far = self.frustrated and max(sample.iterate.gap for sample in self.samples) > FAR
-        return iteration + (2 if far else 1)
+        quick = self.options.settle and self.scene.lattice.sites < QUICK
+        return iteration + (2 if far else LAST_STEPS if quick else 1)
 
     def advance(self, steps: int) -> None:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
-                for sample in self.samples:
-                    if not sample.done:
-                        self._step(sample)
+                tried = [self._step(sample) for sample in self.samples if not sample.done]
                 self.iteration += 1
+                if any(tried) or not tried:
+                    break
 
-    def _step(self, sample: _Sample) -> None:
+    def _step(self, sample: _Sample) -> bool:
+        """One step of a sample; True if that was its last one, or ended in a trial to settle its states."""
         done = True
         with suppress(NotPositiveDefinite), np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
             iterate = newton_step(sample.iterate, self.matrix)
@@ -157,12 +160,16 @@ class InteriorPointMethod:
         gap = sample.iterate.gap
         sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
-            return  # slips of any size are met with a force: there is no set of contacts that rest to be found
+            return (
+                sample.done
+            )  # slips of any size are met with a force: there is no set of contacts that rest to be found
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             with stage("settling contact states"):
                 sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
             sample.done |= sample.resolved is not None
+            return True
+        return sample.done
 
     def progress(self) -> Progress:
         scene = self.scene
