@@ -97,7 +97,7 @@ def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **a
     if path.is_dir():  # the folder of a scan: go on there
         path, folder = path / "scan.toml", folder or path
     _refuse_contradictions(folder, **asked)
-    workers, part = asked["workers"] or 0, asked["part"] and Part.parse(asked["part"])
+    workers, part = asked["workers"] or 0, None if asked["part"] is None else Part.parse(asked["part"])
     plan = read_plan(path, asked["overrides"])
     wishes = Wishes(asked["analyse"], asked["keep_states"], asked["sample_timeout"])
     if dry_run:

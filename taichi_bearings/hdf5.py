@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import h5py
+import numpy as np
 from h5py._objects import phil
 
 from taichi_bearings.errors import FileError
@@ -29,6 +30,7 @@ UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexErr
 PACKED, SPARE = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
 ROOM, TIMES = 64 * 2**20, 4  # bytes of memory for looking through a file, and for each byte of it
 SECONDS, PACE = 5.0, 20e6  # processor time for that, and bytes that need another second of it
+FAILS = "it is damaged, HDF5 fails at it"
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 
 
@@ -61,7 +63,7 @@ def _reason_found(path: str, size: int, *_: int) -> str:
         )
     except subprocess.TimeoutExpired:
         return "it is damaged, HDF5 comes to no end with it"
-    return done.stdout.decode(errors="replace").strip() if done.returncode == 0 else "it is damaged, HDF5 fails at it"
+    return done.stdout.decode(errors="replace").strip() if done.returncode == 0 else FAILS
 
 
 def _asked_of_a_fork(path: str, size: int) -> str:
@@ -84,13 +86,14 @@ def _asked_of_a_fork(path: str, size: int) -> str:
     if os.WIFSIGNALED(status):
         hangs = os.WTERMSIG(status) == signal.SIGPROF
         return "it is damaged, HDF5 " + ("comes to no end with it" if hangs else "crashes on it")
-    return words
+    return words if status == 0 else FAILS
 
 
 def _answer(path: str, size: int, pipe: int) -> NoReturn:
     """The child's part: say why a file must not be read, within the limits, and end."""
     import resource
 
+    failed = 1
     try:
         gc.disable()
         faulthandler.disable()
@@ -103,8 +106,9 @@ def _answer(path: str, size: int, pipe: int) -> NoReturn:
         limit = used + ROOM + TIMES * size
         resource.setrlimit(resource.RLIMIT_AS, (limit if hard < 0 else min(limit, hard), hard))
         os.write(pipe, reason_against(path, size).encode(errors="replace")[:4000])
+        failed = 0
     finally:
-        os._exit(0)
+        os._exit(failed)
 
 
 def reason_against(path: str, size: int) -> str:
@@ -127,7 +131,8 @@ def reason_against(path: str, size: int) -> str:
             if not isinstance(item, h5py.Dataset):
                 for attribute in list(item.attrs):
                     with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
-                        item.attrs[attribute]
+                        if not _is_plain(item.attrs[attribute]):
+                            return f"{attribute} of {name} in it is neither a number nor a text"
             else:
                 if reason := _reason_against_data(item):
                     return f"{name} in it {reason}"
@@ -144,6 +149,13 @@ def reason_against(path: str, size: int) -> str:
     except UNREADABLE as error:
         return f"it is damaged: {' '.join(str(error).split())}"
     return ""
+
+
+def _is_plain(value: object) -> bool:
+    """True for numbers and texts, and lists of them: no references, which lead elsewhere."""
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return all(map(_is_plain, value.ravel()))
+    return isinstance(value, (str, bytes, int, float, np.generic, np.ndarray, h5py.Empty))
 
 
 HEAP = b"GCOL\x01\0\0\0"

@@ -252,3 +252,16 @@ def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path, words):
 @pytest.mark.parametrize("words", [(), ("--coefficients",), ("--initial",)])
 def test_names_that_no_file_can_have(tmp_path, words):
     assert "too long" in refused("run", *words, "9" * 5000, "--shape", "4,5", "--out", tmp_path / "out")
+
+
+def test_a_part_of_no_name(corpus):
+    assert "it must be i/n" in refused("scan", corpus.folder / "scan", "--dry-run", "--part", "")
+
+
+@pytest.mark.parametrize("number", ["slipping", "power"])
+def test_numbers_that_are_references(corpus, tmp_path, number):
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        unsealed(file).attrs[number] = file["spin"].ref
+    for command in ("verify", "analyse"):
+        assert f"{number} of / in it is neither a number nor a text" in refused(command, tmp_path)
