@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.cone import Point, Scaling, clipped_towards, inner, jordan_product, length, longest_step
-from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.cone import length, longest_step
+from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each, isotropic
-from taichi_bearings.conic.iterate import Inertia, Iterate, Points, mean_product
-from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
+from taichi_bearings.conic.iterate import Inertia, Iterate
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.kernels import central_path as kernels
 
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
 LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
@@ -27,8 +28,6 @@ TINY = np.finfo(np.float64).tiny
 WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
 REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the mean friction, that needs no second one
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
-
-Blocks = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
@@ -103,18 +102,13 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of the spins (unknowns,) with those of differences and duals (d, n) and of the points in cones, a group.
+    """A step of the spins (unknowns,), its contacts in slot `slot` of the rows.
 
-    right, pull : what it solves. along, dual_along : how far primal and dual points may go.
+    along, dual_along : how far primal and dual points may go.
     """
 
-    right: Points
-    pull: Arrays
+    slot: int
     spins: np.ndarray
-    difference: Arrays
-    dual: Arrays
-    primal: Points
-    opposite: Points
     along: float
     dual_along: float
 
@@ -127,126 +121,109 @@ class _Directions:
     """Search directions from one iterate, of right-hand sides that share one factorisation."""
 
     def __init__(self, iterate: Iterate, matrix: NewtonMatrix) -> None:
-        self.iterate, self.matrix, self.cones = iterate, matrix, iterate.cones
-        self.primal, self.opposite = iterate.primal, iterate.opposite
-        self.scalings = each(Scaling.of, self.primal, self.opposite)
-        self.blocks = each(Scaling.newton_blocks, self.scalings)
-        self.stiffness = each(lambda block: block[2], self.blocks)
-        if iterate.smooth is not None:
-            self.stiffness = each(_outside, self.stiffness, iterate.friction, iterate.difference, iterate.smooth)
-        whole = self.stiffness
+        self.iterate, self.matrix, self.rows = iterate, matrix, iterate.system.rows
+        rows = self.rows
+        for row, values in (
+            (kernels.FRICTION, iterate.friction),
+            (kernels.BOUND, iterate.bound),
+            (kernels.SLIP, iterate.difference),
+            (kernels.DUAL, iterate.dual),
+            (kernels.SMOOTH, each(np.zeros_like, iterate.bound) if iterate.smooth is None else iterate.smooth),
+        ):
+            rows.put(row, values)
+        rows.run(kernels.prepare, (0, 0), WEAK)
+        stiffness, self.viscosity = rows.upper_stiffness(), None
         if iterate.viscosity is not None:
-            whole = whole + isotropic(iterate.difference, iterate.viscosity)
-        matrix.factorise(whole, iterate.inertia.weight if iterate.inertia else 0.0)
+            self.viscosity = rows.flattened(
+                each(lambda v, k: k * np.ones_like(v), iterate.difference, iterate.viscosity)
+            )
+            stiffness = stiffness + stacked(isotropic(iterate.difference, iterate.viscosity))
+        matrix.factorise_stacked(stiffness, iterate.inertia.weight if iterate.inertia else 0.0)
 
     def predicted(self) -> _Step:
         """Straight at the solution: all products zero."""
-        return self._solved(each(lambda point: (-point[0], -point[1]), self.opposite))
+        return self._solved(0)
 
     def target(self, step: _Step) -> float:
         """Mehrotra: a product that the predictor makes credible."""
-        mean = mean_product(self.primal, self.opposite)
-        after = mean_product(*self._after(step, min(1.0, step.along), min(1.0, step.dual_along)))
+        mean = self._mean_product(step, 0.0, 0.0)
+        after = self._mean_product(step, min(1.0, step.along), min(1.0, step.dual_along))
         remaining = max(after, 0.0) / max(mean, TINY)
         return min(1.0, remaining**2) * mean / 4
 
     def corrected(self, step: _Step, target: float) -> _Step:
         """Aim at the target, and mend the second-order error of the predictor."""
-
-        def right(scaling: Scaling, primal: Point, opposite: Point, point: Point) -> Point:
-            head, tail = jordan_product(scaling.apply(opposite), scaling.apply_inverse(primal))
-            head, tail = scaling.apply_inverse(scaling.divide((head - target, tail)))
-            return -point[0] - head, -point[1] - tail
-
-        return self._solved(each(right, self.scalings, step.primal, step.opposite, self.opposite))
+        self.rows.run(kernels.correct, (step.slot, 1 - step.slot), target)
+        return self._solved(1 - step.slot)
 
     def recentred(self, step: _Step, target: float) -> _Step:
         """Gondzio: bring outlying products of a longer step closer to the target."""
-
-        def right(scaling: Scaling, primal: Point, opposite: Point, before: Point) -> Point:
-            product = jordan_product(scaling.apply(opposite), scaling.apply_inverse(primal))
-            change = clipped_towards(product, target / SPREAD, target * SPREAD)
-            head, tail = scaling.apply_inverse(scaling.divide(change))
-            return before[0] + head, before[1] + tail
-
-        after = self._after(step, min(1.0, 1.5 * step.along + 0.1), min(1.0, 1.5 * step.dual_along + 0.1))
-        return self._solved(each(right, self.scalings, *after, step.right))
+        lengths = min(1.0, 1.5 * step.along + 0.1), min(1.0, 1.5 * step.dual_along + 0.1)
+        self.rows.run(kernels.recentre, (step.slot, 1 - step.slot), *lengths, target / SPREAD, target * SPREAD)
+        return self._solved(1 - step.slot)
 
     def refined(self, step: _Step) -> _Step:
         """Solve for the torques that rounding left, as long as that helps."""
-        at, last = self.iterate, np.inf
+        last = np.inf
         for trial in range(REFINEMENTS):
-            imbalance = at.imbalance(at.spins + step.spins, at.dual + step.dual, at.difference + step.difference)
+            change, dual_step = (self.rows.two(_in(step.slot, row)) for row in (kernels.CHANGE, kernels.DUAL_STEP))
+            imbalance = self._imbalance(
+                self.iterate.spins + step.spins,
+                self.rows.two(kernels.DUAL) + dual_step,
+                self.rows.two(kernels.SLIP) + change,
+            )
             size = float(np.abs(imbalance).max(initial=0.0))
             if trial > 0 and not BALANCED < size < last / 2:
                 break
             last = size
-            step = self._expanded(step.right, step.pull, step.spins + self.matrix.solve(imbalance))
+            step = self._expanded(step.slot, step.spins + self.matrix.solve(imbalance))
         return step
 
     def taken(self, step: _Step) -> Iterate:
         """The iterate most of the way to the boundary."""
-        iterate = self.iterate
+        iterate, rows, slot = self.iterate, self.rows, step.slot
         along, dual_along = min(1.0, STEP_SHARE * step.along), min(1.0, STEP_SHARE * step.dual_along)
-        primal, opposite = self._after(step, along, dual_along)
         return replace(
             iterate,
             spins=iterate.spins + along * step.spins,
             # not from the spins anew: their rounding is coarser than the last distances from the cones
-            difference=iterate.difference + along * step.difference,
-            bound=iterate.bound.placed(self.cones, each(lambda point: point[0], primal)),
-            dual=iterate.dual.placed(self.cones, each(lambda point: point[1], opposite)),
+            difference=rows.vectors(rows.two(kernels.SLIP) + along * rows.two(_in(slot, kernels.CHANGE))),
+            bound=iterate.bound + along * rows.numbers(_in(slot, kernels.BOUND_STEP)),
+            dual=rows.vectors(rows.two(kernels.DUAL) + dual_along * rows.two(_in(slot, kernels.DUAL_STEP))),
         ).obeying()
 
-    def _solved(self, right: Points) -> _Step:
-        """Steps for W^-2 d(primal) + d(dual) = right that leave the forces balanced; `right` (n,), (d, n) a group."""
+    def _solved(self, slot: int) -> _Step:
+        """Steps for W^-2 d(primal) + d(dual) = right-hand side that leave the forces balanced."""
+        pull = self.rows.two(_in(slot, kernels.PULL))
+        imbalance = self._imbalance(self.iterate.spins, pull, self.rows.two(kernels.SLIP))
+        return self._expanded(slot, self.matrix.solve(imbalance))
 
-        def pull(dual: np.ndarray, right: Point, blocks: Blocks, cone: slice | np.ndarray) -> np.ndarray:
-            (head, tail), (diagonal, off, _) = right, blocks
-            changed = dual.copy()
-            changed[:, cone] += tail - off * (head / diagonal)
-            return changed
+    def _imbalance(self, spins: np.ndarray, dual: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        """As :meth:`Iterate.imbalance`, of two rows each."""
+        whole = dual if self.viscosity is None else dual - self.viscosity * slip
+        return self.rows.transposed @ whole - self.iterate.to_balance(spins)
 
-        at, pulls = self.iterate, each(pull, self.iterate.dual, right, self.blocks, self.cones)
-        return self._expanded(right, pulls, self.matrix.solve(at.imbalance(at.spins, pulls, at.difference)))
-
-    def _expanded(self, right: Points, pull: Arrays, spins: np.ndarray) -> _Step:
+    def _expanded(self, slot: int, spins: np.ndarray) -> _Step:
         """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
-
-        def point(right: Point, blocks: Blocks, change: np.ndarray, cone: slice | np.ndarray) -> Point:
-            (head, _), (diagonal, off, _) = right, blocks
-            tail = change[:, cone]
-            return (head - inner(off, tail)) / diagonal, tail
-
-        iterate, difference = self.iterate, self.iterate.system.change(spins)
-        dual = pull - resisted(self.stiffness, difference) - iterate.dual
-        primal = each(point, right, self.blocks, difference, self.cones)
-        opposite = each(
-            lambda at, change, cone: (np.zeros_like(at[0]), change[:, cone]), self.opposite, dual, self.cones
+        rows, iterate = self.rows, self.iterate
+        rows.two(_in(slot, kernels.CHANGE))[:] = rows.operator @ spins
+        rows.run(kernels.expand, (slot, slot))
+        along, dual_along = (
+            float(rows.values[_in(slot, row)].min(initial=np.inf)) for row in (kernels.REACH, kernels.DUAL_REACH)
         )
-        along = min(np.inf, *each(longest_step, self.primal, primal))
-        dual_along = min(np.inf, *each(longest_step, self.opposite, opposite))
-        if iterate.smooth is not None:  # their law is far from linear once a slip changes by as much as itself
-            share = iterate.difference.length() / each(np.maximum, difference.length(), TINY)
-            along = min(along, *each(lambda s: 0.5 * float(s.min(initial=np.inf)), share[iterate.smooth]))
         if iterate.inertia is not None or iterate.viscosity is not None:
             along = dual_along = min(along, dual_along)  # spins and forces that balance each other go on together
-        return _Step(right, pull, spins, difference, dual, primal, opposite, along, dual_along)
+        return _Step(slot, spins, along, dual_along)
 
-    def _after(self, step: _Step, along: float, dual_along: float) -> tuple[Points, Points]:
-        """Primal and dual points after steps of these lengths."""
+    def _mean_product(self, step: _Step, along: float, dual_along: float) -> float:
+        """Of the contacts in cones after steps of these lengths."""
+        self.rows.run(kernels.multiply, (step.slot, step.slot), along, dual_along)
+        cones = sum(map(len, self.iterate.friction))
+        if self.iterate.smooth is not None:
+            cones -= int(self.iterate.smooth.sum())
+        return float(self.rows.values[_in(step.slot, kernels.PRODUCT)].sum()) / max(1, cones)
 
-        def moved(point: Point, change: Point, share: float) -> Point:
-            return point[0] + share * change[0], point[1] + share * change[1]
 
-        return each(moved, self.primal, step.primal, along), each(moved, self.opposite, step.opposite, dual_along)
-
-
-def _outside(stiffness: np.ndarray, friction: np.ndarray, difference: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-    """Stiffness (d, d, n) of all contacts; stiffness : of those in cones only."""
-    if not smooth.any():
-        return stiffness
-    whole = np.empty((len(difference), *difference.shape))
-    whole[:, :, ~smooth] = stiffness
-    whole[:, :, smooth] = friction_stiffness(friction[smooth], difference[:, smooth])
-    return whole
+def _in(slot: int, row: int) -> int:
+    """Where a row of a step is among all rows."""
+    return kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row

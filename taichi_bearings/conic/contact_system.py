@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.grouped import Arrays, Grouped
+from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import ends, number_free
@@ -144,6 +145,11 @@ class ContactSystem:
                 for first, second, sign in pairs:
                     free = (first >= 0) & (second >= 0)
                     yield first[free], second[free], source[free], sign
+
+    @cached_property
+    def rows(self) -> ContactRows:
+        """Memory for Newton steps."""
+        return ContactRows([group.operator for group in self.groups], [len(offset) for offset in self.offset])
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""

@@ -4,13 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.cone import Point, inner
+from taichi_bearings.conic.cone import inner
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, Grouped, each, power, where
+from taichi_bearings.conic.grouped import Arrays, each, power, where
 
 TINY = np.finfo(np.float64).tiny
-
-Points = Grouped[Point]
 
 
 @dataclass(frozen=True)
@@ -63,13 +61,6 @@ class Iterate:
         bound, dual = _central(friction, difference, product)
         return cls(system, spins, friction, bound, difference, dual)
 
-    @property
-    def cones(self) -> Grouped[slice | np.ndarray]:
-        """Selection of the contacts in cones, one a group."""
-        if self.smooth is None:
-            return Grouped([slice(None)] * len(self.friction))
-        return each(lambda smooth: np.flatnonzero(~smooth) if smooth.any() else slice(None), self.smooth)
-
     def let_slip(self, limit: float) -> "Iterate":
         """Contacts that slip more than `limit` leave their cones, others come back into them."""
         slips = self.difference.length() > limit
@@ -88,19 +79,13 @@ class Iterate:
         return replace(self, bound=where(self.smooth, slip, self.bound), dual=dual)
 
     @property
-    def primal(self) -> Points:
-        """The points (bound, difference) of the contacts in cones."""
-        return each(_point, self.bound, self.difference, self.cones)
-
-    @property
-    def opposite(self) -> Points:
-        """The dual points (friction, minus force) of the contacts in cones."""
-        return each(_point, self.friction, self.dual, self.cones)
-
-    @property
     def complementarity(self) -> float:
         """Mean over the contacts in cones of friction * bound - difference . force."""
-        return mean_product(self.primal, self.opposite)
+        products = self.friction * self.bound + each(inner, self.difference, self.dual)
+        contacts = sum(map(len, products))
+        if self.smooth is None:
+            return products.sum() / max(1, contacts)
+        return where(self.smooth, 0.0, products).sum() / max(1, contacts - int(self.smooth.sum()))
 
     @property
     def slip_over_margin(self) -> Arrays:
@@ -160,16 +145,7 @@ class Iterate:
         return self.excess / self.cost
 
 
-def _point(head: np.ndarray, tail: np.ndarray, cone: slice | np.ndarray) -> Point:
-    return head[cone], tail[:, cone]
-
-
 def _central(friction: Arrays, difference: Arrays, product: float) -> tuple[Arrays, Arrays]:
     """Bound (n,) and dual (d, n) along the slip whose product is as given."""
     bound = (product / friction + each(np.hypot, product / friction, 2 * difference.length())) / 2
     return bound, -friction * difference / bound
-
-
-def mean_product(primal: Points, dual: Points) -> float:
-    total = sum(each(lambda p, d: float((p[0] * d[0] + inner(p[1], d[1])).sum()), primal, dual))
-    return total / max(1, sum(len(head) for head, _ in primal))

@@ -32,9 +32,13 @@ class NewtonMatrix:
 
         Raises NotPositiveDefinite if nothing helps.
         """
+        self.factorise_stacked(stacked(stiffness), inertia)
+
+    def factorise_stacked(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
+        """The same for upper triangles as `stacked` gives them."""
         if self._empty:
             return
-        values = self._map @ stacked(stiffness)
+        values = self._map @ stiffness
         if isinstance(inertia, np.ndarray):
             inertia = inertia[self._cholesky.pattern.order]
         diagonal = values[self._diagonal] + inertia

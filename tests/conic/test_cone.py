@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic.cone import Scaling, clipped_towards, determinant, jordan_product, length, longest_step
+from taichi_bearings.conic.cone import determinant, length, longest_step
+from tests.conic.cone_twin import Scaling, clipped_towards, jordan_product
 
 
 def interior(rng, d, n=200, spread=6):

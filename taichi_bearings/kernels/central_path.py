@@ -1,0 +1,337 @@
+"""The contacts' part of a Newton step along the central path: one pass over memory for each of its stages.
+
+Every contact has two interior points of a second-order cone, primal (bound, slip difference) and dual (friction, minus
+force), joined by the Nesterov-Todd scaling W with W^-1 primal = W dual (Nesterov & Todd 1997; Vandenberghe, The CVXOPT
+linear and quadratic cone program solvers, 2010). A contact that is in no cone obeys the law of friction instead.
+
+Numbers lie in rows, one number of every contact a row, contacts with one slipping component before those with two, each
+kind beginning at a multiple of BLOCK. All in double precision, whatever that of the runtime.
+"""
+
+from collections.abc import Callable
+
+from taichi_bearings.compiler import ti
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, fill, places
+
+BLOCK = 16  # contacts that are worked on together
+NEVER = 1e30  # length of a step that never leaves its cone
+
+# Rows of the iterate, and of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled
+# point, W^-2 in the blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
+FRICTION, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
+WEIGHT, HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
+STATE_ROWS = 20
+# Rows of a step, of which there are two: right-hand side, pull on the spheres, change of slip, bound and dual, how far
+# primal and dual point can go, and friction * bound + difference . dual after a part of it
+RIGHT_HEAD, RIGHT_TAIL, PULL, CHANGE, BOUND_STEP, DUAL_STEP, REACH, DUAL_REACH, PRODUCT = 0, 1, 3, 5, 7, 8, 10, 11, 12
+STEP_ROWS = 13
+ROWS = STATE_ROWS + 2 * STEP_ROWS
+
+
+@ti.func
+def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
+    """The components that stand in the rows from `row` on, as many as `like` has."""
+    return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
+
+
+@ti.func
+def dot(a: ti.template(), b: ti.template()):
+    result = a[0] * b[0]
+    if ti.static(len(a) == 2):
+        result = result + a[1] * b[1]
+    return result
+
+
+@ti.func
+def size(a: ti.template()):
+    result = ti.abs(a[0])
+    if ti.static(len(a) == 2):
+        result = ti.sqrt(dot(a, a))
+    return result
+
+
+@ti.func
+def determinant(head, tail: ti.template()):
+    """head^2 - |tail|^2 without cancellation beyond that of head - |tail|."""
+    length = size(tail)
+    return (head - length) * (head + length)
+
+
+@ti.func
+def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
+    """The hyperbolic rotation of a point, or its inverse for sign -1: head first."""
+    along = dot(by_tail, tail)
+    forth = sign * head + along / (1.0 + by_head)
+    return [by_head * head + sign * along] + [tail[k] + by_tail[k] * forth for k in ti.static(range(len(tail)))]
+
+
+@ti.func
+def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
+    """W point: head first."""
+    weight = values[at[WEIGHT] + m]
+    found = rotated(values[at[HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, 1)
+    return [weight * x for x in ti.static(found)]
+
+
+@ti.func
+def unscaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
+    """W^-1 point: head first."""
+    weight = values[at[WEIGHT] + m]
+    found = rotated(values[at[HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, -1)
+    return [x / weight for x in ti.static(found)]
+
+
+@ti.func
+def jordan(a, b: ti.template(), c, d: ti.template()):
+    """(a, b) o (c, d) = (a c + b.d, a d + c b): head first."""
+    return [a * c + dot(b, d)] + [a * d[k] + c * b[k] for k in ti.static(range(len(b)))]
+
+
+@ti.func
+def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
+    """W^-1 x for the x with (scaled point) o x = (head, tail): head first."""
+    by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
+    first = (by * head - dot(by_tail, tail)) / determinant(by, by_tail)
+    rest = [(tail[k] - by_tail[k] * first) / by for k in ti.static(range(len(tail)))]
+    return unscaled(values, at, first, rest, m)
+
+
+@ti.func
+def aimed(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
+    """Right-hand side with this head and tail, and the pull of the contact that follows from it."""
+    dual = vector(values, at, DUAL, tail, m)
+    off = vector(values, at, OFF, tail, m)
+    smooth, share = values[at[SMOOTH] + m] > 0.0, head / values[at[DIAGONAL] + m]
+    pull = [ti.select(smooth, dual[k], dual[k] + (tail[k] - off[k] * share)) for k in ti.static(range(len(tail)))]
+    return [head] + tail + pull
+
+
+@ti.func
+def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
+    """Largest a for which point + a * step stays in the cone."""
+    # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
+    quadratic = head_step * head_step - dot(tail_step, tail_step)
+    linear = head * head_step - dot(tail, tail_step)
+    constant = determinant(head, tail)
+    square = linear * linear - quadratic * constant
+    away = ti.sqrt(ti.max(square, 0.0)) - linear
+    # inside the cone constant > 0: a positive root exists if the quadratic is negative or (linear < 0 and real roots)
+    leaves = (quadratic < 0.0) | ((linear < 0.0) & (square >= 0.0))
+    return ti.select(leaves, constant / away, ti.cast(NEVER, ti.f64))
+
+
+@ti.func
+def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """Everything about the iterate that its steps share, and the aim of the predictor: all products zero."""
+    state, like = at[0], at[2]
+    friction, bound = values[state[FRICTION] + m], values[state[BOUND] + m]
+    slip = vector(values, state, SLIP, like, m)
+    dual = vector(values, state, DUAL, like, m)
+    axes = ti.static(range(len(like)))
+    smooth = values[state[SMOOTH] + m] > 0.0
+    one, other = ti.sqrt(determinant(bound, slip)), ti.sqrt(determinant(friction, dual))
+    head, dual_head = bound / one, friction / other
+    tail = [slip[k] / one for k in axes]
+    dual_tail = [dual[k] / other for k in axes]
+    half = ti.sqrt((1.0 + head * dual_head + dot(tail, dual_tail)) / 2.0)
+    weight, by = ti.sqrt(one / other), (head + dual_head) / (2.0 * half)
+    by_tail = [(tail[k] - dual_tail[k]) / (2.0 * half) for k in axes]
+    point = [weight * x for x in ti.static(rotated(by, by_tail, friction, dual, 1))]
+    strength, core = 1.0 / (weight * weight), 2.0 * by * by - 1.0
+    diagonal = strength * core
+    off = [-2.0 * strength * by * by_tail[k] for k in axes]
+    # the slip of a contact in no cone gives its direction; of one in a cone whose tail vanishes any will do
+    slip_size, turn = size(slip), size(by_tail)
+    known = (turn > 0.0) | smooth
+    length = ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
+    unit = [ti.select(smooth, slip[k], ti.select(known, by_tail[k], 1.0 - k)) / length for k in axes]
+    last = ti.static(len(like) - 1)
+    along = ti.select(smooth, numbers[0] / (slip_size * slip_size), strength / core)
+    across = ti.select(smooth, friction / slip_size, strength)
+    stiffness = (
+        [
+            along * unit[0] * unit[0] + across * unit[last] * unit[last],
+            along * unit[0] * unit[last] - across * unit[0] * unit[last],
+            along * unit[last] * unit[last] + across * unit[0] * unit[0],
+        ]
+        if ti.static(len(like) == 2)
+        else [along * unit[0] * unit[0]]
+    )
+    share = friction / diagonal
+    right = [-friction] + [-dual[k] for k in axes] + [ti.select(smooth, dual[k], off[k] * share) for k in axes]
+    return [weight, by] + by_tail + point + [diagonal] + off + stiffness + right
+
+
+@ti.func
+def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """Steps of bound and dual that belong to the change of the slip, and how far they may go."""
+    state, step, like = at[0], at[1], at[2]
+    axes = ti.static(range(len(like)))
+    smooth = values[state[SMOOTH] + m] > 0.0
+    friction, bound = values[state[FRICTION] + m], values[state[BOUND] + m]
+    slip = vector(values, state, SLIP, like, m)
+    dual = vector(values, state, DUAL, like, m)
+    change = vector(values, step, CHANGE, like, m)
+    pull = vector(values, step, PULL, like, m)
+    mixed = values[state[STIFFNESS + 1] + m]
+    last = ti.static(len(like) - 1)
+    resisted = (
+        [
+            values[state[STIFFNESS] + m] * change[0] + mixed * change[last],
+            mixed * change[0] + values[state[STIFFNESS + 2] + m] * change[last],
+        ]
+        if ti.static(len(like) == 2)
+        else [values[state[STIFFNESS] + m] * change[0]]
+    )
+    dual_step = [pull[k] - resisted[k] - dual[k] for k in axes]
+    off = dot(vector(values, state, OFF, like, m), change)
+    bound_step = (values[step[RIGHT_HEAD] + m] - off) / values[state[DIAGONAL] + m]
+    # a law is far from linear once a slip changes by as much as itself
+    moved, never = size(change), ti.cast(NEVER, ti.f64)
+    half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
+    along = ti.select(smooth, half, reach(bound, slip, bound_step, change))
+    dual_along = ti.select(smooth, never, reach(friction, dual, ti.cast(0.0, ti.f64), dual_step))
+    return [ti.select(smooth, 0.0, bound_step)] + dual_step + [along, dual_along]
+
+
+@ti.func
+def product(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """friction * bound + difference . dual after steps of the lengths `numbers`; 0 outside cones."""
+    state, step, like = at[0], at[1], at[2]
+    slip = vector(values, state, SLIP, like, m)
+    dual = vector(values, state, DUAL, like, m)
+    change = vector(values, step, CHANGE, like, m)
+    dual_step = vector(values, step, DUAL_STEP, like, m)
+    after = [slip[k] + numbers[0] * change[k] for k in ti.static(range(len(like)))]
+    dual_after = [dual[k] + numbers[1] * dual_step[k] for k in ti.static(range(len(like)))]
+    bound = values[state[BOUND] + m] + numbers[0] * values[step[BOUND_STEP] + m]
+    found = bound * values[state[FRICTION] + m] + dot(after, dual_after)
+    return [ti.select(values[state[SMOOTH] + m] > 0.0, 0.0, found)]
+
+
+@ti.func
+def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """Aim at the product numbers[0], and mend the second-order error of the predictor (Mehrotra 1992)."""
+    state, step, like = at[0], at[1], at[2]
+    axes = ti.static(range(len(like)))
+    zero = ti.cast(0.0, ti.f64)
+    one = scaled(values, state, zero, vector(values, step, DUAL_STEP, like, m), m)
+    other = unscaled(values, state, values[step[BOUND_STEP] + m], vector(values, step, CHANGE, like, m), m)
+    found = jordan(one[0], one[1:], other[0], other[1:])
+    mend = divided(values, state, found[0] - numbers[0], found[1:], m)
+    dual = vector(values, state, DUAL, like, m)
+    return aimed(values, state, -values[state[FRICTION] + m] - mend[0], [-dual[k] - mend[1 + k] for k in axes], m)
+
+
+@ti.func
+def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """Bring products that are below numbers[2] or above numbers[3] after steps of the lengths numbers[0] and numbers[1]
+    closer (Gondzio 1996), those above by numbers[3] at most."""
+    state, step, like = at[0], at[1], at[2]
+    axes = ti.static(range(len(like)))
+    low, high = numbers[2], numbers[3]
+    slip = vector(values, state, SLIP, like, m)
+    dual = vector(values, state, DUAL, like, m)
+    change = vector(values, step, CHANGE, like, m)
+    dual_step = vector(values, step, DUAL_STEP, like, m)
+    after = [slip[k] + numbers[0] * change[k] for k in axes]
+    dual_after = [dual[k] + numbers[1] * dual_step[k] for k in axes]
+    bound = values[state[BOUND] + m] + numbers[0] * values[step[BOUND_STEP] + m]
+    one = scaled(values, state, values[state[FRICTION] + m], dual_after, m)
+    other = unscaled(values, state, bound, after, m)
+    found = jordan(one[0], one[1:], other[0], other[1:])
+    tail = found[1:]
+    length = size(tail)
+    below, above = found[0] - length, found[0] + length  # the eigenvalues
+    raised = ti.max(ti.min(ti.max(below, low), high) - below, -high)
+    lowered = ti.max(ti.min(ti.max(above, low), high) - above, -high)
+    share = ti.select(length > 0.0, (lowered - raised) / 2.0 / length, 0.0)
+    mend = divided(values, state, (raised + lowered) / 2.0, [share * tail[k] for k in axes], m)
+    right = vector(values, step, RIGHT_TAIL, like, m)
+    return aimed(values, state, values[step[RIGHT_HEAD] + m] + mend[0], [right[k] + mend[1 + k] for k in axes], m)
+
+
+def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Rows that contacts with one and with two components write. rows : the first one, and how many either kind has."""
+    one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
+    return one, two
+
+
+SCALAR, VECTOR = (1, 1), (1, 2)
+AIM = _numbered((RIGHT_HEAD, SCALAR), (RIGHT_TAIL, VECTOR), (PULL, VECTOR))
+MADE = _numbered(
+    (WEIGHT, SCALAR), (HEAD, SCALAR), (TAIL, VECTOR), (POINT_HEAD, SCALAR), (POINT_TAIL, VECTOR),
+    (DIAGONAL, SCALAR), (OFF, VECTOR), (STIFFNESS, (1, 3)),
+)  # fmt: skip
+EXTENT = _numbered((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR), (REACH, SCALAR), (DUAL_REACH, SCALAR))
+NONE = ((), ())
+
+
+@ti.func
+def walk(
+    values: ti.template(),
+    blocks: ti.template(),
+    law: ti.template(),
+    length,
+    first,
+    slots: ti.template(),
+    writes: ti.template(),
+    like: ti.template(),
+    numbers: ti.template(),
+):
+    """A law over the block of contacts that begins at `first`. slots : of the step that is read and that is written.
+
+    writes : rows of the iterate and of the step, and of neither. like : as many entries as slipping components.
+    """
+    state = places(ti.static(tuple(range(STATE_ROWS))), length, first)
+    old = places(ti.static(tuple(range(STEP_ROWS))), length, first + (STATE_ROWS + slots[0] * STEP_ROWS) * length)
+    to = places(ti.static(writes[0]), length, first) + places(
+        ti.static(writes[1]), length, first + (STATE_ROWS + slots[1] * STEP_ROWS) * length
+    )
+    rows = [ti.Vector.zero(ti.f64, BLOCK) for _ in ti.static(range(len(to)))]
+    fill(rows, values, BLOCK, law, [state, old, like], numbers)
+    for k in ti.static(range(len(to))):
+        blocks[to[k] // BLOCK] = rows[k]
+
+
+def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE) -> Callable:
+    """Kernel that walks a law over all contacts. iterate, step : rows that it writes, of one component and of two."""
+
+    @ti.kernel
+    def run(
+        serial: ti.template(),
+        values: VALUES,
+        blocks: BLOCKS,
+        length: int,
+        first_two: int,
+        count: int,
+        read_slot: int,
+        write_slot: int,
+        a: ti.f64,
+        b: ti.f64,
+        c: ti.f64,
+        d: ti.f64,
+    ):
+        if ti.static(serial):
+            ti.loop_config(serialize=True)
+        for block in range(first_two):
+            walk(
+                values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
+                ti.static((iterate[0], step[0])), ti.static((0,)), [a, b, c, d],
+            )  # fmt: skip
+        if ti.static(serial):
+            ti.loop_config(serialize=True)
+        for block in range(first_two, count):
+            walk(
+                values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
+                ti.static((iterate[1], step[1])), ti.static((0, 1)), [a, b, c, d],
+            )  # fmt: skip
+
+    return run
+
+
+prepare = _pass(prepared, MADE, AIM)
+expand = _pass(expanded, step=EXTENT)
+multiply = _pass(product, step=_numbered((PRODUCT, SCALAR)))
+correct = _pass(corrected, step=AIM)
+recentre = _pass(recentred, step=AIM)
