@@ -9,7 +9,9 @@ bears the force of its cone and eta v. Nothing else changes: eta adds to the sti
 the torques that the forces leave, and cost less dual cost stays friction times slip less force times slip in the cones.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +21,9 @@ from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
+SIDE_BY_SIDE = 8  # samples that share every vector of numbers
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
 LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
 WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
@@ -43,23 +47,45 @@ def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: floa
     return stiffness
 
 
-def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
+class Matrix(Protocol):
+    """The matrices of one system in several samples S side by side."""
+
+    def factorise_each(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
+        """stiffness : (entries, S) upper triangles as `stacked` gives them. True (S,) where that succeeds."""
+        ...
+
+    def solve_each(self, right: np.ndarray) -> np.ndarray:
+        """(unknowns, S)."""
+        ...
+
+
+def newton_step(iterate: Iterate, matrix: Matrix) -> Iterate:
     """The next point along the path.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
-    directions = _Directions(iterate, matrix)
+    (found,) = newton_steps([iterate], matrix)
+    if found is None:
+        raise NotPositiveDefinite
+    return found
+
+
+def newton_steps(iterates: Sequence[Iterate], matrix: Matrix) -> list[Iterate | None]:
+    """The next points along the paths of samples of one system, whose numbers do not depend on each other; None where
+    the Newton matrix is singular to working precision."""
+    directions = _Directions(iterates, matrix)
     step = directions.predicted()
     target = directions.target(step)
-    step = directions.corrected(step, target)
+    step, going = directions.corrected(step, target), np.ones(len(target), dtype=bool)
     for _ in range(CORRECTORS):
-        if min(step.along, step.dual_along) > LONG_ENOUGH:
+        going &= ~(np.minimum(step.along, step.dual_along) > LONG_ENOUGH)
+        if not going.any():
             break
         further = directions.recentred(step, target)
-        if further.reach < step.reach + WORTHWHILE:
-            break
-        step = further
-    return directions.taken(directions.refined(step))
+        going &= ~(further.reach < step.reach + WORTHWHILE)
+        step = directions.chosen(going, further, step)
+    step = directions.refined(step)
+    return [directions.taken(step, sample) for sample in range(len(iterates))]
 
 
 def flowing(
@@ -102,126 +128,155 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of the spins (unknowns,), its contacts in slot `slot` of the rows.
+    """A step of the spins (unknowns, S), its contacts in slot `slot` of the rows.
 
-    along, dual_along : how far primal and dual points may go.
+    along, dual_along : (S,), how far primal and dual points may go.
     """
 
     slot: int
     spins: np.ndarray
-    along: float
-    dual_along: float
+    along: np.ndarray
+    dual_along: np.ndarray
 
     @property
-    def reach(self) -> float:
-        return min(1.0, self.along) + min(1.0, self.dual_along)
+    def reach(self) -> np.ndarray:
+        return np.minimum(1.0, self.along) + np.minimum(1.0, self.dual_along)
 
 
 class _Directions:
-    """Search directions from one iterate, of right-hand sides that share one factorisation."""
+    """Search directions from one iterate of each sample, of right-hand sides that share one factorisation."""
 
-    def __init__(self, iterate: Iterate, matrix: NewtonMatrix) -> None:
-        self.iterate, self.matrix, self.rows = iterate, matrix, iterate.system.rows
-        rows = self.rows
+    def __init__(self, iterates: Sequence[Iterate], matrix: Matrix) -> None:
+        self.iterates, self.matrix = iterates, matrix
+        samples = 1 if len(iterates) == 1 else SIDE_BY_SIDE
+        self.all = [*iterates, *iterates[:1] * (samples - len(iterates))]  # whatever there is no sample for is the first
+        self.rows, first = iterates[0].system.rows(samples), iterates[0]
+        for sample, iterate in enumerate(self.all):
+            self._put(sample, iterate)
+        self.spins = np.stack([iterate.spins for iterate in self.all], axis=1)
+        self.rows.run(kernels.prepare, (0, 0), WEAK)
+        stiffness, self.viscosity = self.rows.upper_stiffness(), None
+        if first.viscosity is not None:
+            springs = [isotropic(iterate.difference, iterate.viscosity) for iterate in self.all]
+            stiffness = stiffness + np.stack([stacked(spring) for spring in springs], axis=1)
+            self.viscosity = self.rows.flattened([each(lambda k: k[0, :1].repeat(len(k), axis=0), spring) for spring in springs])
+        self.regular = matrix.factorise_each(stiffness, first.inertia.weight if first.inertia else 0.0)
+        # spins and forces that balance each other go on together
+        self.together = first.inertia is not None or first.viscosity is not None
+
+    def _put(self, sample: int, iterate: Iterate) -> None:
+        smooth = each(np.zeros_like, iterate.bound) if iterate.smooth is None else iterate.smooth
         for row, values in (
             (kernels.FRICTION, iterate.friction),
             (kernels.BOUND, iterate.bound),
             (kernels.SLIP, iterate.difference),
             (kernels.DUAL, iterate.dual),
-            (kernels.SMOOTH, each(np.zeros_like, iterate.bound) if iterate.smooth is None else iterate.smooth),
+            (kernels.SMOOTH, smooth),
         ):
-            rows.put(row, values)
-        rows.run(kernels.prepare, (0, 0), WEAK)
-        stiffness, self.viscosity = rows.upper_stiffness(), None
-        if iterate.viscosity is not None:
-            self.viscosity = rows.flattened(
-                each(lambda v, k: k * np.ones_like(v), iterate.difference, iterate.viscosity)
-            )
-            stiffness = stiffness + stacked(isotropic(iterate.difference, iterate.viscosity))
-        matrix.factorise_stacked(stiffness, iterate.inertia.weight if iterate.inertia else 0.0)
+            self.rows.put(row, sample, values)
 
     def predicted(self) -> _Step:
         """Straight at the solution: all products zero."""
         return self._solved(0)
 
-    def target(self, step: _Step) -> float:
-        """Mehrotra: a product that the predictor makes credible."""
+    def target(self, step: _Step) -> np.ndarray:
+        """Mehrotra: a product (S,) that the predictor makes credible."""
         mean = self._mean_product(step, 0.0, 0.0)
-        after = self._mean_product(step, min(1.0, step.along), min(1.0, step.dual_along))
-        remaining = max(after, 0.0) / max(mean, TINY)
-        return min(1.0, remaining**2) * mean / 4
+        after = self._mean_product(step, np.minimum(1.0, step.along), np.minimum(1.0, step.dual_along))
+        remaining = np.maximum(after, 0.0) / np.maximum(mean, TINY)
+        return np.minimum(1.0, remaining**2) * mean / 4
 
-    def corrected(self, step: _Step, target: float) -> _Step:
+    def corrected(self, step: _Step, target: np.ndarray) -> _Step:
         """Aim at the target, and mend the second-order error of the predictor."""
         self.rows.run(kernels.correct, (step.slot, 1 - step.slot), target)
         return self._solved(1 - step.slot)
 
-    def recentred(self, step: _Step, target: float) -> _Step:
+    def recentred(self, step: _Step, target: np.ndarray) -> _Step:
         """Gondzio: bring outlying products of a longer step closer to the target."""
-        lengths = min(1.0, 1.5 * step.along + 0.1), min(1.0, 1.5 * step.dual_along + 0.1)
+        lengths = (np.minimum(1.0, 1.5 * length + 0.1) for length in (step.along, step.dual_along))
         self.rows.run(kernels.recentre, (step.slot, 1 - step.slot), *lengths, target / SPREAD, target * SPREAD)
         return self._solved(1 - step.slot)
 
+    def chosen(self, better: np.ndarray, one: _Step, other: _Step) -> _Step:
+        """The one step of the samples (S,) where it is better, and the other of the rest."""
+        if better.all() or not better.any():
+            return one if better.all() else other
+        here, there = (self.rows.values[_in(step.slot, 0) : _in(step.slot + 1, 0)] for step in (one, other))
+        here[..., ~better] = there[..., ~better]
+        return _Step(
+            one.slot,
+            np.where(better, one.spins, other.spins),
+            np.where(better, one.along, other.along),
+            np.where(better, one.dual_along, other.dual_along),
+        )
+
     def refined(self, step: _Step) -> _Step:
         """Solve for the torques that rounding left, as long as that helps."""
-        last = np.inf
+        last, going = np.full(len(step.along), np.inf), np.ones(len(step.along), dtype=bool)
         for trial in range(REFINEMENTS):
             change, dual_step = (self.rows.two(_in(step.slot, row)) for row in (kernels.CHANGE, kernels.DUAL_STEP))
-            imbalance = self._imbalance(
-                self.iterate.spins + step.spins,
-                self.rows.two(kernels.DUAL) + dual_step,
-                self.rows.two(kernels.SLIP) + change,
-            )
-            size = float(np.abs(imbalance).max(initial=0.0))
-            if trial > 0 and not BALANCED < size < last / 2:
+            dual, slip = self.rows.two(kernels.DUAL) + dual_step, self.rows.two(kernels.SLIP) + change
+            imbalance = self._imbalance(self.spins + step.spins, dual, slip)
+            size = np.abs(imbalance).max(axis=0, initial=0.0)
+            if trial > 0:
+                going &= (size > BALANCED) & (size < last / 2)
+            if not going.any():
                 break
             last = size
-            step = self._expanded(step.slot, step.spins + self.matrix.solve(imbalance))
+            correction = np.where(going, self.matrix.solve_each(imbalance), 0.0)
+            step = self._expanded(step.slot, step.spins + correction)
         return step
 
-    def taken(self, step: _Step) -> Iterate:
-        """The iterate most of the way to the boundary."""
-        iterate, rows, slot = self.iterate, self.rows, step.slot
-        along, dual_along = min(1.0, STEP_SHARE * step.along), min(1.0, STEP_SHARE * step.dual_along)
+    def taken(self, step: _Step, sample: int) -> Iterate | None:
+        """The iterate of a sample most of the way to the boundary; None if it has no step."""
+        if not self.regular[sample]:
+            return None
+        iterate, rows, slot = self.iterates[sample], self.rows, step.slot
+        along, dual_along = (
+            min(1.0, STEP_SHARE * length[sample]) for length in (step.along.tolist(), step.dual_along.tolist())
+        )
+        bound_step = rows.values[_in(slot, kernels.BOUND_STEP)]
+        change, dual_step = (rows.vectors(rows.two(_in(slot, row)), sample) for row in (kernels.CHANGE, kernels.DUAL_STEP))
         return replace(
             iterate,
-            spins=iterate.spins + along * step.spins,
+            spins=iterate.spins + along * step.spins[:, sample],
             # not from the spins anew: their rounding is coarser than the last distances from the cones
-            difference=rows.vectors(rows.two(kernels.SLIP) + along * rows.two(_in(slot, kernels.CHANGE))),
-            bound=iterate.bound + along * rows.numbers(_in(slot, kernels.BOUND_STEP)),
-            dual=rows.vectors(rows.two(kernels.DUAL) + dual_along * rows.two(_in(slot, kernels.DUAL_STEP))),
+            difference=iterate.difference + along * change,
+            bound=iterate.bound + along * rows.numbers(bound_step, sample),
+            dual=iterate.dual + dual_along * dual_step,
         ).obeying()
 
     def _solved(self, slot: int) -> _Step:
         """Steps for W^-2 d(primal) + d(dual) = right-hand side that leave the forces balanced."""
         pull = self.rows.two(_in(slot, kernels.PULL))
-        imbalance = self._imbalance(self.iterate.spins, pull, self.rows.two(kernels.SLIP))
-        return self._expanded(slot, self.matrix.solve(imbalance))
+        imbalance = self._imbalance(self.spins, pull, self.rows.two(kernels.SLIP))
+        return self._expanded(slot, self.matrix.solve_each(imbalance))
 
     def _imbalance(self, spins: np.ndarray, dual: np.ndarray, slip: np.ndarray) -> np.ndarray:
-        """As :meth:`Iterate.imbalance`, of two rows each."""
-        whole = dual if self.viscosity is None else dual - self.viscosity * slip
-        return self.rows.transposed @ whole - self.iterate.to_balance(spins)
+        """As :meth:`Iterate.imbalance`, (unknowns, S), of two rows each."""
+        torques = self.rows.transposed @ (dual if self.viscosity is None else dual - self.viscosity * slip)
+        for sample, iterate in enumerate(self.all):
+            torques[:, sample] -= iterate.to_balance(spins[:, sample])
+        return torques
 
     def _expanded(self, slot: int, spins: np.ndarray) -> _Step:
         """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
-        rows, iterate = self.rows, self.iterate
+        rows = self.rows
         rows.two(_in(slot, kernels.CHANGE))[:] = rows.operator @ spins
         rows.run(kernels.expand, (slot, slot))
         along, dual_along = (
-            float(rows.values[_in(slot, row)].min(initial=np.inf)) for row in (kernels.REACH, kernels.DUAL_REACH)
+            rows.values[_in(slot, row)].min(axis=0, initial=np.inf) for row in (kernels.REACH, kernels.DUAL_REACH)
         )
-        if iterate.inertia is not None or iterate.viscosity is not None:
-            along = dual_along = min(along, dual_along)  # spins and forces that balance each other go on together
+        if self.together:
+            along = dual_along = np.minimum(along, dual_along)
         return _Step(slot, spins, along, dual_along)
 
-    def _mean_product(self, step: _Step, along: float, dual_along: float) -> float:
-        """Of the contacts in cones after steps of these lengths."""
+    def _mean_product(self, step: _Step, along: float | np.ndarray, dual_along: float | np.ndarray) -> np.ndarray:
+        """Of the contacts in cones after steps of these lengths, (S,)."""
         self.rows.run(kernels.multiply, (step.slot, step.slot), along, dual_along)
-        cones = sum(map(len, self.iterate.friction))
-        if self.iterate.smooth is not None:
-            cones -= int(self.iterate.smooth.sum())
-        return float(self.rows.values[_in(step.slot, kernels.PRODUCT)].sum()) / max(1, cones)
+        products = self.rows.values[_in(step.slot, kernels.PRODUCT)]
+        total = np.ascontiguousarray(products.T).sum(axis=1)  # in the same order however many samples there are
+        return total / np.array([max(1, iterate.in_cones) for iterate in self.all])
 
 
 def _in(slot: int, row: int) -> int:

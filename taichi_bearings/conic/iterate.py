@@ -79,13 +79,16 @@ class Iterate:
         return replace(self, bound=where(self.smooth, slip, self.bound), dual=dual)
 
     @property
+    def in_cones(self) -> int:
+        """Number of contacts in cones."""
+        return sum(map(len, self.friction)) - (0 if self.smooth is None else int(self.smooth.sum()))
+
+    @property
     def complementarity(self) -> float:
         """Mean over the contacts in cones of friction * bound - difference . force."""
         products = self.friction * self.bound + each(inner, self.difference, self.dual)
-        contacts = sum(map(len, products))
-        if self.smooth is None:
-            return products.sum() / max(1, contacts)
-        return where(self.smooth, 0.0, products).sum() / max(1, contacts - int(self.smooth.sum()))
+        products = products if self.smooth is None else where(self.smooth, 0.0, products)
+        return products.sum() / max(1, self.in_cones)
 
     @property
     def slip_over_margin(self) -> Arrays:

@@ -50,6 +50,18 @@ class NewtonMatrix:
                 if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
                     raise
 
+    def factorise_each(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
+        """The same for a single sample, (entries, 1): True (1,) where that succeeds."""
+        try:
+            self.factorise_stacked(stiffness[:, 0], inertia)
+        except NotPositiveDefinite:
+            return np.zeros(1, dtype=bool)
+        return np.ones(1, dtype=bool)
+
+    def solve_each(self, right: np.ndarray) -> np.ndarray:
+        """Solution for a single sample, (unknowns, 1)."""
+        return self.solve(right[:, 0])[:, None]
+
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)

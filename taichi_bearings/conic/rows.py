@@ -1,4 +1,4 @@
-"""The numbers of all contacts of a system as the kernels of a Newton step take them, one a row."""
+"""The numbers of all contacts as the kernels of a Newton step take them, of one sample or of several side by side."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,81 +9,85 @@ from taichi_bearings import runtime
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.kernels import central_path as kernels
 
-SERIAL = 20_000  # contacts up to which one thread is faster than several
+SERIAL = 20_000  # numbers in a row up to which one thread is faster than several
 ALONE = {kernels.FRICTION: 1.0, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}  # of no contact: no harm
 
 
 class ContactRows:
-    """Memory for one Newton step, and what the spins have to do with it; see kernels/central_path.py.
+    """Memory for one Newton step of S samples, and what the spins have to do with it; see kernels/central_path.py.
 
-    change of the slips = operator @ change of the spins, torques = transposed @ forces, where slips and forces are two
-    neighbouring rows one after the other, the second of which counts where contacts have two slipping components.
+    A row holds the numbers of a contact in all samples one after the other, contact by contact. Two rows one after the
+    other, (2*contacts, S), hold slips or forces; the second counts where contacts have two slipping components:
+
+        change of the slips = operator @ change of the spins,   torques = transposed @ forces
     """
 
-    def __init__(self, operators: Sequence[sparse.csr_matrix], components: Sequence[int]) -> None:
-        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2."""
-        block = kernels.BLOCK
+    def __init__(self, operators: Sequence[sparse.csr_matrix], components: Sequence[int], samples: int = 1) -> None:
+        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. samples : S, 1, 2, 4 or 8."""
+        self.samples, self._components, block = samples, components, kernels.BLOCK // samples
         sizes = [operator.shape[0] // d for operator, d in zip(operators, components, strict=True)]
-        starts, end = [0] * len(sizes), 0
+        starts, contacts = [0] * len(sizes), 0
         for d in (1, 2):
             for group in (g for g, of_group in enumerate(components) if of_group == d):
-                starts[group], end = end, end + -(-sizes[group] // block) * block
+                starts[group], contacts = contacts, contacts + -(-sizes[group] // block) * block
             if d == 1:
-                self._first_two = end // block
-        self.length, self._components = end, components
+                self._first_two = contacts // block
         self._spans = [slice(start, start + size) for start, size in zip(starts, sizes, strict=True)]
-        memory = np.zeros(kernels.ROWS * end + block)
-        first = -(memory.ctypes.data // memory.itemsize) % block  # SIMD writes expect whole blocks at such addresses
-        self._flat = memory[first : first + kernels.ROWS * end]
-        self.values, self._blocks = self._flat.reshape(kernels.ROWS, end), self._flat.reshape(-1, block)
+        self._length, rows = contacts * samples, kernels.ROWS
+        memory = np.zeros(rows * self._length + kernels.BLOCK)
+        first = -(memory.ctypes.data // memory.itemsize) % kernels.BLOCK  # SIMD writes whole blocks at such addresses
+        self._flat = memory[first : first + rows * self._length]
+        self._blocks, self._numbers = self._flat.reshape(-1, kernels.BLOCK), np.zeros((4, block, samples))
+        self.values = self._flat.reshape(rows, contacts, samples)
         for row, value in ALONE.items():
             self.values[row] = value
         places = [
-            np.arange(s.start, s.stop) + end * np.arange(d)[:, None]
-            for s, d in zip(self._spans, components, strict=True)
+            np.arange(span.start, span.stop) + contacts * np.arange(d)[:, None]
+            for span, d in zip(self._spans, components, strict=True)
         ]
-        self.operator = _spread(sparse.vstack(operators), np.concatenate([p.ravel() for p in places]), 2 * end)
+        self.operator = _spread(sparse.vstack(operators), np.concatenate([p.ravel() for p in places]), 2 * contacts)
         self.transposed = self.operator.T.tocsr()
 
-    def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float) -> None:
-        """Walk all contacts. slots : of the step that is read and that is written."""
-        serial = self.length < SERIAL or runtime.current().threads == 1
-        four = (*numbers, *(0.0,) * (4 - len(numbers)))
-        kernel(
-            serial, self._flat, self._blocks, self.length, self._first_two, self.length // kernels.BLOCK, *slots, *four
-        )
+    def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> None:
+        """Walk all contacts. slots : of the step that is read and that is written. numbers : of each sample, or all."""
+        serial = self._length < SERIAL or runtime.current().threads == 1
+        for own, number in zip(self._numbers, numbers, strict=False):
+            own[:] = number
+        blocks = len(self.values[0]) * self.samples // kernels.BLOCK
+        kernel(serial, self._flat, self._blocks, self._numbers.ravel(), self._length, self._first_two, blocks, *slots)
 
-    def put(self, row: int, values: Arrays) -> None:
+    def put(self, row: int, sample: int, values: Arrays) -> None:
         """Write numbers (n,) or vectors (d, n) a group from a row on."""
         for span, new in zip(self._spans, values, strict=True):
-            self.values[row : row + (len(new) if new.ndim == 2 else 1), span] = new
+            self.values[row : row + (len(new) if new.ndim == 2 else 1), span, sample] = new
 
-    def numbers(self, row: int) -> Arrays:
-        """The numbers (n,) a group in a row; views."""
-        return Grouped(self.values[row, span] for span in self._spans)
+    def numbers(self, values: np.ndarray, sample: int) -> Arrays:
+        """Numbers (n,) a group of a sample from those of all, (contacts, S)."""
+        return Grouped(values[span, sample].copy() for span in self._spans)
 
-    def vectors(self, flat: np.ndarray) -> Arrays:
-        """Vectors (d, n) a group of two rows one after the other."""
-        both = flat.reshape(2, -1)
-        return Grouped(both[:d, span] for d, span in zip(self._components, self._spans, strict=True))
+    def vectors(self, two: np.ndarray, sample: int) -> Arrays:
+        """Vectors (d, n) a group of a sample from two rows one after the other."""
+        both = two.reshape(2, -1, self.samples)
+        return Grouped(both[:d, span, sample].copy() for d, span in zip(self._components, self._spans, strict=True))
 
     def two(self, row: int) -> np.ndarray:
-        """Two rows from one on, one after the other, as a view."""
-        return self._flat[row * self.length : (row + 2) * self.length]
+        """Two rows from one on, one after the other, (2*contacts, S), as a view."""
+        return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
-    def flattened(self, vectors: Arrays) -> np.ndarray:
-        """Inverse of :meth:`vectors`."""
-        both = np.zeros((2, self.length))
-        for span, new in zip(self._spans, vectors, strict=True):
-            both[: len(new), span] = new
-        return both.ravel()
+    def flattened(self, vectors: Sequence[Arrays]) -> np.ndarray:
+        """Inverse of :meth:`vectors`, for all samples."""
+        both = np.zeros((2, self.values.shape[1], self.samples))
+        for sample, of_sample in enumerate(vectors):
+            for span, new in zip(self._spans, of_sample, strict=True):
+                both[: len(new), span, sample] = new
+        return both.reshape(-1, self.samples)
 
     def upper_stiffness(self) -> np.ndarray:
-        """Upper triangles of the stiffnesses, as `stacked` has them."""
-        first, rows = kernels.STIFFNESS, {1: 1, 2: 3}
+        """Upper triangles of the stiffnesses (entries, S), as `stacked` has them."""
+        rows = {1: 1, 2: 3}
         return np.concatenate(
             [
-                self.values[first + k, span]
+                self.values[kernels.STIFFNESS + k, span]
                 for d, span in zip(self._components, self._spans, strict=True)
                 for k in range(rows[d])
             ]

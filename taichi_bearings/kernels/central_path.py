@@ -5,7 +5,9 @@ force), joined by the Nesterov-Todd scaling W with W^-1 primal = W dual (Nestero
 linear and quadratic cone program solvers, 2010). A contact that is in no cone obeys the law of friction instead.
 
 Numbers lie in rows, one number of every contact a row, contacts with one slipping component before those with two, each
-kind beginning at a multiple of BLOCK. All in double precision, whatever that of the runtime.
+kind beginning at a multiple of BLOCK. A contact may have numbers of several samples, one after the other: what a law is
+told, such as the length of a step, are four times BLOCK numbers, one for each place of a block. All in double precision,
+whatever that of the runtime.
 """
 
 from collections.abc import Callable
@@ -146,7 +148,7 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     length = ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
     unit = [ti.select(smooth, slip[k], ti.select(known, by_tail[k], 1.0 - k)) / length for k in axes]
     last = ti.static(len(like) - 1)
-    along = ti.select(smooth, numbers[0] / (slip_size * slip_size), strength / core)
+    along = ti.select(smooth, numbers[m] / (slip_size * slip_size), strength / core)
     across = ti.select(smooth, friction / slip_size, strength)
     stiffness = (
         [
@@ -196,47 +198,48 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def product(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """friction * bound + difference . dual after steps of the lengths `numbers`; 0 outside cones."""
+    """friction * bound + difference . dual after steps of two given lengths; 0 outside cones."""
     state, step, like = at[0], at[1], at[2]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
     change = vector(values, step, CHANGE, like, m)
     dual_step = vector(values, step, DUAL_STEP, like, m)
-    after = [slip[k] + numbers[0] * change[k] for k in ti.static(range(len(like)))]
-    dual_after = [dual[k] + numbers[1] * dual_step[k] for k in ti.static(range(len(like)))]
-    bound = values[state[BOUND] + m] + numbers[0] * values[step[BOUND_STEP] + m]
+    along, dual_along = numbers[m], numbers[BLOCK + m]
+    after = [slip[k] + along * change[k] for k in ti.static(range(len(like)))]
+    dual_after = [dual[k] + dual_along * dual_step[k] for k in ti.static(range(len(like)))]
+    bound = values[state[BOUND] + m] + along * values[step[BOUND_STEP] + m]
     found = bound * values[state[FRICTION] + m] + dot(after, dual_after)
     return [ti.select(values[state[SMOOTH] + m] > 0.0, 0.0, found)]
 
 
 @ti.func
 def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Aim at the product numbers[0], and mend the second-order error of the predictor (Mehrotra 1992)."""
+    """Aim at a given product, and mend the second-order error of the predictor (Mehrotra 1992)."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     zero = ti.cast(0.0, ti.f64)
     one = scaled(values, state, zero, vector(values, step, DUAL_STEP, like, m), m)
     other = unscaled(values, state, values[step[BOUND_STEP] + m], vector(values, step, CHANGE, like, m), m)
     found = jordan(one[0], one[1:], other[0], other[1:])
-    mend = divided(values, state, found[0] - numbers[0], found[1:], m)
+    mend = divided(values, state, found[0] - numbers[m], found[1:], m)
     dual = vector(values, state, DUAL, like, m)
     return aimed(values, state, -values[state[FRICTION] + m] - mend[0], [-dual[k] - mend[1 + k] for k in axes], m)
 
 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Bring products that are below numbers[2] or above numbers[3] after steps of the lengths numbers[0] and numbers[1]
-    closer (Gondzio 1996), those above by numbers[3] at most."""
+    """Bring products outside given limits, after steps of two given lengths, closer (Gondzio 1996), by the upper limit at
+    most."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
-    low, high = numbers[2], numbers[3]
+    along, dual_along, low, high = numbers[m], numbers[BLOCK + m], numbers[2 * BLOCK + m], numbers[3 * BLOCK + m]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
     change = vector(values, step, CHANGE, like, m)
     dual_step = vector(values, step, DUAL_STEP, like, m)
-    after = [slip[k] + numbers[0] * change[k] for k in axes]
-    dual_after = [dual[k] + numbers[1] * dual_step[k] for k in axes]
-    bound = values[state[BOUND] + m] + numbers[0] * values[step[BOUND_STEP] + m]
+    after = [slip[k] + along * change[k] for k in axes]
+    dual_after = [dual[k] + dual_along * dual_step[k] for k in axes]
+    bound = values[state[BOUND] + m] + along * values[step[BOUND_STEP] + m]
     one = scaled(values, state, values[state[FRICTION] + m], dual_after, m)
     other = unscaled(values, state, bound, after, m)
     found = jordan(one[0], one[1:], other[0], other[1:])
@@ -302,29 +305,26 @@ def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE) -> Callable:
         serial: ti.template(),
         values: VALUES,
         blocks: BLOCKS,
+        numbers: VALUES,
         length: int,
         first_two: int,
         count: int,
         read_slot: int,
         write_slot: int,
-        a: ti.f64,
-        b: ti.f64,
-        c: ti.f64,
-        d: ti.f64,
     ):
         if ti.static(serial):
             ti.loop_config(serialize=True)
         for block in range(first_two):
             walk(
                 values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
-                ti.static((iterate[0], step[0])), ti.static((0,)), [a, b, c, d],
+                ti.static((iterate[0], step[0])), ti.static((0,)), numbers,
             )  # fmt: skip
         if ti.static(serial):
             ti.loop_config(serialize=True)
         for block in range(first_two, count):
             walk(
                 values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
-                ti.static((iterate[1], step[1])), ti.static((0, 1)), [a, b, c, d],
+                ti.static((iterate[1], step[1])), ti.static((0, 1)), numbers,
             )  # fmt: skip
 
     return run
