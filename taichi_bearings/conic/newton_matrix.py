@@ -4,7 +4,7 @@ import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each
-from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, Part
+from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, Part, WholeCholesky
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
@@ -19,10 +19,10 @@ class NewtonMatrix:
         self._empty = system.unknowns == 0  # everything is tied to the driven planes
         if self._empty:
             return
-        self._cholesky = Cholesky(parts, *system.couplings())
+        few = system.unknowns <= FEW
+        self._cholesky = WholeCholesky(system.unknowns) if few else Cholesky(parts, *system.couplings())
         pattern = self._cholesky.pattern
-        self._map = system.laplacian_map(pattern.entry, len(pattern.row))
-        self._diagonal = np.flatnonzero(pattern.row == pattern.column)
+        self._map, self._diagonal = system.laplacian_map(pattern.entry, pattern.entries), pattern.diagonal
 
     def factorise(self, stiffness: Arrays, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin, (unknowns,).

@@ -11,20 +11,24 @@ settled: exactly, with a proof, where resolution.py can and friction acts alone;
 margin, which the central path drives apart.
 """
 
+import threading
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import balance, flowing, newton_step
-from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part, dissect
 from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
@@ -84,6 +88,33 @@ class _Sample:
         return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
 
 
+_Skeleton = tuple[ContactSystem, list[Part], NewtonMatrix | None]
+
+
+def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
+    """What all samples of a lattice have in common: made once for small ones, of which there are many."""
+    if lattice.sites < QUICK:
+        return _kept_skeleton(threading.get_ident(), lattice, spin_axes, jump)
+    _kept_skeleton.cache_clear()
+    return _new_skeleton(lattice, spin_axes, jump)
+
+
+@lru_cache(maxsize=1)
+def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
+    """thread : its own, as the numbers of a factorisation are kept in the matrix."""
+    return _new_skeleton(*alike)
+
+
+def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
+    system, parts = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
+    if not any(jump):  # nothing turns, and nothing is to be solved
+        return system, parts, None
+    matrix = NewtonMatrix(system, parts)
+    with one_thread():  # once for all, so that the kernels are compiled before the clock starts
+        matrix.factorise(isotropic(system.offset))
+    return system, parts, matrix
+
+
 class InteriorPointMethod:
     """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
 
@@ -98,14 +129,11 @@ class InteriorPointMethod:
         sign, axes = np.sign(scene.spin_top - scene.spin_bottom), list(self.spin_axes)
         self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])
         jump = self.top[0]
-        self.system = lattice_system(scene.lattice, self.spin_axes, jump)
         self.frustrated = bool((jump != 0).any())
         self.iteration = 0
-        if self.frustrated:
-            self.parts = dissect(scene.lattice.free_shape, self.spin_axes)
-            self.matrix = NewtonMatrix(self.system, self.parts)
-            with one_thread():  # once for all, so that the kernels are compiled before the clock starts
-                self.matrix.factorise(isotropic(self.system.offset))
+        self.system, self.parts, matrix = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
+        if matrix is not None:
+            self.matrix = matrix
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:

@@ -7,5 +7,6 @@ its cost. No general ordering that we measured finds this; dissection.py builds 
 
 from taichi_bearings.numerics.cholesky.dissection import Part, dissect
 from taichi_bearings.numerics.cholesky.factor import Cholesky, NotPositiveDefinite
+from taichi_bearings.numerics.cholesky.whole import FEW, WholeCholesky
 
-__all__ = ["Cholesky", "NotPositiveDefinite", "Part", "dissect"]
+__all__ = ["FEW", "Cholesky", "NotPositiveDefinite", "Part", "WholeCholesky", "dissect"]

@@ -49,6 +49,16 @@ class Pattern:
     def size(self) -> int:
         return len(self.order)
 
+    @property
+    def entries(self) -> int:
+        """Number of the stored entries."""
+        return len(self.row)
+
+    @cached_property
+    def diagonal(self) -> np.ndarray:
+        """Which of the stored entries are on the diagonal, (size,)."""
+        return np.flatnonzero(self.row == self.column)
+
     @cached_property
     def factor_entries(self) -> int:
         return sum(f.own * (f.own + len(f.border)) for f in self.fronts)
