@@ -12,6 +12,7 @@ margin, which the central path drives apart.
 """
 
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,16 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import balance, flowing, newton_step
+from taichi_bearings.conic.central_path import SIDE_BY_SIDE, Matrix, balance, flowing, newton_steps
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.matrices import NewtonMatrices
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part, dissect
+from taichi_bearings.numerics.cholesky.side_by_side import LEAF
 from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
@@ -39,6 +42,7 @@ from taichi_bearings.stages import stage
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
+SMALL = 3_000  # spheres up to which samples are factorised side by side
 QUICK, LAST_STEPS = 10_000, 8  # spheres up to which nobody waits for the steps from there to about the end
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
@@ -88,7 +92,7 @@ class _Sample:
         return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
 
 
-_Skeleton = tuple[ContactSystem, list[Part], NewtonMatrix | None]
+_Skeleton = tuple[ContactSystem, list[Part], NewtonMatrix | None, Matrix | None]
 
 
 def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
@@ -108,11 +112,13 @@ def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
 def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
     system, parts = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
     if not any(jump):  # nothing turns, and nothing is to be solved
-        return system, parts, None
+        return system, parts, None, None
     matrix = NewtonMatrix(system, parts)
+    small = lattice.sites < SMALL
+    matrices = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes, LEAF)) if small else matrix
     with one_thread():  # once for all, so that the kernels are compiled before the clock starts
         matrix.factorise(isotropic(system.offset))
-    return system, parts, matrix
+    return system, parts, matrix, matrices
 
 
 class InteriorPointMethod:
@@ -131,9 +137,9 @@ class InteriorPointMethod:
         jump = self.top[0]
         self.frustrated = bool((jump != 0).any())
         self.iteration = 0
-        self.system, self.parts, matrix = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
-        if matrix is not None:
-            self.matrix = matrix
+        self.system, self.parts, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
+        if matrix is not None and matrices is not None:
+            self.matrix, self.matrices = matrix, matrices
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
@@ -170,27 +176,35 @@ class InteriorPointMethod:
     def advance(self, steps: int) -> None:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
-                tried = [self._step(sample) for sample in self.samples if not sample.done]
+                going = [sample for sample in self.samples if not sample.done]
+                together = SIDE_BY_SIDE if isinstance(self.matrices, NewtonMatrices) else 1
+                tried = []
+                for first in range(0, len(going), together):
+                    tried += self._steps(going[first : first + together])
                 self.iteration += 1
                 if any(tried) or not tried:
                     break
 
-    def _step(self, sample: _Sample) -> bool:
-        """One step of a sample; True if that was its last one, or ended in a trial to settle its states."""
+    def _steps(self, samples: Sequence[_Sample]) -> list[bool]:
+        """One step of samples side by side; True where that was the last one, or ended in a trial to settle states."""
+        with np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
+            found = newton_steps([sample.iterate for sample in samples], self.matrices)
+        return [self._reached(sample, iterate) for sample, iterate in zip(samples, found, strict=True)]
+
+    def _reached(self, sample: _Sample, iterate: Iterate | None) -> bool:
+        """Judge where a step of a sample has led."""
         done = True
-        with suppress(NotPositiveDefinite), np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
-            iterate = newton_step(sample.iterate, self.matrix)
-            if iterate.price_of_torques > max(iterate.gap, CLOSEST):
-                iterate = balance(iterate, self.matrix)
-            if np.isfinite(iterate.gap):
-                sample.iterate, done = iterate, False
-                sample.remember()
+        with suppress(NotPositiveDefinite), np.errstate(all="ignore"):
+            if iterate is not None:
+                if iterate.price_of_torques > max(iterate.gap, CLOSEST):
+                    iterate = balance(iterate, self.matrix)
+                if np.isfinite(iterate.gap):
+                    sample.iterate, done = iterate, False
+                    sample.remember()
         gap = sample.iterate.gap
         sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
-            return (
-                sample.done
-            )  # slips of any size are met with a force: there is no set of contacts that rest to be found
+            return sample.done  # slips of any size are met with a force: no set of contacts that rest is to be found
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             with stage("settling contact states"):

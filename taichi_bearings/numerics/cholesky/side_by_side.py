@@ -1,9 +1,12 @@
 """Factorisations of several matrices of one pattern at once, for which every instruction works on all of them."""
 
+from functools import cached_property
+
 import numpy as np
 
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.elimination import HEADER, LANES, WIDTH, eliminate, substitute
+from taichi_bearings.kernels import elimination as kernels
+from taichi_bearings.kernels.elimination import HEADER, LANES, WIDTH
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.fronts import Pattern, analyse
@@ -12,66 +15,105 @@ LEAF = 20  # unknowns of a region that is not divided: calls cost nothing here, 
 
 
 class CholeskySideBySide:
-    """Cholesky factorisations of up to LANES symmetric positive definite matrices with a given elimination tree.
+    """Cholesky factorisations of one or up to LANES symmetric positive definite matrices with a given elimination tree.
 
-    What becomes of one matrix does not depend on the others. See :class:`Cholesky` for parts, first and second.
+    What becomes of a matrix, bit by bit, does not depend on the others, nor on whether there are any. See
+    :class:`Cholesky` for parts, first and second.
     """
 
     def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
-        self.pattern = pattern = analyse(parts, first, second)
-        self._tables, size, self._pivots = _tables(pattern)
-        refuse_beyond(8 * LANES * size, f"the factorisation of {LANES} times {len(pattern.order):,} unknowns")
-        longest = max(len(front.border) for front in pattern.fronts)
-        self._entries, self._numbers = _vectors(len(pattern.row)), _vectors(size)
-        self._solution, self._work = _vectors(len(pattern.order)), _vectors(longest + 1)
+        self.pattern = analyse(parts, first, second)
+        self._used: _Storage
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
         """Factorise the matrices with these values (entries, S) at the entries of the pattern; True (S,) for those that
         are positive definite to working precision."""
         look_up()
-        samples = values.shape[1]
-        self._entries[:, :samples] = values
-        eliminate(self._tables, self._entries, self._numbers)
-        return np.isfinite(self._numbers[self._pivots, :samples]).all(axis=0)
+        self._used = self._alone if values.shape[1] == 1 else self._together
+        return self._used.factorise(values)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
         look_up()
-        samples, order = right.shape[1], self.pattern.order
-        self._solution[:, :samples] = right[order]
-        substitute(self._tables, self._numbers, self._solution, self._work)
-        found = np.empty_like(right)
-        found[order] = self._solution[:, :samples]
+        order, found = self.pattern.order, np.empty_like(right)
+        found[order] = self._used.solve(right[order])
         return found
 
+    @cached_property
+    def _alone(self) -> "_Storage":
+        return _Storage(self.pattern, 1)
 
-def _vectors(count: int) -> np.ndarray:
-    """Zeros (count, LANES), at an address for SIMD."""
-    memory = np.zeros((count + 1) * LANES)
+    @cached_property
+    def _together(self) -> "_Storage":
+        return _Storage(self.pattern, LANES)
+
+
+class _Storage:
+    """Memory and tables for one matrix or for LANES."""
+
+    def __init__(self, pattern: Pattern, lanes: int) -> None:
+        self.lanes = lanes
+        self._tables, size, self._pivots = _tables(pattern, LANES // lanes)
+        refuse_beyond(8 * lanes * size, f"the factorisation of {lanes} times {len(pattern.order):,} unknowns")
+        longest = max(len(front.border) for front in pattern.fronts)
+        counts = len(pattern.row), size, len(pattern.order), longest + 1
+        self._entries, self._numbers, self._solution, self._work = (_vectors(count, lanes) for count in counts)
+
+    def factorise(self, values: np.ndarray) -> np.ndarray:
+        samples = values.shape[1]
+        self._entries[:, :samples] = values
+        if self.lanes == 1:
+            numbers = self._numbers[:, 0]
+            kernels.eliminate_alone(self._tables, self._entries[:, 0], numbers, numbers.reshape(-1, LANES))
+        else:
+            kernels.eliminate(self._tables, self._entries, self._numbers)
+        return np.isfinite(self._numbers[self._pivots, :samples]).all(axis=0)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """right : (unknowns, S), in the order of elimination."""
+        samples = right.shape[1]
+        self._solution[:, :samples] = right
+        if self.lanes == 1:
+            kernels.substitute_alone(self._tables, *(part[:, 0] for part in (self._numbers, self._solution, self._work)))
+        else:
+            kernels.substitute(self._tables, self._numbers, self._solution, self._work)
+        return self._solution[:, :samples]
+
+
+def _vectors(count: int, lanes: int) -> np.ndarray:
+    """Zeros (count, lanes), whole vectors at addresses for SIMD."""
+    count = _whole(count, LANES // lanes)
+    memory = np.zeros(count * lanes + LANES)
     first = -(memory.ctypes.data // memory.itemsize) % LANES
-    return memory[first : first + count * LANES].reshape(count, LANES)
+    return memory[first : first + count * lanes].reshape(count, lanes)
 
 
-def _tables(pattern: Pattern) -> tuple[np.ndarray, int, np.ndarray]:
-    """Tables of the kernels, how many vectors the fronts take, and where the pivots are among them."""
-    fronts = pattern.fronts
-    own, border = np.array([f.own for f in fronts]), np.array([len(f.border) for f in fronts])
-    columns_end, share_end = np.cumsum(own * (own + border)), np.cumsum(border)
+def _whole(count: int, unit: int) -> int:
+    return -(-count // unit) * unit
+
+
+def _tables(pattern: Pattern, unit: int) -> tuple[np.ndarray, int, np.ndarray]:
+    """Tables of the kernels, how many numbers the fronts take, and where the pivots are among them.
+
+    unit : rows that make a vector; columns begin at multiples of it.
+    """
+    fronts, shapes = pattern.fronts, [_shape(len(f.border), f.own, unit) for f in pattern.fronts]
     start = np.concatenate([[0], np.cumsum(np.bincount(pattern.column, minlength=pattern.size))])
-    updates, size = _updates(pattern, int(columns_end[-1]))
+    columns_end = np.cumsum([f.own * height for f, (height, _, _) in zip(fronts, shapes, strict=True)]).tolist()
+    share_end = np.cumsum([len(f.border) for f in fronts]).tolist()
+    sizes = [len(f.border) * height for f, (_, height, _) in zip(fronts, shapes, strict=True)]
+    updates, size = _updates(pattern, sizes, columns_end[-1])
     table, places, pivots = np.full((len(fronts), WIDTH), -1), [], []
-    for number, front in enumerate(fronts):
-        end, rows, columns = front.first + front.own, own[number] + border[number], columns_end[number]
-        columns -= own[number] * rows
+    for number, (front, (height, update_height, skip)) in enumerate(zip(fronts, shapes, strict=True)):
+        end, columns = front.first + front.own, columns_end[number] - front.own * height
         entries = slice(start[front.first], start[end])
         row, column = pattern.row[entries], pattern.column[entries] - front.first
         inside = np.where(row < end, row - front.first, front.own + np.searchsorted(front.border, row))
-        places.append(column * rows + inside)
-        pivots.append(columns + np.arange(front.own) * (rows + 1))
-        share = share_end[number] - border[number]
-        table[number, :6] = front.own, border[number], columns, updates[number], entries.start, entries.stop
+        places.append(column * height + inside)
+        pivots.append(columns + np.arange(front.own) * (height + 1))
+        table[number, :6] = front.own, len(front.border), columns, updates[number], entries.start, entries.stop
         table[number, 6 : 6 + len(front.children)] = front.children
-        table[number, 8:] = share, front.first
+        table[number, 8:] = share_end[number] - len(front.border), front.first, height, update_height, skip
     none = [np.zeros(0, dtype=np.int64)]
     maps = np.concatenate([*none, *(np.resize(f.place_in_parent, len(f.border)) for f in fronts)])
     parts = [table.ravel(), np.concatenate(places), maps, np.concatenate([*none, *(f.border for f in fronts)])]
@@ -80,19 +122,24 @@ def _tables(pattern: Pattern) -> tuple[np.ndarray, int, np.ndarray]:
     return packed, size, np.concatenate(pivots)
 
 
-def _updates(pattern: Pattern, begin: int) -> tuple[list[int], int]:
+def _shape(border: int, own: int, unit: int) -> tuple[int, int, int]:
+    """Numbers from column to column, those of the update, and the row at which these begin."""
+    height, skip = _whole(own + border, unit), own // unit * unit
+    return height, height - skip, skip
+
+
+def _updates(pattern: Pattern, sizes: list[int], begin: int) -> tuple[list[int], int]:
     """Where the update of each front is kept from `begin` on until its parent has taken it, and the end of all."""
     free, places, end = [(begin, 2**40)], [], begin
-    for front in pattern.fronts:
-        needed = len(front.border) ** 2
-        at = next(n for n, (_, length) in enumerate(free) if length >= needed)
+    for number, front in enumerate(pattern.fronts):
+        at = next(n for n, (_, length) in enumerate(free) if length >= sizes[number])
         place, length = free[at]
-        free[at] = (place + needed, length - needed)
+        free[at] = (place + sizes[number], length - sizes[number])
         places.append(place)
-        end = max(end, place + needed)
-        given_back = [(places[child], len(pattern.fronts[child].border) ** 2) for child in front.children]
+        end = max(end, place + sizes[number])
+        given_back = [(places[child], sizes[child]) for child in front.children]
         joined: list[tuple[int, int]] = []
-        for place, length in sorted((part for part in [*free, *given_back] if part[1])):
+        for place, length in sorted(part for part in [*free, *given_back] if part[1]):
             if joined and sum(joined[-1]) == place:
                 place, length = joined[-1][0], joined.pop()[1] + length
             joined.append((place, length))
