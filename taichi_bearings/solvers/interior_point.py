@@ -42,7 +42,7 @@ from taichi_bearings.stages import stage
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
-SMALL = 3_000  # spheres up to which samples are factorised side by side
+SMALL = 5_000  # spheres up to which samples are factorised side by side
 QUICK, LAST_STEPS = 10_000, 8  # spheres up to which nobody waits for the steps from there to about the end
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
