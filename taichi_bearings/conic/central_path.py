@@ -149,7 +149,10 @@ class _Directions:
     def __init__(self, iterates: Sequence[Iterate], matrix: Matrix) -> None:
         self.iterates, self.matrix = iterates, matrix
         samples = 1 if len(iterates) == 1 else SIDE_BY_SIDE
-        self.all = [*iterates, *iterates[:1] * (samples - len(iterates))]  # whatever there is no sample for is the first
+        self.all = [
+            *iterates,
+            *[iterates[0]] * (samples - len(iterates)),
+        ]  # whatever there is no sample for is the first
         self.rows, first = iterates[0].system.rows(samples), iterates[0]
         for sample, iterate in enumerate(self.all):
             self._put(sample, iterate)
@@ -157,9 +160,11 @@ class _Directions:
         self.rows.run(kernels.prepare, (0, 0), WEAK)
         stiffness, self.viscosity = self.rows.upper_stiffness(), None
         if first.viscosity is not None:
-            springs = [isotropic(iterate.difference, iterate.viscosity) for iterate in self.all]
+            springs = [isotropic(i.difference, i.viscosity) for i in self.all if i.viscosity is not None]
             stiffness = stiffness + np.stack([stacked(spring) for spring in springs], axis=1)
-            self.viscosity = self.rows.flattened([each(lambda k: k[0, :1].repeat(len(k), axis=0), spring) for spring in springs])
+            self.viscosity = self.rows.flattened(
+                [each(lambda k: k[0, :1].repeat(len(k), axis=0), spring) for spring in springs]
+            )
         self.regular = matrix.factorise_each(stiffness, first.inertia.weight if first.inertia else 0.0)
         # spins and forces that balance each other go on together
         self.together = first.inertia is not None or first.viscosity is not None
@@ -236,7 +241,9 @@ class _Directions:
             min(1.0, STEP_SHARE * length[sample]) for length in (step.along.tolist(), step.dual_along.tolist())
         )
         bound_step = rows.values[_in(slot, kernels.BOUND_STEP)]
-        change, dual_step = (rows.vectors(rows.two(_in(slot, row)), sample) for row in (kernels.CHANGE, kernels.DUAL_STEP))
+        change, dual_step = (
+            rows.vectors(rows.two(_in(slot, row)), sample) for row in (kernels.CHANGE, kernels.DUAL_STEP)
+        )
         return replace(
             iterate,
             spins=iterate.spins + along * step.spins[:, sample],

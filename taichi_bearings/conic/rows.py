@@ -23,7 +23,7 @@ class ContactRows:
     """
 
     def __init__(self, operators: Sequence[sparse.csr_matrix], components: Sequence[int], samples: int = 1) -> None:
-        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. samples : S, 1, 2, 4 or 8."""
+        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. samples : S, at most 8."""
         self.samples, self._components, block = samples, components, kernels.BLOCK // samples
         sizes = [operator.shape[0] // d for operator, d in zip(operators, components, strict=True)]
         starts, contacts = [0] * len(sizes), 0

@@ -6,8 +6,8 @@ linear and quadratic cone program solvers, 2010). A contact that is in no cone o
 
 Numbers lie in rows, one number of every contact a row, contacts with one slipping component before those with two, each
 kind beginning at a multiple of BLOCK. A contact may have numbers of several samples, one after the other: what a law is
-told, such as the length of a step, are four times BLOCK numbers, one for each place of a block. All in double precision,
-whatever that of the runtime.
+told, such as the length of a step, are four times BLOCK numbers, one for each place of a block. All is in double
+precision, whatever that of the runtime.
 """
 
 from collections.abc import Callable
@@ -228,8 +228,8 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Bring products outside given limits, after steps of two given lengths, closer (Gondzio 1996), by the upper limit at
-    most."""
+    """Bring products outside given limits, after steps of two given lengths, closer, by the upper limit at most
+    (Gondzio 1996)."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     along, dual_along, low, high = numbers[m], numbers[BLOCK + m], numbers[2 * BLOCK + m], numbers[3 * BLOCK + m]

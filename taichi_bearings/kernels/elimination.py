@@ -62,7 +62,7 @@ def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template()):
-    """Eliminate the own unknowns: column by column, each less what the ones before it contribute, four rows at a time."""
+    """Eliminate the own unknowns: each column less what those before it contribute, four rows at a time."""
     own, columns, height = tables[at + OWN], tables[at + COLUMNS], tables[at + HEIGHT]
     rows = own + tables[at + BORDER]
     for j in range(rows):

@@ -14,6 +14,7 @@ WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
 UNIT_SECONDS = 0.3  # estimated work that is sent to a worker at a time
+TOGETHER = 8  # samples that an interior point steps at once
 MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
 
@@ -45,14 +46,16 @@ def bytes_of(settings: RunSettings) -> float:
     return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + row_of(settings).bytes(sites)
 
 
-def units_of(samples: Sequence[Sample], structure: bool = False) -> list[tuple[Sample, ...]]:
-    """The samples in units of work: as many of like settings as take a fraction of a second, those of one scene but
-    for the seed first, so that they can be solved together."""
+def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
+    """The samples in units of work: as many of like settings as take a fraction of a second or gain by being solved
+    together, but a share for every worker."""
     units = []
     for group in groups_of(samples):
         settings = group[0].settings
         seconds = seconds_of(settings, structure)
         number = 1 if seconds is None else int(UNIT_SECONDS / seconds)
+        if math.prod(settings.shape) < row_of(settings).alike_in_a_block:
+            number = max(number, min(TOGETHER, -(-len(group) // workers)))
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // math.prod(settings.shape)))
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
     return units

@@ -15,6 +15,7 @@ from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import Sample, groups_of
 
 STATES = "states"  # folder of the full states
@@ -76,11 +77,18 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
         block: list[Sample] = []
         for sample in sorted(group, key=lambda sample: sample.settings.seed):
             follows = block and sample.settings.seed == block[-1].settings.seed + 1
-            if block and not (follows and settings.coefficients is None and row_of(settings).alike_in_a_block):
+            if block and not (follows and _alike_in_a_block(settings)):
                 yield block
                 block = []
             block.append(sample)
         yield block
+
+
+def _alike_in_a_block(settings: RunSettings) -> bool:
+    """True if it is no matter to a sample what is solved beside it."""
+    ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
+    alone = settings.coefficients is not None or ends_early
+    return not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
 
 
 def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:

@@ -230,7 +230,7 @@ def scan(
         course = _Course(plan, part, folder, records, missing, monitor, began, journals)
         try:
             with closing(engine), Journal(course.journal) as journal, awaited() as stopped:
-                course.follow(units_of(missing, wanted.structure), engine, journal, stopped)
+                course.follow(units_of(missing, wanted.structure, engine.workers or 1), engine, journal, stopped)
             course.write_files()
         except FileError as error:
             kept = len(records)

@@ -75,7 +75,7 @@ class Progress:
     proof : forces like `force` from which lower_bound follows, where these are others.
     time : simulated time of a dynamics, else None.
     energy : energy books of a dynamics that keeps them. slipping : (R,), contacts of a dynamics that slip now.
-    resolution : slip speed below which the method cannot tell slip from rest, length/time.
+    resolution : slip speed below which the method cannot tell slip from rest, length/time; of all, or (R,).
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
     exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
@@ -87,6 +87,7 @@ class Progress:
     geometric : the gap falls by like factors in like times; else roughly like a power of the time.
     settles_at : gap from which on the method settles contact states, which takes its own time, if it does.
     needed : iterations of the method in all, where that is known beforehand.
+    ended : (R,), iteration with which each replica was done, of a method that steps them apart.
     """
 
     iteration: int
@@ -95,7 +96,7 @@ class Progress:
     force: tuple[np.ndarray, ...]
     objective: np.ndarray
     lower_bound: np.ndarray
-    resolution: float
+    resolution: float | np.ndarray
     unbalanced_torque: np.ndarray
     rest: np.ndarray | None = None
     proof: tuple[np.ndarray, ...] | None = None
@@ -114,12 +115,15 @@ class Progress:
     geometric: bool = False
     settles_at: float | None = None
     needed: int | None = None
+    ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":
         """This state in the replicas where `better` (R,) is True, and `other` in the rest."""
         if better.all():
             return self
         mixed = {name: _picked(better, axis, getattr(self, name), getattr(other, name)) for name, axis in OF_REPLICAS}
+        if isinstance(self.resolution, np.ndarray):
+            return replace(self, **mixed, resolution=np.where(better, self.resolution, other.resolution))
         return replace(self, **mixed, resolution=self.resolution if better.any() else other.resolution)
 
 
@@ -153,6 +157,7 @@ class Solution:
     power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
         of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
     findings : what else the method has found, by name, (R,) each.
+    own : of `iterations` and `slip_threshold` what they are of each replica alone, (R,), where that can be told.
     history : columns of equal length; power and lower_bound are (checks, R).
     snapshots : spins of a dynamics at the times asked for.
     interrupted : Ctrl-C or SIGTERM was heard, even if too late to change the answer.
@@ -182,6 +187,7 @@ class Solution:
     seconds_compile: float
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    own: Mapping[str, np.ndarray] = field(default_factory=dict)
     snapshots: Snapshots | None = None
     interrupted: bool = False
     running: Runtime = HOST
@@ -212,13 +218,19 @@ class Solution:
             return tuple(part[one] for part in value) if isinstance(value, tuple) else value
 
         changes: dict[str, Any] = {item.name: cut(getattr(self, item.name)) for item in fields(self)}
+        history = {name: v[:, one] if v.ndim == 2 else v for name, v in self.history.items()}
+        if "iterations" in self.own and history:
+            lived = history["iteration"] <= self.own["iterations"][number]
+            history = {name: values[lived] for name, values in history.items()}
         changes |= {
             "scene": scene.sample(number),
             "seconds": self.seconds / scene.replicas,
             "seconds_compile": self.seconds_compile / scene.replicas,
-            "history": {name: v[:, one] if v.ndim == 2 else v for name, v in self.history.items()},
+            "history": history,
             "findings": {name: values[one] for name, values in self.findings.items()},
+            "own": {},
         }
+        changes |= {name: values[number].item() for name, values in self.own.items()}
         if self.snapshots is not None:
             changes["snapshots"] = Snapshots(self.snapshots.time, self.snapshots.spin[:, one])
         return replace(self, **changes)

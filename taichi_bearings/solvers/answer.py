@@ -29,6 +29,7 @@ def answered(
     judgement = _judged(scene, spin, spin_rounding, friction)
     slip = _slips(scene, final) if judgement is None else judgement.slip
     state, resolves = _told_apart(scene, slip, final, threshold)
+    own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
     objective, residual = final.objective, final.unbalanced_torque
     power = objective if scene.law.minimises == "power" else scene.total(per_contact)
@@ -57,7 +58,8 @@ def answered(
         objective=objective,
         lower_bound=bound,
         gap=relative_gap(scene, objective, bound),
-        slip_threshold=resolves,
+        slip_threshold=float(resolves.max()),
+        own=own,
         unbalanced_torque=residual,
         seconds=0.0,
         seconds_compile=0.0,
@@ -92,15 +94,15 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
 
 def _told_apart(
     scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float | None
-) -> tuple[tuple[np.ndarray, ...], float]:
-    """Contact states, and the slip up to which contacts count as slipless: as asked for, or what can be resolved."""
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Contact states, and slips (R,) up to which contacts count as slipless: as asked for, or what can be resolved."""
     if threshold is not None:
-        return _states(scene, slip, final, threshold, asked=True), threshold
+        return _states(scene, slip, final, threshold, asked=True), np.full(scene.replicas, threshold)
     rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
-    resolves = max(final.resolution, rounding)
-    state = _states(scene, slip, final, resolves, asked=False)
+    resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
+    state = _states(scene, slip, final, float(resolves.max()), asked=False)
     # a method that establishes the states has rounded its slips in another way
-    return state, max(resolves, float(np.nanmax(separate(scene, slip, state).largest_slipless, initial=0.0)))
+    return state, np.fmax(resolves, separate(scene, slip, state).largest_slipless)
 
 
 def _states(

@@ -83,7 +83,7 @@ def solve(
         with stage("solving") as solving:
             status, progress, seconds = course.follow([solving.tell, *monitors])
         with stage("proving contact states"):
-            solution = course.answer(status, progress.iteration, seconds, slip_threshold)
+            solution = course.answer(status, progress, seconds, slip_threshold)
     running = runtime.current() if method.options.needs_taichi else runtime.HOST
     compiling = compiled - began
     return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
@@ -204,10 +204,10 @@ class _Course:
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
-    def answer(self, status: Status, iteration: int, seconds: float, threshold: float | None) -> Solution:
-        """What the best state and the best forces amount to. iteration, seconds : in all."""
+    def answer(self, status: Status, last: Progress, seconds: float, threshold: float | None) -> Solution:
+        """What the best state and the best forces amount to. seconds : in all."""
         scene, best = self.scene, self.best
-        final = replace(best.progress, iteration=iteration)
+        final = replace(best.progress, iteration=last.iteration, ended=last.ended)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED

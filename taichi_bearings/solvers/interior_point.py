@@ -42,8 +42,8 @@ from taichi_bearings.stages import stage
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
-SMALL = 5_000  # spheres up to which samples are factorised side by side
-QUICK, LAST_STEPS = 10_000, 8  # spheres up to which nobody waits for the steps from there to about the end
+SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
+QUICK = 10_000  # spheres up to which what all samples of a lattice share is kept
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
@@ -59,6 +59,7 @@ class _Sample:
     iterate: Iterate
     unit: float
     done: bool = False
+    ended: int | None = None  # iteration of the look that found it done
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
     slip: tuple[Arrays, ...] = ()
@@ -168,31 +169,30 @@ class InteriorPointMethod:
         return sample
 
     def next_check(self, iteration: int) -> int:
-        """Every second step at first: a look costs half a step at 10^3. There the next is once states are settled."""
+        """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
+        if self.scene.lattice.sites < SMALL and self.options.settle:
+            return iteration + (4 if iteration < 12 else 2)
         far = self.frustrated and max(sample.iterate.gap for sample in self.samples) > FAR
-        quick = self.options.settle and self.scene.lattice.sites < QUICK
-        return iteration + (2 if far else LAST_STEPS if quick else 1)
+        return iteration + (2 if far else 1)
 
     def advance(self, steps: int) -> None:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
                 going = [sample for sample in self.samples if not sample.done]
                 together = SIDE_BY_SIDE if isinstance(self.matrices, NewtonMatrices) else 1
-                tried = []
                 for first in range(0, len(going), together):
-                    tried += self._steps(going[first : first + together])
+                    self._steps(going[first : first + together])
                 self.iteration += 1
-                if any(tried) or not tried:
-                    break
 
-    def _steps(self, samples: Sequence[_Sample]) -> list[bool]:
-        """One step of samples side by side; True where that was the last one, or ended in a trial to settle states."""
+    def _steps(self, samples: Sequence[_Sample]) -> None:
+        """One step of samples side by side."""
         with np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
             found = newton_steps([sample.iterate for sample in samples], self.matrices)
-        return [self._reached(sample, iterate) for sample, iterate in zip(samples, found, strict=True)]
+        for sample, iterate in zip(samples, found, strict=True):
+            self._judge(sample, iterate)
 
-    def _reached(self, sample: _Sample, iterate: Iterate | None) -> bool:
-        """Judge where a step of a sample has led."""
+    def _judge(self, sample: _Sample, iterate: Iterate | None) -> None:
+        """See where a step of a sample has led, and settle its states if that can be tried."""
         done = True
         with suppress(NotPositiveDefinite), np.errstate(all="ignore"):
             if iterate is not None:
@@ -204,14 +204,12 @@ class InteriorPointMethod:
         gap = sample.iterate.gap
         sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
-            return sample.done  # slips of any size are met with a force: no set of contacts that rest is to be found
+            return  # slips of any size are met with a force: there is no set of contacts that rest to be found
         if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             with stage("settling contact states"):
                 sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
             sample.done |= sample.resolved is not None
-            return True
-        return sample.done
 
     def progress(self) -> Progress:
         scene = self.scene
@@ -219,6 +217,8 @@ class InteriorPointMethod:
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
         for replica, sample in enumerate(self.samples):
+            if sample.done and sample.ended is None:
+                sample.ended = self.iteration
             answer = sample.resolved or sample.iterate
             for part, spins in zip((staggered, rest), self._spins(sample), strict=True):
                 place_free_spins(part, replica, spins)
@@ -227,7 +227,7 @@ class InteriorPointMethod:
             self.system.scatter(-answer.whole_dual * (sample.unit * scene.normal_force), force, replica)
             self.system.scatter(sample.states(), state, replica)
         scene.impose_driving(staggered, self.spin_axes)
-        creep = max((sample.creep() for sample in self.samples), default=0.0) if self.frustrated else 0.0
+        creep = np.array([sample.creep() if self.frustrated else 0.0 for sample in self.samples])
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -246,6 +246,7 @@ class InteriorPointMethod:
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
             settles_at=SETTLE,
+            ended=np.array([self.iteration if s.ended is None else s.ended for s in self.samples]),
         )
 
     def _spins(self, sample: _Sample) -> Pair:

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import prod
+from math import inf, prod
 from operator import attrgetter
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
@@ -50,8 +50,9 @@ class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
     name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
-    time. cpu_only : it works in the memory of the CPU. alike_in_a_block : it gives a seed the same bits alone and
-    beside others. colour, marker : in every figure. also_named : settings that name it too. solves : True for a law.
+    time. cpu_only : it works in the memory of the CPU. alike_in_a_block : spheres up to which it gives a seed the same
+    bits alone and beside others, and gains by it. colour, marker : in every figure. also_named : settings that name it
+    too. solves : True for a law.
     """
 
     name: ClassVar[str]
@@ -59,7 +60,7 @@ class MethodOptions:
     is_dynamics: ClassVar[bool] = False
     needs_taichi: ClassVar[bool] = True
     cpu_only: ClassVar[bool] = False
-    alike_in_a_block: ClassVar[bool] = False
+    alike_in_a_block: ClassVar[float] = 0
     colour: ClassVar[str] = "0.4"  # Okabe and Ito's palette, which the colour-blind can tell apart
     marker: ClassVar[str] = "h"
     also_named: ClassVar[dict[str, str]] = {}
@@ -120,7 +121,7 @@ class PlanarCut(MethodOptions):
     name = "planar-cut"
     implementation = "taichi_bearings.solvers.planar_cut:PlanarCutMethod"
     needs_taichi = False
-    alike_in_a_block = True
+    alike_in_a_block = inf
     colour, marker = "#0072B2", "o"
     solves = _laws(attrgetter("is_rate_independent"))
 
@@ -148,6 +149,7 @@ class InteriorPoint(MethodOptions):
     name = "interior-point"
     implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
     cpu_only = True
+    alike_in_a_block = 5_000
     colour, marker = "#D55E00", "^"
     solves = _laws(attrgetter("holds"))
 

@@ -74,7 +74,9 @@ class _Storage:
         samples = right.shape[1]
         self._solution[:, :samples] = right
         if self.lanes == 1:
-            kernels.substitute_alone(self._tables, *(part[:, 0] for part in (self._numbers, self._solution, self._work)))
+            kernels.substitute_alone(
+                self._tables, *(part[:, 0] for part in (self._numbers, self._solution, self._work))
+            )
         else:
             kernels.substitute(self._tables, self._numbers, self._solution, self._work)
         return self._solution[:, :samples]
