@@ -281,8 +281,7 @@ class _Directions:
     def _mean_product(self, step: _Step, along: float | np.ndarray, dual_along: float | np.ndarray) -> np.ndarray:
         """Of the contacts in cones after steps of these lengths, (S,)."""
         self.rows.run(kernels.multiply, (step.slot, step.slot), along, dual_along)
-        products = self.rows.values[_in(step.slot, kernels.PRODUCT)]
-        total = np.ascontiguousarray(products.T).sum(axis=1)  # in the same order however many samples there are
+        total = self.rows.total(_in(step.slot, kernels.PRODUCT))
         return total / np.array([max(1, iterate.in_cones) for iterate in self.all])
 
 

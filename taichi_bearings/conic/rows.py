@@ -70,6 +70,10 @@ class ContactRows:
         both = two.reshape(2, -1, self.samples)
         return Grouped(both[:d, span, sample].copy() for d, span in zip(self._components, self._spans, strict=True))
 
+    def total(self, row: int) -> np.ndarray:
+        """Sum over the contacts, (S,), in the same order however many samples there are."""
+        return np.concatenate([self.values[row, span].T for span in self._spans], axis=1).copy().sum(axis=1)
+
     def two(self, row: int) -> np.ndarray:
         """Two rows from one on, one after the other, (2*contacts, S), as a view."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)

@@ -259,8 +259,9 @@ class InteriorPointMethod:
         return multiply(jump, (high, low))
 
     def _lower_bound(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Quickly until the end of the path; the forces are balanced to round-off anyway."""
-        under_way = self.frustrated and not all(sample.done for sample in self.samples)
-        if under_way and self.scene.law.is_rate_independent:
-            return work_and_bound(self.scene, force, self.spin_axes)[1]
-        return lower_bound(self.scene, force, self.spin_axes)
+        """Quickly until a sample is at the end of its path; the forces are balanced to round-off anyway."""
+        done = np.array([sample.done or not self.frustrated for sample in self.samples])
+        if done.all() or not self.scene.law.is_rate_independent:
+            return lower_bound(self.scene, force, self.spin_axes)
+        quick = work_and_bound(self.scene, force, self.spin_axes)[1]
+        return np.where(done, lower_bound(self.scene, force, self.spin_axes), quick) if done.any() else quick

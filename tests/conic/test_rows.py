@@ -21,41 +21,48 @@ def interior(rng, d, n, spread=3):
 
 
 class Contacts:
-    """Random points inside their cones, a third of them smooth, with right-hand sides and steps."""
+    """Random points inside their cones, a third of them smooth, with right-hand sides and steps, one of S samples."""
 
-    def __init__(self, seed):
+    def __init__(self, samples, seed):
         rng = np.random.default_rng(seed)
-        self.rows = ContactRows(
-            [sparse.random_array((d * n, 8), rng=rng, format="csr") for d, n in SIZES], [d for d, _ in SIZES]
-        )
-        points = [(interior(rng, d, n), interior(rng, d, n)) for d, n in SIZES]
-        self.bound, self.slip = Grouped(p[0] for p, _ in points), Grouped(p[1] for p, _ in points)
-        self.friction, self.dual = Grouped(q[0] for _, q in points), Grouped(q[1] for _, q in points)
-        self.smooth = Grouped(rng.random(n) < 1 / 3 for _, n in SIZES)
-        self.spins = rng.standard_normal(8)
-        for row, values in (
-            (kernels.FRICTION, self.friction), (kernels.BOUND, self.bound), (kernels.SLIP, self.slip),
-            (kernels.DUAL, self.dual), (kernels.SMOOTH, self.smooth),
-        ):  # fmt: skip
-            self.rows.put(row, values)
-        self.rows.run(kernels.prepare, (0, 0), 1e-3)
-        self.scaling = each(
-            lambda b, z, m, y: Scaling.of((b, z), (m, y)), self.bound, self.slip, self.friction, self.dual
-        )
+        operators = [sparse.random_array((d * n, 8), rng=rng, format="csr") for d, n in SIZES]
+        self.rows, self.sample = ContactRows(operators, [d for d, _ in SIZES], samples), int(rng.integers(samples))
+        self.spins = rng.standard_normal((8, samples))
+        for sample in range(samples):
+            points = [(interior(rng, d, n), interior(rng, d, n)) for d, n in SIZES]
+            bound, slip = Grouped(p[0] for p, _ in points), Grouped(p[1] for p, _ in points)
+            friction, dual = Grouped(q[0] for _, q in points), Grouped(q[1] for _, q in points)
+            smooth = Grouped(rng.random(n) < 1 / 3 for _, n in SIZES)
+            for row, values in (
+                (kernels.FRICTION, friction), (kernels.BOUND, bound), (kernels.SLIP, slip), (kernels.DUAL, dual),
+                (kernels.SMOOTH, smooth),
+            ):  # fmt: skip
+                self.rows.put(row, sample, values)
+            if sample == self.sample:
+                self.bound, self.slip, self.friction, self.dual, self.smooth = bound, slip, friction, dual, smooth
+        self.run(kernels.prepare, (0, 0), 1e-3)
+        points = self.bound, self.slip, self.friction, self.dual
+        self.scaling = each(lambda b, z, m, y: Scaling.of((b, z), (m, y)), *points)
+
+    def run(self, kernel, slots, *numbers):
+        """With these numbers for the sample that is looked at, and others for the rest."""
+        others = [np.full(self.rows.samples, 0.3) for _ in numbers]
+        for values, number in zip(others, numbers, strict=True):
+            values[self.sample] = number
+        self.rows.run(kernel, slots, *others)
 
     def step(self, slot, row, vector=True):
         row += kernels.STATE_ROWS + slot * kernels.STEP_ROWS
-        return self.rows.vectors(self.rows.two(row)) if vector else self.rows.numbers(row)
+        if vector:
+            return self.rows.vectors(self.rows.two(row), self.sample)
+        return self.rows.numbers(self.rows.values[row], self.sample)
 
     def expand(self, slot):
-        self.rows.two(kernels.STATE_ROWS + slot * kernels.STEP_ROWS + kernels.CHANGE)[:] = (
-            self.rows.operator @ self.spins
-        )
-        self.rows.run(kernels.expand, (slot, slot))
-        return [
-            self.step(slot, row, row != kernels.BOUND_STEP)
-            for row in (kernels.CHANGE, kernels.BOUND_STEP, kernels.DUAL_STEP)
-        ]
+        change = self.rows.two(kernels.STATE_ROWS + slot * kernels.STEP_ROWS + kernels.CHANGE)
+        change[:] = self.rows.operator @ self.spins
+        self.run(kernels.expand, (slot, slot))
+        rows = (kernels.CHANGE, kernels.BOUND_STEP, kernels.DUAL_STEP)
+        return [self.step(slot, row, row != kernels.BOUND_STEP) for row in rows]
 
     def compare_right(self, slot, expected):
         """expected : function of the group's number that gives head and tail of the right-hand side."""
@@ -77,15 +84,16 @@ class Contacts:
             assert (pull.parts[g] == self.dual.parts[g])[:, smooth].all()
 
 
-@pytest.fixture(params=[0, 1])
+@pytest.fixture(params=[(1, 0), (8, 1), (2, 2)], ids=["alone", "of eight", "of two"])
 def contacts(request):
-    return Contacts(request.param)
+    return Contacts(*request.param)
 
 
 def test_stiffness_is_that_of_the_scaling_or_of_the_law(contacts):
     found = iter(
         np.split(
-            contacts.rows.upper_stiffness(), np.cumsum([n for d, n in SIZES for _ in range(d * (d + 1) // 2)])[:-1]
+            contacts.rows.upper_stiffness()[:, contacts.sample],
+            np.cumsum([n for d, n in SIZES for _ in range(d * (d + 1) // 2)])[:-1],
         )
     )
     for scaling, smooth, friction, slip in zip(
@@ -136,7 +144,7 @@ def test_steps_follow_from_the_spins_and_end_on_the_cones(contacts):
 
 def test_corrector_and_recentring_are_those_of_the_cones(contacts):
     change, bound_step, dual_step = contacts.expand(0)
-    contacts.rows.run(kernels.correct, (0, 1), 0.03)
+    contacts.run(kernels.correct, (0, 1), 0.03)
     parts = range(len(SIZES))
     steps = [(bound_step.parts[g], change.parts[g], dual_step.parts[g]) for g in parts]
 
@@ -151,7 +159,7 @@ def test_corrector_and_recentring_are_those_of_the_cones(contacts):
         return -contacts.friction.parts[g] - head, -contacts.dual.parts[g] - tail
 
     contacts.compare_right(1, corrected)
-    contacts.rows.run(kernels.recentre, (0, 1), 0.4, 0.7, 0.1, 2.0)
+    contacts.run(kernels.recentre, (0, 1), 0.4, 0.7, 0.1, 2.0)
 
     def recentred(g):
         scaling, (db, dz, dy) = contacts.scaling.parts[g], steps[g]
@@ -166,19 +174,39 @@ def test_corrector_and_recentring_are_those_of_the_cones(contacts):
 
 def test_products_are_counted_in_cones_alone(contacts):
     change, bound_step, dual_step = contacts.expand(0)
-    contacts.rows.run(kernels.multiply, (0, 0), 0.4, 0.7)
+    contacts.run(kernels.multiply, (0, 0), 0.4, 0.7)
     expected = 0.0
     for g in range(len(SIZES)):
         bound = contacts.bound.parts[g] + 0.4 * bound_step.parts[g]
         slip, dual = contacts.slip.parts[g] + 0.4 * change.parts[g], contacts.dual.parts[g] + 0.7 * dual_step.parts[g]
         expected += (bound * contacts.friction.parts[g] + inner(slip, dual))[~contacts.smooth.parts[g]].sum()
     row = kernels.STATE_ROWS + kernels.PRODUCT
-    assert contacts.rows.values[row].sum() == pytest.approx(expected, rel=1e-9)
+    assert contacts.rows.values[row, :, contacts.sample].sum() == pytest.approx(expected, rel=1e-9)
 
 
 def test_torques_are_the_transpose_of_the_slips(contacts):
-    forces = each(lambda z: np.random.default_rng(1).standard_normal(z.shape), contacts.slip)
-    flat = contacts.rows.flattened(forces)
-    work = float(flat @ (contacts.rows.operator @ contacts.spins))
-    assert float(contacts.spins @ (contacts.rows.transposed @ flat)) == pytest.approx(work, rel=1e-12)
-    assert all((a == b).all() for a, b in zip(contacts.rows.vectors(flat), forces, strict=True))
+    rows, rng = contacts.rows, np.random.default_rng(1)
+    forces = [each(lambda z: rng.standard_normal(z.shape), contacts.slip) for _ in range(rows.samples)]
+    flat = rows.flattened(forces)
+    work = (flat * (rows.operator @ contacts.spins)).sum(axis=0)
+    assert (contacts.spins * (rows.transposed @ flat)).sum(axis=0) == pytest.approx(work, rel=1e-12)
+    for sample, own in enumerate(forces):
+        assert all((a == b).all() for a, b in zip(rows.vectors(flat, sample), own, strict=True))
+
+
+def test_numbers_of_a_sample_do_not_depend_on_those_beside_it():
+    together, alone = Contacts(8, 3), Contacts(1, 4)
+    for row in (kernels.FRICTION, kernels.BOUND, kernels.SMOOTH):
+        alone.rows.put(row, 0, together.rows.numbers(together.rows.values[row], together.sample))
+    for row in (kernels.SLIP, kernels.DUAL):
+        alone.rows.put(row, 0, together.rows.vectors(together.rows.two(row), together.sample))
+    found = []
+    for contacts in (alone, together):
+        contacts.run(kernels.prepare, (0, 0), 1e-3)
+        contacts.rows.two(kernels.STATE_ROWS + kernels.CHANGE)[:] = 0.0
+        contacts.run(kernels.expand, (0, 0))
+        contacts.run(kernels.correct, (0, 1), 0.1)
+        contacts.run(kernels.multiply, (0, 0), 0.2, 0.3)
+        found.append([contacts.step(slot, row, False) for slot in (0, 1) for row in range(kernels.STEP_ROWS)])
+    for one, other in zip(*found, strict=True):
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))

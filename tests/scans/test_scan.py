@@ -407,3 +407,17 @@ def test_records_come_in_the_order_of_the_samples(plan_of):
     assert [record["key"] for record in records] == [sample.key for sample in mixed]
     assert [record["scalars"]["seed"] for record in records] == [sample.settings.seed for sample in mixed]
     assert sum(record["scalars"]["seconds"] for record in records) < time.perf_counter() - began
+
+
+def test_a_sample_is_the_same_beside_others_and_alone(plan_of):
+    """Solved side by side: every number but the time, to the last bit."""
+    plan = plan_of("shape = [6, 6, 6]\n[scan]\nseed = { start = 0, stop = 11 }\n")
+    together = solve_samples(plan.samples, Wanted(structure=True))
+    assert {record["scalars"]["status"] for record in together} == {"certified"}
+    assert len({record["scalars"]["iterations"] for record in together}) > 1
+    for sample, record in zip(plan.samples, together, strict=True):
+        (alone,) = solve_samples([sample], Wanted(structure=True))
+        for found in (record, alone):
+            for name in ("seconds", "seconds_compile"):
+                found["scalars"].pop(name)
+        assert record == alone

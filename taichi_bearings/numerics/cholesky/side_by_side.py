@@ -61,7 +61,7 @@ class _Storage:
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
         samples = values.shape[1]
-        self._entries[:, :samples] = values
+        self._entries[: len(values), :samples] = values
         if self.lanes == 1:
             numbers = self._numbers[:, 0]
             kernels.eliminate_alone(self._tables, self._entries[:, 0], numbers, numbers.reshape(-1, LANES))
@@ -71,15 +71,15 @@ class _Storage:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """right : (unknowns, S), in the order of elimination."""
-        samples = right.shape[1]
-        self._solution[:, :samples] = right
+        own = slice(len(right)), slice(right.shape[1])
+        self._solution[own] = right
         if self.lanes == 1:
             kernels.substitute_alone(
                 self._tables, *(part[:, 0] for part in (self._numbers, self._solution, self._work))
             )
         else:
             kernels.substitute(self._tables, self._numbers, self._solution, self._work)
-        return self._solution[:, :samples]
+        return self._solution[own]
 
 
 def _vectors(count: int, lanes: int) -> np.ndarray:
