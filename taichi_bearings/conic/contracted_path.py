@@ -15,7 +15,6 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part
 
-STIFF = 1e-8  # ratio of slip and margin below which a contact is tied on the way, once there are any below its square
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
 FARTHEST = 1e-22  # product of slip (in its unit) and margin beyond which what is in doubt remains so
 LEAST = 1e-25  # product at which double precision ends
@@ -29,65 +28,44 @@ EPS = np.finfo(np.float64).eps
 class ContractedPath:
     """A point of the path over the contacts that are left.
 
-    kept : these contacts among those of the whole system, (n,) places a group.
+    tied : what the contacts that are tied leave over. kept : the contacts left among those of the whole system, (n,)
+    places a group.
     """
 
-    def __init__(
-        self, whole: Iterate, parts: list[Part], tied: Arrays, untied: Arrays | None = None, unit: float = 1.0
-    ) -> None:
+    def __init__(self, whole: Iterate, parts: list[Part], tied: Arrays, unit: float = 1.0) -> None:
         """Begin at the point `whole`, which is not changed; `parts` : elimination tree over its unknowns.
 
-        tied, untied : (n,) masks a group, contacts to tie at once, and those that must not be tied on the way.
-        unit : of slip, in which those of the contacts in doubt are of order one.
+        tied : (n,) masks a group, contacts to tie. unit : of slip, in which those of the contacts in doubt are of order
+        one.
         """
-        self.point, self.parts, self.unit = whole, parts, unit
-        self.untied = each(np.zeros_like, tied) if untied is None else untied
-        self.kept = each(lambda mask: np.arange(len(mask)), tied)
-        self._chain: list[Contraction] = []
-        self._tie(tied)
-
-    def _tie(self, tied: Arrays) -> None:
-        """Go on without the contacts `tied`, (n,) masks over those that are left."""
-        point, contraction = self.point, Contraction(self.point.system, self.parts, tied)
-        self._chain.append(contraction)
-        spins, keep = contraction.contracted(point.spins), contraction.kept
-        tracked = point.difference[keep]
-        difference = precise(contraction.system, spins, tracked)
-        self.point = Iterate(
-            contraction.system,
-            spins,
-            point.friction[keep],
-            point.bound[keep] - tracked.length() + difference.length(),
-            difference,
-            point.dual[keep],
-            None if point.smooth is None else point.smooth[keep],
-        )
-        self.kept = self.kept[keep]
-        self.parts = contraction.parts
-        self._matrix = NewtonMatrix(contraction.system, contraction.parts)
+        self.unit, self.tied = unit, Contraction(whole.system, parts, tied)
+        self.kept, system = self.tied.kept, self.tied.system
+        self.matrix = NewtonMatrix(system, self.tied.parts)
+        spins, tracked = self.tied.contracted(whole.spins), whole.difference[self.kept]
+        difference = precise(system, spins, tracked)
+        bound = whole.bound[self.kept] - tracked.length() + difference.length()
+        self.point = Iterate(system, spins, whole.friction[self.kept], bound, difference, whole.dual[self.kept])
 
     @property
     def spins(self) -> np.ndarray:
         """Spins of the whole system."""
-        spins = self.point.spins
-        for contraction in reversed(self._chain):
-            spins = contraction.expanded(spins)
-        return spins
+        return self.tied.expanded(self.point.spins)
 
     def decide(self) -> Arrays | None:
         """Follow the path until slip and margin differ by DECIDED everywhere, or to its end: masks (n,) a group, the
-        contacts left that slip; None if that fails."""
+        contacts left that slip, or come to slip; None if that fails.
+
+        None is tied on the way: there the slip of a contact can be far below what it will be in the end.
+        """
+        before = each(np.zeros_like, self.point.friction)
         for _ in range(STEPS):
             ratios = self.point.slip_over_margin / self.unit
             if self._decided(ratios):
-                return ratios > 1
-            held = where(self.untied[self.kept], 1.0, ratios)
-            if (held < STIFF**2).any():
-                self._tie(held < STIFF)
+                return (ratios > 1) | (ratios > before)
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
             product = self.point.complementarity
             point = self.point.let_slip(min(max(product / (1000 * EPS), 100 * np.sqrt(product)), FAST * self.unit))
-            self.point = newton_step(point, self._matrix)
+            self.point, before = newton_step(point, self.matrix), ratios
         return None
 
     def _decided(self, ratios: Arrays) -> bool:

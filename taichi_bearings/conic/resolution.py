@@ -3,8 +3,8 @@
 On the central path slip times friction margin is the same for all contacts, so a slip of 1e-9 can be seen only where
 margins of 1e-9 can, and double precision ends before. Here
 
-1. contacts that surely stick are tied and the path goes on in the few unknowns that are left, until every contact is
-   decided (contracted_path.py);
+1. contacts that surely stick are tied. Mostly all others slip. If Newton's method brings some of them to rest, the
+   path goes on in the few unknowns that are left, until every contact is decided (contracted_path.py);
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
@@ -35,7 +35,8 @@ SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the
 TRIALS = 40  # rounds of Newton's method and proof
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
-NEWTON_TRIALS = 30  # of Newton's method, with contacts tied that come to rest
+NEWTON_TRIALS, FEW = 30, 2  # of Newton's method, with contacts tied that come to rest; where none is expected to
+HALF, NEARLY_ALL = 0.5, 0.95  # of a slip, by which a step may change it; if the whole step would turn it round
 COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
 LOST = 1e-25  # slip that double precision cannot follow: of a contact if Newton's method fails, or of a whole motion
 NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
@@ -76,9 +77,11 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMat
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         try:
             path = ContractedPath(iterate, parts, tied)
+            found = _minimum(iterate, parts, path, None, top, FEW)
             for _ in range(TRIALS):
-                slipping = path.decide()
-                found = None if slipping is None else _minimum(iterate, parts, path, slipping, top)
+                if found is None:
+                    slipping = path.decide()
+                    found = None if slipping is None else _minimum(iterate, parts, path, slipping, top, NEWTON_TRIALS)
                 if found is None:
                     break
                 borne = _borne(iterate, parts, matrix, found)
@@ -90,7 +93,7 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMat
                 settled = replace(found, dual=iterate.dual) if unit < NEGLIGIBLE else None
                 if unit < LOST:
                     break
-                path = _freed(iterate, parts, found, motion, unit)
+                path, found = _freed(iterate, parts, found, motion, unit), None
         except (NotPositiveDefinite, Contradiction):
             pass
     if settled is None or not -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME:
@@ -107,19 +110,26 @@ def _borne(iterate: Iterate, parts: list[Part], matrix: NewtonMatrix, found: Res
     return bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
 
 
-def _minimum(whole: Iterate, parts: list[Part], path: ContractedPath, left: Arrays, top: Pair) -> Resolved | None:
-    """The least power if just the contacts `left`, (n,) masks over those at the end of the path, slip."""
-    none = each(np.zeros_like, whole.difference)
-    difference = none.placed(path.kept, path.point.difference)
-    slipping = (none.length() > 0).placed(path.kept, left)
-    for _ in range(NEWTON_TRIALS):
-        trial = _Slipping(whole, parts, slipping)
-        at_rest = trial.descend(path.spins, difference)
+def _minimum(
+    whole: Iterate, parts: list[Part], path: ContractedPath, left: Arrays | None, top: Pair, trials: int
+) -> Resolved | None:
+    """The least power if just the contacts `left`, (n,) masks over those of the path, slip; None stands for all.
+
+    trials : of Newton's method, each with those tied that have come to rest in the one before.
+    """
+    slipping, spins = each(np.zeros_like, whole.friction, bool), path.spins
+    slipping = slipping.placed(path.kept, each(np.ones_like, path.kept, bool) if left is None else left)
+    difference = each(np.zeros_like, whole.difference).placed(path.kept, path.point.difference)
+    trial = _Slipping(whole, slipping, path.tied, path.matrix) if left is None else None
+    for _ in range(trials):
+        trial = trial or _Slipping.of(whole, parts, slipping)
+        at_rest = trial.descend(spins, difference)
         if at_rest is None:
             return trial.resolved(top)
         if not at_rest.any():
             return None
-        slipping = slipping & ~trial.everywhere(at_rest)
+        spins, difference = trial.tied.expanded(trial.spins), trial.everywhere(trial.difference)
+        slipping, trial = slipping & ~trial.everywhere(at_rest), None
     return None
 
 
@@ -129,9 +139,16 @@ class _Slipping:
     spins, difference, dual : in the end, of the contacts that slip.
     """
 
-    def __init__(self, whole: Iterate, parts: list[Part], slipping: Arrays) -> None:
-        self.tied, self.slipping = Contraction(whole.system, parts, ~slipping), slipping
-        self.friction = whole.friction[self.tied.kept]
+    def __init__(self, whole: Iterate, slipping: Arrays, tied: Contraction, matrix: NewtonMatrix) -> None:
+        """tied : the system without those that do not slip. matrix : of it."""
+        self.slipping, self.tied, self.matrix = slipping, tied, matrix
+        self.friction = whole.friction[tied.kept]
+
+    @classmethod
+    def of(cls, whole: Iterate, parts: list[Part], slipping: Arrays) -> "_Slipping":
+        """parts : elimination tree over the unknowns of the whole system."""
+        tied = Contraction(whole.system, parts, ~slipping)
+        return cls(whole, slipping, tied, NewtonMatrix(tied.system, tied.parts))
 
     def descend(self, spins: np.ndarray, tracked: Arrays) -> Arrays | None:
         """Newton's method; masks (n,) of contacts that come to rest if it fails, None at the minimum. At rest are those
@@ -141,7 +158,7 @@ class _Slipping:
         """
         system, self.spins = self.tied.system, self.tied.contracted(spins)
         self.difference = precise(system, self.spins, tracked[self.tied.kept])
-        self.matrix, first = NewtonMatrix(system, self.tied.parts), self.difference.length()
+        first = self.difference.length()
         if (first == 0).any():
             return first == 0
         for count in range(STEPS):
@@ -152,10 +169,11 @@ class _Slipping:
             self.matrix.factorise(each(friction_stiffness, self.friction, self.difference, HARDLY))
             step = self.matrix.solve(torques)
             change, slip = system.change(step), self.difference.length()
-            at_rest = (each(inner, self.difference + change, self.difference) <= 0) & (slip < COLLAPSED * first)
+            turned = each(inner, self.difference + change, self.difference) <= 0
+            at_rest = turned & (slip < COLLAPSED * first)
             if at_rest.any():
                 return at_rest
-            along = min(1.0, 0.5 / max((change.length() / slip).max(), TINY))
+            along = min(1.0, 1 / max((change.length() / (where(turned, NEARLY_ALL, HALF) * slip)).max(), TINY))
             self.spins, self.difference = self.spins + along * step, self.difference + along * change
         return self.difference.length() < LOST
 
@@ -185,4 +203,4 @@ def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, u
     free = found.slipping | motion.slipping
     difference = where(free, found.difference + whole.system.change(motion.spins), 0.0)
     point = Iterate.near(whole.system, found.spins + motion.spins, whole.friction, difference, START * unit)
-    return ContractedPath(point, parts, ~free, motion.slipping, unit)
+    return ContractedPath(point, parts, ~free, unit)
