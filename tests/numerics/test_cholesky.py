@@ -8,7 +8,20 @@ from scipy.sparse.linalg import spsolve
 from taichi_bearings.conic.contact_system import lattice_system, stacked
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite, dissect
+from taichi_bearings.interrupts import GivenUp, while_wanted
+from taichi_bearings.numerics.cholesky import (
+    Cholesky,
+    NotPositiveDefinite,
+    dense,
+    dissect,
+    factor,
+    fronts,
+    schedule,
+    storage,
+)
+from taichi_bearings.numerics.cholesky.fronts import analyse, panelled_size
+from taichi_bearings.numerics.cholesky.schedule import Schedule
+from taichi_bearings.runtime import Runtime
 from tests.scenes import make_scene
 
 SCENES = {
@@ -46,9 +59,23 @@ def assembled(system, stiffness):
     return total.tocsc()
 
 
+def narrow_panels(monkeypatch, threads=1):
+    """Fronts of many panels, all of them shared by so many threads."""
+    for module in (fronts, storage, dense):
+        monkeypatch.setattr(module, "PANEL", 7)
+    monkeypatch.setattr(dense, "OWN_PANEL", 4)
+    monkeypatch.setattr(dense, "WORTH_SHARING", 0)
+    monkeypatch.setattr(factor, "WORTH_A_THREAD", 0)
+    monkeypatch.setattr(schedule, "GROVE", 2000)
+    monkeypatch.setattr(factor.runtime, "current", lambda: Runtime("cpu", "f64", threads))
+
+
 @pytest.mark.parametrize("leaf", [3, 40, 10_000])
 @pytest.mark.parametrize("options", SCENES.values(), ids=SCENES)
-def test_solutions_equal_those_of_scipy(options, leaf):
+@pytest.mark.parametrize("narrow", [False, True])
+def test_solutions_equal_those_of_scipy(monkeypatch, options, leaf, narrow):
+    if narrow:
+        narrow_panels(monkeypatch)
     rng = np.random.default_rng(8)
     scene = make_scene(**options)
     system = system_of(scene)
@@ -131,3 +158,89 @@ def test_stacked_stiffnesses_reach_the_entries_they_belong_to():
     values = system.laplacian_map(pattern.entry, len(pattern.row)) @ stacked(stiffness)
     expected = assembled(system, stiffness)
     assert values == pytest.approx(np.asarray(expected[pattern.order[pattern.row], pattern.order[pattern.column]])[0])
+
+
+def random_system(shape=(6, 7, 8), leaf=20):
+    scene = make_scene(shape)
+    system = system_of(scene)
+    matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf))
+    return matrix, random_stiffness(system, np.random.default_rng(4)), np.ones(system.unknowns)
+
+
+def test_threads_that_share_fronts_leave_the_bits_as_they_are(monkeypatch):
+    solutions = []
+    for threads in (1, 2, 2, 5):
+        narrow_panels(monkeypatch, threads)
+        matrix, stiffness, right = random_system()
+        matrix.factorise(stiffness)
+        solutions.append(matrix.solve(right))
+    assert all((solution == solutions[0]).all() for solution in solutions)
+
+
+def test_threads_that_share_a_front_hear_of_a_pivot_that_is_not_positive(monkeypatch):
+    narrow_panels(monkeypatch, 3)
+    matrix, stiffness, right = random_system()
+    matrix.factorise(stiffness)
+    expected = matrix.solve(right)
+    with pytest.raises(NotPositiveDefinite):
+        matrix.factorise(-stiffness)
+    matrix.factorise(stiffness)
+    assert (matrix.solve(right) == expected).all()
+
+
+@pytest.mark.parametrize("looks", [0, 3, 30])
+def test_a_factorisation_given_up_amid_a_shared_front_ends_and_the_next_is_whole(monkeypatch, looks):
+    narrow_panels(monkeypatch, 3)
+    matrix, stiffness, right = random_system()
+    matrix.factorise(stiffness)
+    expected, left = matrix.solve(right), iter(range(looks))
+    with pytest.raises(GivenUp), while_wanted(lambda: next(left, None) is None):
+        matrix.factorise(stiffness)
+    matrix.factorise(stiffness)
+    assert (matrix.solve(right) == expected).all()
+
+
+def test_no_call_on_a_shared_front_takes_a_tenth_of_its_work():
+    """Of the largest front at 64^3, 21 Gflop: so interrupts are heard, and threads have something to share."""
+    front = dense.DenseFront(3968, 0, 0, 0)
+    assert len(front.tasks()) == 31
+    calls = [2 * n.value * m.value * k.value for _, _, m, n, k in products_of(front)]
+    assert sum(calls) > 0.9 * front.cost
+    assert max(calls) < 0.02 * front.cost
+
+
+def products_of(front):
+    for panel in front._own:
+        for product in panel.products:
+            yield tuple(argument._obj for argument in product[:5])
+
+
+def pattern_of(free_shape):
+    scene = make_scene((*free_shape[:2], free_shape[2] + 2))
+    return analyse(dissect(free_shape, (0, 1)), *system_of(scene).couplings())
+
+
+@pytest.mark.parametrize("grove", [0, 3000, 10**9])
+def test_no_update_lies_where_another_waits_to_be_used(monkeypatch, grove):
+    monkeypatch.setattr(schedule, "GROVE", grove)
+    pattern = pattern_of((9, 10, 11))
+    plan, waiting = Schedule(pattern), {}
+    size = [panelled_size(len(front.border)) for front in pattern.fronts]
+    for members in plan.batches:
+        children = {child for n in members for child in pattern.fronts[n].children}
+        assert children <= set(waiting)
+        waiting.update((int(n), (plan.update[n], plan.update[n] + size[n])) for n in members)
+        ends = [0, *np.ravel(sorted(waiting.values())), plan.peak]
+        assert (np.diff(ends) >= 0).all()
+        for child in children:
+            del waiting[child]
+    assert len(waiting) == 1
+
+
+def test_few_updates_wait_at_a_time():
+    """At 32^3: 21.9 million numbers of the factor, and a sixth of that for updates, of 27 million in all."""
+    pattern = pattern_of((32, 32, 30))
+    plan = Schedule(pattern)
+    assert pattern.factor_entries == 21_949_990
+    assert sum(panelled_size(len(front.border)) for front in pattern.fronts) > 25_000_000
+    assert plan.peak < 4_000_000

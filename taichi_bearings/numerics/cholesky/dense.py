@@ -7,9 +7,16 @@ here: most fronts are small, and a thread that waits for a busy processor holds 
 
 import ctypes
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from threading import Event
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cython_blas, cython_lapack
+
+from taichi_bearings.interrupts import look_up
+from taichi_bearings.numerics.cholesky.fronts import PANEL, panelled_size
 
 
 def _routine(module: object, name: str) -> Callable:
@@ -25,80 +32,165 @@ _dtrsm = _routine(cython_blas, "dtrsm")
 _dsyrk = _routine(cython_blas, "dsyrk")
 _dtrsv = _routine(cython_blas, "dtrsv")
 _dgemv = _routine(cython_blas, "dgemv")
-_LEFT_OUT = ctypes.c_char(b"N")
-_LOWER, _RIGHT, _TRANSPOSED = ctypes.c_char(b"L"), ctypes.c_char(b"R"), ctypes.c_char(b"T")
-_ZERO, _ONE, _MINUS_ONE = ctypes.c_double(0.0), ctypes.c_double(1.0), ctypes.c_double(-1.0)
-_STEP = ctypes.c_int(1)
+_dgemm = _routine(cython_blas, "dgemm")
+_LEFT_OUT, _LOWER, _RIGHT, _TRANSPOSED = (ctypes.byref(ctypes.c_char(letter)) for letter in (b"N", b"L", b"R", b"T"))
+_ZERO, _ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (0.0, 1.0, -1.0))
+_address = ctypes.c_void_p
+REAL = 8  # bytes
+OWN_PANEL = 128  # own columns of a front that are worked on together
+WORTH_SHARING = 1e7  # operations of a front from which several threads share it
+
+
+@cache
+def _count(number: int) -> Any:
+    return ctypes.byref(ctypes.c_int(number))
+
+
+_STEP = _count(1)
 
 
 class DenseFront:
-    """diagonal (m, m), below (b, m), update (b, b): Fortran-ordered float64 views; lower triangles count."""
+    """Elimination of a front: of its own columns, (own + border, own) in Fortran order, and of its panelled update.
 
-    def __init__(self, diagonal: np.ndarray, below: np.ndarray, update: np.ndarray) -> None:
-        m, b = len(diagonal), len(below)
-        self._keep = (diagonal, below, update)
-        self._fault = ctypes.c_int(0)
-        own, border = ctypes.c_int(max(m, 1)), ctypes.c_int(max(b, 1))
-        ref = ctypes.byref
-        to = [ctypes.c_void_p(a.ctypes.data) for a in (diagonal, below, update)]
-        m_, b_ = ctypes.c_int(m), ctypes.c_int(b)
-        self._factor = (ref(_LOWER), ref(m_), to[0], ref(own), ref(self._fault))
-        self._divide = (
-            ref(_RIGHT), ref(_LOWER), ref(_TRANSPOSED), ref(_LEFT_OUT), ref(b_), ref(m_), ref(_ONE),
-            to[0], ref(own), to[1], ref(border),
-        )  # fmt: skip
-        self._subtract = (
-            ref(_LOWER), ref(_LEFT_OUT), ref(b_), ref(m_), ref(_MINUS_ONE), to[1], ref(border), ref(_ONE),
-            to[2], ref(border),
-        )  # fmt: skip
-        self.cost = m**3 / 3 + m**2 * b + m * b**2
-        self._empty, self._root = m == 0, b == 0
+    columns, update : addresses. Only lower triangles count. Own columns are worked on in panels, too: each takes away
+    what those before it have found, and is then divided. So several threads can share a front, and no call lasts long.
+    """
 
-    def eliminate(self) -> bool:
-        """diagonal = L L^T, below = below L^-T, update = update - below below^T; False if a pivot is not positive."""
-        if self._empty:
-            return True
-        _dpotrf(*self._factor)
+    def __init__(self, own: int, border: int, columns: int, update: int) -> None:
+        self.cost = own**3 / 3 + own**2 * border + own * border**2
+        self._fault, self._stopped, self._shared = ctypes.c_int(0), False, self.cost > WORTH_SHARING
+        self._own = [self._of_own(first, own, own + border, columns) for first in range(0, own, OWN_PANEL)]
+        self._below = []
+        for first in range(0, border if own else 0, PANEL):
+            place = update + REAL * (panelled_size(border) - panelled_size(border - first))
+            self._below.append(_of_update(own, border - first, own + border, columns + REAL * (own + first), place))
+        self._done = [Event() for _ in self._own] if self._shared else []
+
+    def _of_own(self, first: int, own: int, height: int, columns: int) -> "_OwnPanel":
+        width, rows = min(OWN_PANEL, own - first), height - first
+        corner = columns + REAL * first * (height + 1)
+        ld, at = _count(height), _address(corner)
+        products = []
+        for before in range(0, first, OWN_PANEL):
+            left = _address(columns + REAL * (before * height + first))
+            products.append(_product(rows, width, OWN_PANEL, left, left, ld, at, ld))
+        divide = (
+            _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
+            at, ld, _address(corner + REAL * width), ld,
+        )  # fmt: skip
+        factor = (_LOWER, _count(width), at, ld, ctypes.byref(self._fault))
+        return _OwnPanel(products, factor, divide if rows > width else None)
+
+    def tasks(self) -> list[Callable[[], bool]]:
+        """What eliminates the front, True unless a pivot is not positive; on any threads, but begun in this order."""
+        if not self._shared:
+            return [self._eliminate_alone]
+        self._stopped = False
+        for done in self._done:
+            done.clear()
+        tasks: list[Callable[[], bool]] = [partial(self._eliminate, n) for n in range(len(self._own))]
+        return tasks + [partial(self._subtract, n) for n in range(len(self._below))]
+
+    def stop(self) -> None:
+        """Let nobody wait for what does not come."""
+        self._stopped = True
+        for done in self._done:
+            done.set()
+
+    def _eliminate_alone(self) -> bool:
+        for panel in self._own:
+            for product in panel.products:
+                _dgemm(*product)
+            if not self._divided(panel):
+                return False
+        for calls in self._below:
+            for routine, arguments in calls:
+                routine(*arguments)
+        return True
+
+    def _divided(self, panel: "_OwnPanel") -> bool:
+        _dpotrf(*panel.factor)
         if self._fault.value:
             return False
-        if not self._root:
-            _dtrsm(*self._divide)
-            _dsyrk(*self._subtract)
+        if panel.divide is not None:
+            _dtrsm(*panel.divide)
         return True
+
+    def _is_there(self, panel: int) -> bool:
+        self._done[panel].wait()
+        look_up()
+        return not self._stopped
+
+    def _eliminate(self, number: int) -> bool:
+        for before, product in enumerate(self._own[number].products):
+            if not self._is_there(before):
+                return False
+            _dgemm(*product)
+        if not self._divided(self._own[number]):
+            self.stop()
+            return False
+        self._done[number].set()
+        return True
+
+    def _subtract(self, number: int) -> bool:
+        if not self._is_there(-1):
+            return False
+        for routine, arguments in self._below[number]:
+            routine(*arguments)
+        return True
+
+
+@dataclass(frozen=True)
+class _OwnPanel:
+    """Arguments: products with the panels before it, factorisation of its diagonal, division of what is below that."""
+
+    products: list[tuple]
+    factor: tuple
+    divide: tuple | None
+
+
+def _of_update(own: int, rows: int, height: int, left: int, target: int) -> list[tuple[Callable, tuple]]:
+    """Calls that take from a panel of the update what the own columns hold in its rows, from the address `left` on."""
+    width, ld, to = min(PANEL, rows), _count(height), _address(target)
+    square = (
+        _LOWER, _LEFT_OUT, _count(width), _count(own), _MINUS_ONE, _address(left), ld, _ONE, to, _count(rows)
+    )  # fmt: skip
+    if rows == width:
+        return [(_dsyrk, square)]
+    below = _product(
+        rows - width, width, own, _address(left + REAL * width), _address(left), ld,
+        _address(target + REAL * width), _count(rows),
+    )  # fmt: skip
+    return [(_dsyrk, square), (_dgemm, below)]
+
+
+def _product(rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, target: Any, ld_target: Any) -> tuple:
+    """target (rows, width) -= left (rows, depth) right (width, depth)^T."""
+    return (
+        _LEFT_OUT, _TRANSPOSED, _count(rows), _count(width), _count(depth), _MINUS_ONE, left, ld, right, ld, _ONE,
+        target, ld_target,
+    )  # fmt: skip
 
 
 class DenseSolve:
     """Forward and backward substitution of one eliminated front in a vector that stays where it is in memory.
 
-    diagonal (m, m), below (b, m) : as eliminated. vector : all unknowns, first : the front's first one, border : (b,).
-    work : at least b numbers that no other thread uses.
+    columns : address of the own columns, as eliminated. vector : all unknowns, first : the front's first one,
+    border : (b,). work : at least b numbers that no other thread uses.
     """
 
     def __init__(
-        self,
-        diagonal: np.ndarray,
-        below: np.ndarray,
-        vector: np.ndarray,
-        first: int,
-        border: np.ndarray,
-        work: np.ndarray,
+        self, own: int, columns: int, vector: np.ndarray, first: int, border: np.ndarray, work: np.ndarray
     ) -> None:
-        m, b = len(diagonal), len(below)
-        self._vector, self._border, self._work = vector, border, work[:b]
-        self._keep = (diagonal, below)
-        ref = ctypes.byref
-        m_, b_, own = ctypes.c_int(m), ctypes.c_int(b), vector.ctypes.data + first * vector.itemsize
-        to = [ctypes.c_void_p(address) for address in (diagonal.ctypes.data, below.ctypes.data, own, work.ctypes.data)]
-        end = (ref(m_), to[0], ref(m_), to[2], ref(_STEP))
-        self._divide = (ref(_LOWER), ref(_LEFT_OUT), ref(_LEFT_OUT), *end)
-        self._divide_transposed = (ref(_LOWER), ref(_TRANSPOSED), ref(_LEFT_OUT), *end)
-        start = (ref(b_), ref(m_))
-        self._spread = (
-            ref(_LEFT_OUT), *start, ref(_ONE), to[1], ref(b_), to[2], ref(_STEP), ref(_ZERO), to[3], ref(_STEP)
-        )  # fmt: skip
-        self._gather = (
-            ref(_TRANSPOSED), *start, ref(_MINUS_ONE), to[1], ref(b_), to[3], ref(_STEP), ref(_ONE), to[2], ref(_STEP)
-        )  # fmt: skip
+        self._vector, self._border, self._work = vector, border, work[: len(border)]
+        height, m, b = _count(own + len(border)), _count(own), _count(len(border))
+        x, y = _address(vector.ctypes.data + first * vector.itemsize), _address(work.ctypes.data)
+        diagonal, below = _address(columns), _address(columns + REAL * own)
+        end = (m, diagonal, height, x, _STEP)
+        self._divide = (_LOWER, _LEFT_OUT, _LEFT_OUT, *end)
+        self._divide_transposed = (_LOWER, _TRANSPOSED, _LEFT_OUT, *end)
+        self._spread = (_LEFT_OUT, b, m, _ONE, below, height, x, _STEP, _ZERO, y, _STEP)
+        self._gather = (_TRANSPOSED, b, m, _MINUS_ONE, below, height, y, _STEP, _ONE, x, _STEP)
 
     def forward(self) -> None:
         """own = L^-1 own, border -= below own."""

@@ -1,6 +1,6 @@
 """Numeric factorisation and solves: fronts assembled by Taichi, eliminated by LAPACK and BLAS on several threads."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
@@ -9,14 +9,14 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.assembly import assemble
-from taichi_bearings.numerics.cholesky.dense import DenseFront, DenseSolve
+from taichi_bearings.numerics.cholesky.dense import REAL, DenseFront, DenseSolve
 from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.fronts import Front, analyse
 from taichi_bearings.numerics.cholesky.storage import Storage
 
-SERIAL = 20_000  # columns of a depth below which one worker assembles faster than a team
+SERIAL = 500_000  # numbers of a batch below which one worker assembles faster than a team
 WORTH_A_SOLVE = 1_000_000  # entries of the factor from which subtrees are solved side by side
-WORTH_A_THREAD = 3e6  # operations of a depth from which several threads share it
+WORTH_A_THREAD = 3e6  # operations of a batch from which several threads share it
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -33,15 +33,21 @@ class Cholesky:
     def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
         self.pattern = analyse(parts, first, second)
         self._storage = storage = Storage(self.pattern)
-        self._fronts = [
-            sorted((DenseFront(*storage.blocks[n]) for n in members), key=lambda front: -front.cost)
-            for members in storage.members
+        address, fronts = storage.reals.ctypes.data, self.pattern.fronts
+        dense = [
+            DenseFront(front.own, len(front.border), address + REAL * columns, address + REAL * update)
+            for front, columns, update in zip(fronts, storage.factor.tolist(), storage.update.tolist(), strict=True)
+        ]
+        self._batches = [
+            (batch, sorted((dense[n] for n in batch.fronts), key=lambda front: -front.cost))
+            for batch in storage.batches
         ]
         self._branches = self._make_branches()
 
     def _make_branches(self) -> list["_Branch"]:
         """The subtrees below the root, then the root: what comes before the last can be solved side by side."""
-        fronts, blocks = self.pattern.fronts, self._storage.blocks
+        fronts, storage = self.pattern.fronts, self._storage
+        columns = (storage.reals.ctypes.data + REAL * storage.factor).tolist()
         longest = max(len(front.border) for front in fronts)
         root = len(fronts) - 1
         ends = [*sorted(child + 1 for child in fronts[root].children), root, root + 1]
@@ -49,7 +55,7 @@ class Cholesky:
         for begin, end in zip([0, *ends[:-1]], ends, strict=True):
             members = range(begin, end)
             if len(members):
-                branches.append(_Branch([fronts[n] for n in members], [blocks[n] for n in members], longest, self.size))
+                branches.append(_Branch([fronts[n] for n in members], columns[begin:end], longest, self.size))
         return branches
 
     @property
@@ -63,11 +69,10 @@ class Cholesky:
         """
         storage = self._storage
         storage.values[:] = values
-        ends = [0, *storage.columns_end]
-        for d in reversed(range(len(self._fronts))):
+        for batch, fronts in self._batches:
             look_up()
-            assemble(ends[d + 1] - ends[d] < SERIAL, ends[d], ends[d + 1], storage.tables, storage.reals)
-            if not _eliminate(self._fronts[d]):
+            assemble(batch.entries < SERIAL, batch.begin, batch.end, storage.tables, storage.reals)
+            if not _eliminate(fronts):
                 raise NotPositiveDefinite
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -98,12 +103,12 @@ class Cholesky:
 class _Branch:
     """A part of the elimination tree with a vector of its own, so that branches can be solved side by side."""
 
-    def __init__(self, fronts: list[Front], blocks: list, longest_border: int, size: int) -> None:
+    def __init__(self, fronts: list[Front], columns: list[int], longest_border: int, size: int) -> None:
         self.first, self.end = fronts[0].first, fronts[-1].first + fronts[-1].own
         self.vector, work = np.zeros(size), np.zeros(max(longest_border, 1))
         self._solves = [
-            DenseSolve(diagonal, below, self.vector, front.first, front.border, work)
-            for front, (diagonal, below, _) in zip(fronts, blocks, strict=True)
+            DenseSolve(front.own, address, self.vector, front.first, front.border, work)
+            for front, address in zip(fronts, columns, strict=True)
             if front.own
         ]
 
@@ -128,25 +133,30 @@ class _Branch:
 
 
 def _eliminate(fronts: list[DenseFront]) -> bool:
-    """Eliminate the fronts of one depth, on several threads if that pays; False if a pivot is not positive."""
-    threads = min(runtime.current().threads, len(fronts))
+    """Eliminate the fronts of a batch, on several threads if that pays; False if a pivot is not positive."""
+    tasks = [task for front in fronts for task in front.tasks()]
+    threads = min(runtime.current().threads, len(tasks))
     if threads == 1 or sum(front.cost for front in fronts) < WORTH_A_THREAD:
-        return _eliminate_each(fronts)
-    queue = iter(fronts)  # shared; heaviest first
-    others = [_pool().submit(_eliminate_each, queue) for _ in range(threads - 1)]
+        return _work_off(tasks)
+    queue = iter(tasks)  # shared; of the heaviest front first
+    others = [_pool().submit(_work_off, queue) for _ in range(threads - 1)]
     try:
-        succeeded = _eliminate_each(queue)
-    finally:
+        succeeded = _work_off(queue)
+    except BaseException:
         list(queue)  # nobody works on a front once this is given up
+        for front in fronts:
+            front.stop()
+        raise
+    finally:
         others_succeeded = [other.result() for other in others]
     return min(succeeded, *others_succeeded)
 
 
-def _eliminate_each(fronts: Iterable[DenseFront]) -> bool:
+def _work_off(tasks: Iterable[Callable[[], bool]]) -> bool:
     succeeded = True
-    for front in fronts:
+    for task in tasks:
         look_up()
-        succeeded &= front.eliminate()
+        succeeded &= task()
     return succeeded
 
 

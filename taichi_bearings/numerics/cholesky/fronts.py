@@ -7,11 +7,21 @@ added into the front of the parent. Fronts of one depth do not depend on each ot
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
 
 from taichi_bearings.numerics.cholesky.dissection import Part
+
+Integers = TypeVar("Integers", int, np.ndarray)
+PANEL = 256  # columns of an update that are stored and worked on together
+
+
+def panelled_size(width: Integers) -> Integers:
+    """Numbers stored of a lower triangle of this width: panels of PANEL columns, from the diagonal down."""
+    panels, rest = width // PANEL, width % PANEL
+    return PANEL * (panels * width - PANEL * panels * (panels - 1) // 2) + rest * rest
 
 
 @dataclass(frozen=True)

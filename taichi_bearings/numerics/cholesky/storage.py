@@ -1,24 +1,37 @@
 """Where the numbers of a factorisation lie in memory, and the tables by which the assembly kernel finds them."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from taichi_bearings.kernels.assembly import (
-    BELOW,
-    BORDER,
-    CHILD_A,
+    ADDRESS,
+    BEGIN,
+    COLUMN_A,
     COLUMN_WIDTH,
-    DIAGONAL,
     FIRST,
+    FRONT,
     FRONT_WIDTH,
     HEADER,
+    HEIGHT,
     MAP,
     OWN,
-    UPDATE,
 )
 from taichi_bearings.memory import refuse_beyond
-from taichi_bearings.numerics.cholesky.fronts import Pattern
+from taichi_bearings.numerics.cholesky.fronts import PANEL, Pattern, panelled_size
+from taichi_bearings.numerics.cholesky.schedule import Schedule
 
 MOST_REALS = 2**31 - 1  # the kernel counts in 32 bits
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Fronts that are assembled at once: their numbers, and their columns begin ... end-1 in the table of columns."""
+
+    fronts: np.ndarray
+    begin: int
+    end: int
+    entries: int
 
 
 class Storage:
@@ -26,65 +39,67 @@ class Storage:
 
     tables, reals : arguments of the assembly kernel.
     values : view of `reals`, the original entries.
-    members : numbers of the fronts of each depth. columns_end : end of each depth in the table of columns.
-    blocks : per front, views (diagonal (m, m), below (b, m), update (b, b)) of `reals` in Fortran order.
-
-    The update blocks of even and of odd depths take turns: fronts read those of the next depth only.
+    batches : of fronts, children first.
+    factor, update : (fronts,) places in `reals` of the own columns, (own + border, own) in Fortran order, and of the
+    update of the border, panels of PANEL columns from the diagonal down; lower triangles count.
     """
 
     def __init__(self, pattern: Pattern) -> None:
-        fronts = pattern.fronts
+        fronts, schedule = pattern.fronts, Schedule(pattern)
         own = np.array([f.own for f in fronts], dtype=np.int64)
         border = np.array([len(f.border) for f in fronts], dtype=np.int64)
-        depth = np.array([f.depth for f in fronts])
-        self.members = [np.flatnonzero(depth == d) for d in range(depth.max() + 1)]
-
-        table = np.zeros((len(fronts), FRONT_WIDTH), dtype=np.int64)
-        table[:, OWN], table[:, BORDER], table[:, FIRST] = own, border, [f.first for f in fronts]
-        table[:, MAP] = np.cumsum(border) - border
-        ends = len(pattern.row) + np.cumsum(np.stack([own * own, own * border], axis=1))
-        table[:, DIAGONAL], table[:, BELOW] = ends[::2] - own * own, ends[1::2] - own * border
-        size = int(ends[-1])
-        for turn in (0, 1):
-            start, longest = size, 0
-            for members in self.members[turn::2]:
-                end = np.cumsum(border[members] ** 2)
-                table[members, UPDATE] = start + end - border[members] ** 2
-                longest = max(longest, int(end[-1]))
-            size += longest
+        height = own + border
+        ends = len(pattern.row) + np.cumsum(own * height)
+        self.factor = ends - own * height
+        self.update = ends[-1] + schedule.update
+        size = int(ends[-1]) + schedule.peak
         if size > MOST_REALS:
             raise MemoryError(f"the factorisation needs {size} numbers; at most {MOST_REALS} can be indexed")
         refuse_beyond(8 * size, f"the factorisation of {len(pattern.order):,} unknowns")
-        columns = []
-        for number in np.concatenate(self.members):
-            children = fronts[number].children
-            table[number, CHILD_A : CHILD_A + len(children)] = children
-            columns.append(_columns(pattern, number))
-        self.columns_end = np.cumsum([(own + border)[members].sum() for members in self.members]).tolist()
+        order = np.concatenate(schedule.batches)
+        table = np.zeros((len(fronts), FRONT_WIDTH), dtype=np.int64)
+        table[:, OWN], table[:, HEIGHT], table[:, FIRST] = own, height, [f.first for f in fronts]
+        table[order, BEGIN] = np.cumsum(height[order]) - height[order]
+        table[:, MAP] = np.cumsum(border) - border
         maps = np.concatenate([f.place_in_parent for f in fronts])
-        self.tables = _packed(np.concatenate(columns), table, *_entries(pattern), maps)
+        columns = self._columns(order, table)
+        _join_children(pattern, table, columns, maps)
+        self.tables = _packed(columns, table, *_entries(pattern), maps)
         self.reals = np.zeros(size)
         self.values = self.reals[: len(pattern.row)]
-        self.blocks = [self._views(row) for row in table]
+        self.batches = [self._batch(members, table) for members in schedule.batches]
 
-    def _views(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        m, b = int(row[OWN]), int(row[BORDER])
+    def _batch(self, members: np.ndarray, table: np.ndarray) -> Batch:
+        own, height = table[members, OWN], table[members, HEIGHT]
+        begin = int(table[members[0], BEGIN])
+        entries = int((own * height + panelled_size(height - own)).sum())
+        return Batch(members, begin, begin + int(height.sum()), entries)
 
-        def view(start: int, height: int, width: int) -> np.ndarray:
-            return self.reals[start : start + height * width].reshape(height, width, order="F")
+    def _columns(self, order: np.ndarray, table: np.ndarray) -> np.ndarray:
+        """The table of columns, front by front in this order; without children."""
+        front = np.repeat(order, table[order, HEIGHT])
+        column = np.arange(len(front)) - table[front, BEGIN]
+        own, height = table[front, OWN], table[front, HEIGHT]
+        panel = np.maximum(column - own, 0) // PANEL * PANEL  # its first column, counted along the border
+        before, rows = panelled_size(height - own) - panelled_size(height - own - panel), height - own - panel
+        in_update = self.update[front] + before + (column - own - panel) * rows - own - panel
+        columns = np.full((len(front), COLUMN_WIDTH), -1)
+        columns[:, FRONT] = front
+        columns[:, ADDRESS] = np.where(column < own, self.factor[front] + column * height, in_update)
+        return columns
 
-        return view(int(row[DIAGONAL]), m, m), view(int(row[BELOW]), b, m), view(int(row[UPDATE]), b, b)
 
-
-def _columns(pattern: Pattern, number: int) -> np.ndarray:
-    """(width, 4) for a front: its number, column, and the columns of its two children that belong there, or -1."""
-    front = pattern.fronts[number]
-    columns = np.full((front.own + len(front.border), COLUMN_WIDTH), -1)
-    columns[:, 0], columns[:, 1] = number, np.arange(len(columns))
-    for which, child in enumerate(front.children):
-        places = pattern.fronts[child].place_in_parent
-        columns[places, 2 + which] = np.arange(len(places))
-    return columns
+def _join_children(pattern: Pattern, table: np.ndarray, columns: np.ndarray, maps: np.ndarray) -> None:
+    """Write into the table of columns which columns of the children belong there."""
+    for which in (0, 1):
+        pairs = [(front.children[which], n) for n, front in enumerate(pattern.fronts) if len(front.children) > which]
+        if pairs:
+            child, parent = np.array(pairs).T
+            border = table[child, HEIGHT] - table[child, OWN]
+            column = np.arange(border.sum()) - np.repeat(np.cumsum(border) - border, border)
+            place = maps[np.repeat(table[child, MAP], border) + column]
+            own = np.repeat(table[child, BEGIN] + table[child, OWN], border) + column
+            columns[np.repeat(table[parent, BEGIN], border) + place, COLUMN_A + which] = own
 
 
 def _entries(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
