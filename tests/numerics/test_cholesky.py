@@ -203,7 +203,7 @@ def test_a_factorisation_given_up_amid_a_shared_front_ends_and_the_next_is_whole
 def test_no_call_on_a_shared_front_takes_a_tenth_of_its_work():
     """Of the largest front at 64^3, 21 Gflop: so interrupts are heard, and threads have something to share."""
     front = dense.DenseFront(3968, 0, 0, 0)
-    assert len(front.tasks()) == 31
+    assert len(front.tasks()) == 62
     calls = [2 * n.value * m.value * k.value for _, _, m, n, k in products_of(front)]
     assert sum(calls) > 0.9 * front.cost
     assert max(calls) < 0.02 * front.cost
@@ -237,10 +237,11 @@ def test_no_update_lies_where_another_waits_to_be_used(monkeypatch, grove):
     assert len(waiting) == 1
 
 
-def test_few_updates_wait_at_a_time():
-    """At 32^3: 21.9 million numbers of the factor, and a sixth of that for updates, of 27 million in all."""
+def test_few_updates_wait_at_a_time(monkeypatch):
+    """At 32^3: 22 million numbers of the factor, and 29 of all updates."""
     pattern = pattern_of((32, 32, 30))
-    plan = Schedule(pattern)
     assert pattern.factor_entries == 21_949_990
-    assert sum(panelled_size(len(front.border)) for front in pattern.fronts) > 25_000_000
-    assert plan.peak < 4_000_000
+    assert sum(panelled_size(len(front.border)) for front in pattern.fronts) > 28_000_000
+    assert Schedule(pattern).peak < 16_000_000
+    monkeypatch.setattr(schedule, "GROVE", 4_000_000)  # as large as that of 64^3 is for GROVE
+    assert Schedule(pattern).peak < 4_000_000

@@ -37,7 +37,7 @@ _LEFT_OUT, _LOWER, _RIGHT, _TRANSPOSED = (ctypes.byref(ctypes.c_char(letter)) fo
 _ZERO, _ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (0.0, 1.0, -1.0))
 _address = ctypes.c_void_p
 REAL = 8  # bytes
-OWN_PANEL = 128  # own columns of a front that are worked on together
+OWN_PANEL = 64  # own columns of a front that are worked on together
 WORTH_SHARING = 1e7  # operations of a front from which several threads share it
 
 
@@ -47,6 +47,16 @@ def _count(number: int) -> Any:
 
 
 _STEP = _count(1)
+
+
+@dataclass(frozen=True)
+class Task:
+    """work : True unless a pivot is not positive. Tasks are begun by urgency, then by turn: so panels of several fronts
+    take turns, which wait for each other least, and what nothing waits for fills the end."""
+
+    urgency: int
+    turn: float
+    work: Callable[[], bool]
 
 
 class DenseFront:
@@ -81,15 +91,18 @@ class DenseFront:
         factor = (_LOWER, _count(width), at, ld, ctypes.byref(self._fault))
         return _OwnPanel(products, factor, divide if rows > width else None)
 
-    def tasks(self) -> list[Callable[[], bool]]:
-        """What eliminates the front, True unless a pivot is not positive; on any threads, but begun in this order."""
+    def tasks(self) -> list[Task]:
+        """What eliminates the front. Any threads may share the tasks of fronts that are ready, if begun in order."""
         if not self._shared:
-            return [self._eliminate_alone]
+            return [Task(2, -self.cost, self._eliminate_alone)]
+        tasks = [Task(0, n, partial(self._eliminate, n)) for n in range(len(self._own))]
+        return tasks + [Task(1, -self.cost, partial(self._subtract, n)) for n in range(len(self._below))]
+
+    def get_ready(self) -> None:
+        """Before the tasks are begun."""
         self._stopped = False
         for done in self._done:
             done.clear()
-        tasks: list[Callable[[], bool]] = [partial(self._eliminate, n) for n in range(len(self._own))]
-        return tasks + [partial(self._subtract, n) for n in range(len(self._below))]
 
     def stop(self) -> None:
         """Let nobody wait for what does not come."""

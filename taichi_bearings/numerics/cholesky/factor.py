@@ -12,7 +12,7 @@ from taichi_bearings.kernels.assembly import assemble
 from taichi_bearings.numerics.cholesky.dense import REAL, DenseFront, DenseSolve
 from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.fronts import Front, analyse
-from taichi_bearings.numerics.cholesky.storage import Storage
+from taichi_bearings.numerics.cholesky.storage import Batch, Storage
 
 SERIAL = 500_000  # numbers of a batch below which one worker assembles faster than a team
 WORTH_A_SOLVE = 1_000_000  # entries of the factor from which subtrees are solved side by side
@@ -38,10 +38,7 @@ class Cholesky:
             DenseFront(front.own, len(front.border), address + REAL * columns, address + REAL * update)
             for front, columns, update in zip(fronts, storage.factor.tolist(), storage.update.tolist(), strict=True)
         ]
-        self._batches = [
-            (batch, sorted((dense[n] for n in batch.fronts), key=lambda front: -front.cost))
-            for batch in storage.batches
-        ]
+        self._work = [_Work(batch, [dense[n] for n in batch.fronts]) for batch in storage.batches]
         self._branches = self._make_branches()
 
     def _make_branches(self) -> list["_Branch"]:
@@ -69,10 +66,11 @@ class Cholesky:
         """
         storage = self._storage
         storage.values[:] = values
-        for batch, fronts in self._batches:
+        for work in self._work:
             look_up()
+            batch = work.batch
             assemble(batch.entries < SERIAL, batch.begin, batch.end, storage.tables, storage.reals)
-            if not _eliminate(fronts):
+            if not work.eliminate():
                 raise NotPositiveDefinite
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -132,24 +130,34 @@ class _Branch:
             solve.backward()
 
 
-def _eliminate(fronts: list[DenseFront]) -> bool:
-    """Eliminate the fronts of a batch, on several threads if that pays; False if a pivot is not positive."""
-    tasks = [task for front in fronts for task in front.tasks()]
-    threads = min(runtime.current().threads, len(tasks))
-    if threads == 1 or sum(front.cost for front in fronts) < WORTH_A_THREAD:
-        return _work_off(tasks)
-    queue = iter(tasks)  # shared; of the heaviest front first
-    others = [_pool().submit(_work_off, queue) for _ in range(threads - 1)]
-    try:
-        succeeded = _work_off(queue)
-    except BaseException:
-        list(queue)  # nobody works on a front once this is given up
-        for front in fronts:
-            front.stop()
-        raise
-    finally:
-        others_succeeded = [other.result() for other in others]
-    return min(succeeded, *others_succeeded)
+class _Work:
+    """The fronts of a batch and the tasks that eliminate them."""
+
+    def __init__(self, batch: Batch, fronts: list[DenseFront]) -> None:
+        self.batch, self._fronts = batch, fronts
+        self._cost = sum(front.cost for front in fronts)
+        tasks = [task for front in fronts for task in front.tasks()]
+        self._tasks = [task.work for task in sorted(tasks, key=lambda task: (task.urgency, task.turn))]
+
+    def eliminate(self) -> bool:
+        """On several threads if that pays; False if a pivot is not positive."""
+        for front in self._fronts:
+            front.get_ready()
+        threads = min(runtime.current().threads, len(self._tasks))
+        if threads == 1 or self._cost < WORTH_A_THREAD:
+            return _work_off(self._tasks)
+        queue = iter(self._tasks)  # shared
+        others = [_pool().submit(_work_off, queue) for _ in range(threads - 1)]
+        try:
+            succeeded = _work_off(queue)
+        except BaseException:
+            list(queue)  # nobody works on a front once this is given up
+            for front in self._fronts:
+                front.stop()
+            raise
+        finally:
+            others_succeeded = [other.result() for other in others]
+        return min(succeeded, *others_succeeded)
 
 
 def _work_off(tasks: Iterable[Callable[[], bool]]) -> bool:

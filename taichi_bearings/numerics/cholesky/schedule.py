@@ -1,8 +1,7 @@
 """In which order fronts are worked on, and where their updates lie until they are used.
 
-A subtree with few numbers in its updates is worked on depth by depth, all its fronts of a depth at once. Above such
-groves come the fronts one by one, children before parents. So few updates wait at a time, and those of a grove stay in
-the cache.
+A subtree with few numbers in its updates is worked on depth by depth, all its fronts of a depth at once: threads share
+those best. Above such groves come the fronts one by one, children before parents: so few updates wait at a time.
 """
 
 from bisect import insort
@@ -11,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.numerics.cholesky.fronts import Pattern, panelled_size
 
-GROVE = 2_000_000  # numbers in the updates of a grove, at most
+GROVE = 30_000_000  # numbers in all updates of a grove, at most: a whole lattice of 32^3
 ENDLESS = 2**62
 
 
