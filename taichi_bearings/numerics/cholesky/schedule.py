@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.numerics.cholesky.fronts import Pattern, panelled_size
 
-GROVE = 30_000_000  # numbers in all updates of a grove, at most: a whole lattice of 32^3
+GROVE = 40_000_000  # numbers in all updates of a grove, at most: at 32^3 the whole lattice
 ENDLESS = 2**62
 
 
