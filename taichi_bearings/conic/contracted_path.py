@@ -61,6 +61,7 @@ class ContractedPath:
         for _ in range(STEPS):
             ratios = self.point.slip_over_margin / self.unit
             if self._decided(ratios):
+                self.matrix.forget()
                 return (ratios > 1) | (ratios > before)
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
             product = self.point.complementarity

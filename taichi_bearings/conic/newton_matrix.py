@@ -66,6 +66,11 @@ class NewtonMatrix:
         """Solution of the factorised system, (unknowns,)."""
         return right if self._empty else self._cholesky.solve(right)
 
+    def forget(self) -> None:
+        """Give the memory of the factor back, until it is factorised anew: at 64^3 there is room for one of them."""
+        if not self._empty:
+            self._cholesky.forget()
+
     def balanced(
         self,
         dual: Arrays,

@@ -74,6 +74,7 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMat
     parts, matrix : of its system. top : (C,), imposed on the top, in twice the precision.
     """
     settled = None
+    matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         try:
             path = ContractedPath(iterate, parts, tied)
@@ -105,6 +106,7 @@ def _borne(iterate: Iterate, parts: list[Part], matrix: NewtonMatrix, found: Res
     """What slipless contacts do: the forces that they have near the end of the path, nearly, or else whatever it is."""
     near = where(found.slipping, found.dual, iterate.dual)
     whole = nearly_borne(iterate.system, matrix, iterate.friction, near, found.slipping)
+    matrix.forget()
     if whole is not None:
         return Borne(dual=whole)
     return bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)

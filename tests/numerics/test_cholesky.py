@@ -1,5 +1,7 @@
 """The lattice factorisation against SciPy's sparse solver, on every kind of lattice and component."""
 
+import weakref
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -245,3 +247,14 @@ def test_few_updates_wait_at_a_time(monkeypatch):
     assert Schedule(pattern).peak < 16_000_000
     monkeypatch.setattr(schedule, "GROVE", 4_000_000)  # as large as that of 64^3 is for GROVE
     assert Schedule(pattern).peak < 4_000_000
+
+
+def test_a_factor_that_is_forgotten_gives_its_memory_back(monkeypatch):
+    monkeypatch.setattr(factor, "WORTH_FORGETTING", 0)
+    matrix, stiffness, right = random_system()
+    matrix.factorise(stiffness)
+    expected, reals = matrix.solve(right), weakref.ref(matrix._cholesky._elimination._reals)
+    matrix.forget()
+    assert reals() is None
+    matrix.factorise(stiffness)
+    assert (matrix.solve(right) == expected).all()

@@ -1,6 +1,6 @@
 """Numeric factorisation and solves: fronts assembled by Taichi, eliminated by LAPACK and BLAS on several threads."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
@@ -11,11 +11,12 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.assembly import assemble
 from taichi_bearings.numerics.cholesky.dense import REAL, DenseFront, DenseSolve
 from taichi_bearings.numerics.cholesky.dissection import Part
-from taichi_bearings.numerics.cholesky.fronts import Front, analyse
+from taichi_bearings.numerics.cholesky.fronts import Front, Pattern, analyse
 from taichi_bearings.numerics.cholesky.storage import Batch, Storage
 
 SERIAL = 500_000  # numbers of a batch below which one worker assembles faster than a team
 WORTH_A_SOLVE = 1_000_000  # entries of the factor from which subtrees are solved side by side
+WORTH_FORGETTING = 10_000_000  # entries of a factor whose memory is given back
 WORTH_A_THREAD = 3e6  # operations of a batch from which several threads share it
 
 
@@ -32,28 +33,8 @@ class Cholesky:
 
     def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
         self.pattern = analyse(parts, first, second)
-        self._storage = storage = Storage(self.pattern)
-        address, fronts = storage.reals.ctypes.data, self.pattern.fronts
-        dense = [
-            DenseFront(front.own, len(front.border), address + REAL * columns, address + REAL * update)
-            for front, columns, update in zip(fronts, storage.factor.tolist(), storage.update.tolist(), strict=True)
-        ]
-        self._work = [_Work(batch, [dense[n] for n in batch.fronts]) for batch in storage.batches]
-        self._branches = self._make_branches()
-
-    def _make_branches(self) -> list["_Branch"]:
-        """The subtrees below the root, then the root: what comes before the last can be solved side by side."""
-        fronts, storage = self.pattern.fronts, self._storage
-        columns = (storage.reals.ctypes.data + REAL * storage.factor).tolist()
-        longest = max(len(front.border) for front in fronts)
-        root = len(fronts) - 1
-        ends = [*sorted(child + 1 for child in fronts[root].children), root, root + 1]
-        branches = []
-        for begin, end in zip([0, *ends[:-1]], ends, strict=True):
-            members = range(begin, end)
-            if len(members):
-                branches.append(_Branch([fronts[n] for n in members], columns[begin:end], longest, self.size))
-        return branches
+        self._storage = Storage(self.pattern)
+        self._elimination: _Elimination | None = None
 
     @property
     def size(self) -> int:
@@ -64,21 +45,60 @@ class Cholesky:
 
         Raises NotPositiveDefinite if a pivot is not positive.
         """
-        storage = self._storage
-        storage.values[:] = values
-        for work in self._work:
-            look_up()
-            batch = work.batch
-            assemble(batch.entries < SERIAL, batch.begin, batch.end, storage.tables, storage.reals)
-            if not work.eliminate():
-                raise NotPositiveDefinite
+        if self._elimination is None:
+            self._elimination = _Elimination(self.pattern, self._storage)
+        self._elimination.eliminate(values)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for one right-hand side, (size,)."""
+        assert self._elimination is not None
         look_up()
-        ordered = right[self.pattern.order]
+        solution = np.empty_like(right)
+        solution[self.pattern.order] = self._elimination.solve(right[self.pattern.order])
+        return solution
+
+    def forget(self) -> None:
+        """Give the memory of the factor back, if it is large."""
+        if self.pattern.factor_entries > WORTH_FORGETTING:
+            self._elimination = None
+
+
+class _Elimination:
+    """The numbers of a factorisation, and the calls that work on them."""
+
+    def __init__(self, pattern: Pattern, storage: Storage) -> None:
+        self._tables, self._reals, fronts = storage.tables, storage.new_reals(), pattern.fronts
+        self._entries, self._worth_threads = len(pattern.row), pattern.factor_entries > WORTH_A_SOLVE
+        columns, updates = (
+            (self._reals.ctypes.data + REAL * places).tolist() for places in (storage.factor, storage.update)
+        )
+        dense = [
+            DenseFront(front.own, len(front.border), own, update)
+            for front, own, update in zip(fronts, columns, updates, strict=True)
+        ]
+        self._work = [_Work(batch, [dense[n] for n in batch.fronts]) for batch in storage.batches]
+        root = len(fronts) - 1  # the branches before the last one, which it ends, can be solved side by side
+        ends = [*sorted(child + 1 for child in fronts[root].children), root, root + 1]
+        self._branches = [
+            _Branch(fronts[begin:end], columns[begin:end], pattern.size)
+            for begin, end in zip([0, *ends[:-1]], ends, strict=True)
+            if end > begin
+        ]
+
+    def eliminate(self, values: np.ndarray) -> None:
+        self._reals[: self._entries] = values
+        for work in self._work:
+            look_up()
+            batch = work.batch
+            assemble(batch.entries < SERIAL, batch.begin, batch.end, self._tables, self._reals)
+            if not work.eliminate():
+                raise NotPositiveDefinite
+
+    def solve(self, ordered: np.ndarray) -> np.ndarray:
+        """Solution for a right-hand side, both in the order of elimination."""
         *subtrees, root = self._branches
-        run = _pool().map if len(subtrees) > 1 and self._worth_threads else map
+        threads = len(subtrees) > 1 and self._worth_threads and runtime.current().threads > 1
+        run = _pool().map if threads else map
         list(run(lambda branch: branch.forward(ordered), subtrees))
         x = root.vector
         x[root.first :] = ordered[root.first :]
@@ -89,21 +109,15 @@ class Cholesky:
         list(run(lambda branch: branch.backward_from(x, root.first), subtrees))
         for branch in subtrees:
             x[branch.first : branch.end] = branch.vector[branch.first : branch.end]
-        solution = np.empty_like(x)
-        solution[self.pattern.order] = x
-        return solution
-
-    @property
-    def _worth_threads(self) -> bool:
-        return runtime.current().threads > 1 and self.pattern.factor_entries > WORTH_A_SOLVE
+        return x
 
 
 class _Branch:
     """A part of the elimination tree with a vector of its own, so that branches can be solved side by side."""
 
-    def __init__(self, fronts: list[Front], columns: list[int], longest_border: int, size: int) -> None:
+    def __init__(self, fronts: Sequence[Front], columns: list[int], size: int) -> None:
         self.first, self.end = fronts[0].first, fronts[-1].first + fronts[-1].own
-        self.vector, work = np.zeros(size), np.zeros(max(longest_border, 1))
+        self.vector, work = np.zeros(size), np.zeros(max(1, *(len(front.border) for front in fronts)))
         self._solves = [
             DenseSolve(front.own, address, self.vector, front.first, front.border, work)
             for front, address in zip(fronts, columns, strict=True)

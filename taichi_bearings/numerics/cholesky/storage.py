@@ -35,13 +35,12 @@ class Batch:
 
 
 class Storage:
-    """Memory of a factorisation.
+    """Where the numbers of a factorisation lie.
 
-    tables, reals : arguments of the assembly kernel.
-    values : view of `reals`, the original entries.
+    tables : argument of the assembly kernel. The other one are the reals, the original entries first.
     batches : of fronts, children first.
-    factor, update : (fronts,) places in `reals` of the own columns, (own + border, own) in Fortran order, and of the
-    update of the border, panels of PANEL columns from the diagonal down; lower triangles count.
+    factor, update : (fronts,) places among the reals of the own columns, (own + border, own) in Fortran order, and of
+    the update of the border, panels of PANEL columns from the diagonal down; lower triangles count.
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -52,10 +51,9 @@ class Storage:
         ends = len(pattern.row) + np.cumsum(own * height)
         self.factor = ends - own * height
         self.update = ends[-1] + schedule.update
-        size = int(ends[-1]) + schedule.peak
-        if size > MOST_REALS:
-            raise MemoryError(f"the factorisation needs {size} numbers; at most {MOST_REALS} can be indexed")
-        refuse_beyond(8 * size, f"the factorisation of {len(pattern.order):,} unknowns")
+        self._size, self._unknowns = int(ends[-1]) + schedule.peak, pattern.size
+        if self._size > MOST_REALS:
+            raise MemoryError(f"the factorisation needs {self._size} numbers; at most {MOST_REALS} can be indexed")
         order = np.concatenate(schedule.batches)
         table = np.zeros((len(fronts), FRONT_WIDTH), dtype=np.int64)
         table[:, OWN], table[:, HEIGHT], table[:, FIRST] = own, height, [f.first for f in fronts]
@@ -65,9 +63,12 @@ class Storage:
         columns = self._columns(order, table)
         _join_children(pattern, table, columns, maps)
         self.tables = _packed(columns, table, *_entries(pattern), maps)
-        self.reals = np.zeros(size)
-        self.values = self.reals[: len(pattern.row)]
         self.batches = [self._batch(members, table) for members in schedule.batches]
+
+    def new_reals(self) -> np.ndarray:
+        """Raises MemoryError if there is no room for them."""
+        refuse_beyond(8 * self._size, f"the factorisation of {self._unknowns:,} unknowns")
+        return np.zeros(self._size)
 
     def _batch(self, members: np.ndarray, table: np.ndarray) -> Batch:
         own, height = table[members, OWN], table[members, HEIGHT]

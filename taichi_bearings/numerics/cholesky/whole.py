@@ -55,3 +55,6 @@ class WholeCholesky:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for one right-hand side, (size,)."""
         return dpotrs(self._factor, right, lower=True)[0]
+
+    def forget(self) -> None:
+        """Nothing: it is small."""
