@@ -126,6 +126,14 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     return wanted
 
 
+def wait() -> None:
+    """Until a GPU has done all that it was told to; a CPU has."""
+    if _current is not None and _current.is_gpu:
+        from taichi_bearings.compiler import ti
+
+        ti.sync()
+
+
 @contextlib.contextmanager
 def _out_of_memory() -> Iterator[None]:
     """MemoryError for what Taichi says then."""

@@ -20,6 +20,24 @@ def make_layout(replicas: int, shape: tuple[int, ...], block: int = CPU_BLOCK) -
     return Layout(replicas, shape, block=1 if runtime.current().is_gpu else block)
 
 
+def number_type() -> np.dtype:
+    """Of every number that kernels work on."""
+    return np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
+
+
+def on_device(values: np.ndarray) -> Any:
+    """Numbers beside the fields, flat, in the precision and where kernels read them: on a CPU NumPy's."""
+    running = runtime.current()
+    flat = values.ravel().astype(number_type())
+    if not running.is_gpu:
+        return flat
+    from taichi_bearings.compiler import ti
+
+    array = ti.ndarray(getattr(ti, running.precision), flat.size)
+    array.from_numpy(flat)
+    return array
+
+
 def first_slots(spec: FieldSpec) -> dict[str, int]:
     """The row at which each field begins."""
     counts = [components for _, components in spec]
@@ -39,7 +57,7 @@ class Fields:
     def __init__(self, layout: Layout, spec: FieldSpec) -> None:
         self.layout, self.slot, self.components = layout, first_slots(spec), dict(spec)
         self.rows = sum(self.components.values())
-        self.dtype = np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
+        self.dtype = number_type()
         if self.rows * layout.length > MOST_NUMBERS:
             most = MOST_NUMBERS // self.rows
             raise DeviceError(f"{layout.sites} spheres are too many here; this method can index about {most}")
@@ -82,6 +100,10 @@ class Fields:
         found = np.zeros((self.components[name], self.layout.sites), self.dtype)
         copy_out(self.values, found, *self._place(name))
         return found.astype(np.float64).reshape(-1, self.layout.replicas, *self.layout.shape)
+
+    def seen(self, name: str) -> np.ndarray:
+        """The same to look at: what lies in the memory of a CPU in double precision is not copied."""
+        return self.read(name) if self._host is None else self.view(name).astype(np.float64, copy=False)
 
     def clear(self, name: str) -> None:
         self.load(name, np.zeros((self.components[name], self.layout.replicas, *self.layout.shape)))

@@ -2,8 +2,11 @@
 
 from functools import lru_cache
 
+import numpy as np
+
+from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields import Fields, FieldSpec, first_slots
+from taichi_bearings.fields import Fields, FieldSpec, first_slots, on_device
 from taichi_bearings.kernels.contact import clamp, length
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
 from taichi_bearings.kernels.stencil import Stencil
@@ -17,7 +20,7 @@ def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
 
 @ti.data_oriented
 class ContactStep:
-    """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplitting`, on a CPU.
+    """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`.
 
     friction : mu F_n of the contact above each site along each axis, 0 where there is none.
     trial : the force that each contact would need, before friction limits it; V numbers a site, as in Stencil.
@@ -34,11 +37,23 @@ class ContactStep:
 
     def run(self, fields: Fields, weights: tuple[float, float], relaxation: float) -> None:
         """Make one step. weights : of the springs sideways and along the height."""
-        self.step(fields.values, fields.blocks, *fields.layout.measures, *weights, relaxation)
+        self._launch(fields, *fields.layout.measures, *weights, relaxation)
+
+    def rescale(self, fields: Fields, factors: np.ndarray) -> None:
+        """Multiply the potential and what friction does not bear of the trial forces, by replica; (R,) factors."""
+        length, margin, _, _, _ = fields.layout.measures
+        self.scale(fields.values, on_device(factors), length, margin, fields.layout.sites)
 
     def compile(self, fields: Fields) -> None:
-        """Compile the kernel, on no sites at all."""
-        self.step(fields.values, fields.blocks, *(0,) * 5, *(0.0,) * 3)
+        """Compile the kernels, on no sites at all."""
+        self._launch(fields, *(0,) * 5, *(0.0,) * 3)
+        self.scale(fields.values, on_device(np.ones(1)), 0, 0, 0)
+
+    def _launch(self, fields: Fields, *numbers: float) -> None:
+        if runtime.current().is_gpu:
+            self.step_on_gpu(fields.values, *numbers)
+        else:
+            self.step_on_cpu(fields.values, fields.blocks, *numbers)
 
     @ti.func
     def limited(self, force: ti.template(), friction):
@@ -75,8 +90,33 @@ class ContactStep:
                 pulls[self.stencil.kept[axis][t]] += pushed[t]
         return pulls
 
+    @ti.func
+    def limit_block(
+        self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
+    ):
+        """New trial forces and pushes of the contacts above the block of sites from `first` on.
+
+        numbers : weight sideways and along the height, relaxation.
+        """
+        for axis in ti.static(self.stencil.slipping_axes):
+            here = places(self.potential[axis], row, first)
+            above = places(self.potential[axis], row, first + strides[axis])
+            trial, push = places(self.trial[axis], row, first), places(self.push[axis], row, first)
+            own = places((self.slot["friction"] + axis,), row, first)
+            weight = numbers[1] if ti.static(axis == self.stencil.height) else numbers[0]
+            at = [here, above, trial, own]
+            each_site(values, blocks, self.block, trial + push, self.limit, at, [weight, numbers[2]])
+
+    @ti.func
+    def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
+        """What the pushes pull on the spheres of the block."""
+        axes = ti.static(range(self.stencil.dimension))
+        push = [places(self.push[axis], row, first) for axis in axes]
+        push_below = [places(self.push[axis], row, first - strides[axis]) for axis in axes]
+        each_site(values, blocks, self.block, places(self.pull, row, first), self.gather, [push, push_below], [0.0])
+
     @ti.kernel
-    def step(
+    def step_on_cpu(
         self,
         values: VALUES,
         blocks: BLOCKS,
@@ -91,17 +131,38 @@ class ContactStep:
     ):
         for b in range(count):
             first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
-            for axis in ti.static(self.stencil.slipping_axes):
-                here = places(self.potential[axis], row, first)
-                above = places(self.potential[axis], row, first + strides[axis])
-                trial, push = places(self.trial[axis], row, first), places(self.push[axis], row, first)
-                own = places((self.slot["friction"] + axis,), row, first)
-                weight = weight_height if ti.static(axis == self.stencil.height) else weight_sideways
-                at = [here, above, trial, own]
-                each_site(values, blocks, self.block, trial + push, self.limit, at, [weight, relaxation])
+            numbers = [weight_sideways, weight_height, relaxation]
+            self.limit_block(values, blocks, row, first, strides, numbers)
         for b in range(count):
             first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
-            axes = ti.static(range(self.stencil.dimension))
-            push = [places(self.push[axis], row, first) for axis in axes]
-            push_below = [places(self.push[axis], row, first - strides[axis]) for axis in axes]
-            each_site(values, blocks, self.block, places(self.pull, row, first), self.gather, [push, push_below], [0.0])
+            self.gather_block(values, blocks, row, first, strides)
+
+    @ti.kernel
+    def step_on_gpu(
+        self,
+        values: VALUES,
+        row: int,
+        margin: int,
+        count: int,
+        stride_x: int,
+        stride_y: int,
+        weight_sideways: float,
+        weight_height: float,
+        relaxation: float,
+    ):
+        for site in range(count):
+            numbers = [weight_sideways, weight_height, relaxation]
+            self.limit_block(values, values, row, margin + site, [stride_x, stride_y, 1], numbers)
+        for site in range(count):
+            self.gather_block(values, values, row, margin + site, [stride_x, stride_y, 1])
+
+    @ti.kernel
+    def scale(self, values: VALUES, factors: VALUES, row: int, margin: int, count: int):
+        for site in range(count):
+            factor, first = factors[site // (count // factors.shape[0])], margin + site
+            for k in ti.static(range(self.stencil.force_components)):
+                trial, push = (self.slot["trial"] + k) * row + first, (self.slot["push"] + k) * row + first
+                values[trial] = values[trial] + (factor - 1) / 2 * (values[trial] + values[push])
+            for c in ti.static(range(self.stencil.components)):
+                place = (self.slot["potential"] + c) * row + first
+                values[place] = values[place] * factor

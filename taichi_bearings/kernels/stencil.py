@@ -45,6 +45,12 @@ class Stencil:
         return tuple(axis for axis in self.slipping_axes if axis != self.height)
 
     @property
+    def coupled_sides(self) -> tuple[int, ...]:
+        """For each component, the axis beside the height whose contacts couple it; not for one about the height."""
+        sides = range(self.height)
+        return tuple(next(axis for axis in sides if axis != component) for component in self.spin_axes)
+
+    @property
     def kept_count(self) -> tuple[int, ...]:
         return tuple(len(slots) for slots in self.kept)
 

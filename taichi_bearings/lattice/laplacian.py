@@ -35,3 +35,15 @@ def eigenvalues(free: tuple[int, ...], component: int, weight: tuple[float, ...]
                 [-1 if a == axis else 1 for a in range(len(free))]
             )
     return total
+
+
+def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
+    """Inverse pivots g (side, len(held)) of a chain of springs `weight`, each of its spheres held by a spring `held`.
+
+    With them the balance of a chain is x_s = y_s + weight g_s x_s+1 with y_s = g_s (pull_s + weight y_s-1).
+    """
+    factors = np.empty((side, len(held)))
+    for s in range(side):
+        springs = held + weight * (2 if 0 < s < side - 1 else 1)
+        factors[s] = 1 / (springs - (weight**2 * factors[s - 1] if s else 0.0))
+    return factors

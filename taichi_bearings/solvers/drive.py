@@ -229,6 +229,7 @@ class _Pace:
             began = time.perf_counter()
             with while_wanted(ended):
                 method.advance(now)
+                runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
             steps -= now
             took = time.perf_counter() - began
             if took > 1.0:

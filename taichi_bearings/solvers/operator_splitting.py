@@ -18,21 +18,18 @@ they are too hard (the forces are late). At each check rho is changed, replica b
 five times the first.
 """
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.splitting import contact_step
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences
-from taichi_bearings.numerics.poisson import PlanePoisson
-from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
+from taichi_bearings.proof.certificate import balance, largest_unbalanced_torque, work_and_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.table import OperatorSplitting
+from taichi_bearings.solvers.torque_balance import TorqueBalance
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
@@ -42,14 +39,13 @@ LARGEST_CHANGE, LEAST_CHANGE = 2.0, 1.2  # factor on the stiffness at one check;
 SETTLED = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
 FIRST_CHECK, CHECKS = 50, 6  # checks 50 iterations or 1/6 of the run apart, for 5 to 20 % of the time
 COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
-WORTH_A_THREAD = 20_000  # spheres from which spin components are worth a thread each
 
 
 class OperatorSplittingMethod:
     """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
 
-    The fields lie in the memory of the CPU, where kernels and matrix products share them:
-    `friction` mu F_n, `trial` v, `push` v - 2 f = rho z - f, `potential` rho Omega, `pull` the pushes on each sphere.
+    The fields: `friction` mu F_n, `trial` v, `push` v - 2 f = rho z - f, `potential` rho Omega, `pull` the pushes on
+    each sphere.
     """
 
     def __init__(self, options: OperatorSplitting) -> None:
@@ -73,11 +69,7 @@ class OperatorSplittingMethod:
         lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
         self.stencil = Stencil(self.spin_axes, lattice.dimension, self.layout.block)
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
-        self.poisson = [
-            PlanePoisson(lattice, component, self.weights, scene.replicas, fields.dtype) for component in self.spin_axes
-        ]
-        threads = min(runtime.current().threads, len(self.poisson)) if self.layout.sites >= WORTH_A_THREAD else 1
-        self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(threads).map if threads > 1 else map
+        self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)
         self.contacts = contact_step(self.spec, self.stencil)
         self.contacts.compile(fields)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
@@ -85,21 +77,18 @@ class OperatorSplittingMethod:
     def _load(self, staggered: np.ndarray) -> None:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
-        self.fields.view("friction")[...] = self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength
+        self.fields.load("friction", self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength)
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
-        components, replicas, *sides, height = linear.shape
-        one_column = linear.reshape(components, replicas, -1, height)[:, :, 0]
-        self.linear = one_column.reshape(components, replicas, *(1 for _ in sides), height)
+        self.linear = linear.reshape(*linear.shape[:2], -1, linear.shape[-1])[:, :, 0]
         self.change: np.ndarray | None = None
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
-        self.fields.view("potential")[...] = stiffness * staggered
-        trial = self.fields.view("trial")
-        for axis, difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
-            slot = self.stencil.force_slot[axis]
-            at_contacts = self.layout.from_lower_sphere(trial[slot : slot + len(difference)], axis)
-            at_contacts[...] = self.weights[axis] * stiffness * difference
+        self.fields.load("potential", stiffness * staggered)
+        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
+        trial = tuple(weight * stiffness * d for weight, d in zip(self.weights, differences, strict=True))
+        self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
+        self.balance.drive(self.stiffness[:, None] * self.linear)
         self._step_contacts(0.0)  # changes no trial force, limits them
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
@@ -110,18 +99,12 @@ class OperatorSplittingMethod:
 
     def advance(self, steps: int) -> None:
         self._change_stiffness()
-        free = (..., slice(1, -1))
-        source, potential = self.fields.view("pull")[free], self.fields.view("potential")[free]
-        driven_part = (self._by_replica(self.stiffness) * self.linear).astype(potential.dtype)[free]
-
-        def balance_torques(slot: int) -> None:
-            self.poisson[slot].solve(source[slot], potential[slot])
-            potential[slot] += driven_part[slot]
-
-        for _ in range(steps):
-            self._step_contacts(RELAXATION)
-            list(self.each(balance_torques, range(len(self.poisson))))
-        self.iteration += steps
+        with self.balance.begin():
+            for _ in range(steps):
+                look_up()
+                self._step_contacts(RELAXATION)
+                self.balance.solve()
+                self.iteration += 1
 
     def _step_contacts(self, relaxation: float) -> None:
         self.contacts.run(self.fields, (self.weights[0], self.weights[-1]), relaxation)
@@ -131,25 +114,22 @@ class OperatorSplittingMethod:
         if self.change is None:
             return
         self.stiffness = self.stiffness * self.change
-        factor, self.change = self._by_replica(self.change), None
-        trial, push, potential = (self.fields.view(name) for name in ("trial", "push", "potential"))
-        trial += (factor - 1) / 2 * (trial + push)
-        potential *= factor
+        self.contacts.rescale(self.fields, self.change)
+        self.balance.drive(self.stiffness[:, None] * self.linear)
+        self.change = None
 
     def progress(self) -> Progress:
         """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""
         scene, axes = self.scene, self.spin_axes
-        stiffness = self._by_replica(self.stiffness)
-        staggered = scene.impose_driving(
-            (self.fields.view("potential") / stiffness).astype(np.float64, copy=False), axes
-        )
+        potential = self.fields.seen("potential")
+        staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
+        trial, push = self._by_axis("trial"), self._by_axis("push")
         slips = scene.slips(staggered, axes)
         powers = [scene.power_of(slip, axis) for axis, slip in enumerate(slips)]
         power = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in powers], axis=0)
-        balanced = self.balanced_force()
+        balanced = self._spring_force(potential, push)
         work, bound = work_and_bound(scene, balanced, axes)
         self._steer(power, work, bound)
-        trial, push = self._by_axis("trial"), self._by_axis("push")
         friction = tuple((v - g) / 2 for v, g in zip(trial, push, strict=True))
         return Progress(
             iteration=self.iteration,
@@ -168,12 +148,16 @@ class OperatorSplittingMethod:
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
-        potential = self.fields.view("potential").astype(np.float64, copy=False)
+        return self._spring_force(self.fields.seen("potential"), self._by_axis("push"))
+
+    def _spring_force(self, potential: np.ndarray, push: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
-        return tuple(w * d - g for w, d, g in zip(self.weights, differences, self._by_axis("push"), strict=True))
+        force = tuple(w * d - g for w, d, g in zip(self.weights, differences, push, strict=True))
+        exact = self.fields.dtype == np.float64
+        return force if exact else balance(self.scene, force, self.spin_axes)
 
     def _by_axis(self, name: str) -> tuple[np.ndarray, ...]:
-        return self.stencil.forces_by_axis(self.fields.view(name).astype(np.float64, copy=False), self.layout)
+        return self.stencil.forces_by_axis(self.fields.seen(name), self.layout)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
         """USUAL_STIFFNESS in its units, (R,): a column transmits the force power / (R * jump * columns)."""

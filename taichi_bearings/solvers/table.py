@@ -176,7 +176,6 @@ class OperatorSplitting(MethodOptions):
 
     name = "operator-splitting"
     implementation = "taichi_bearings.solvers.operator_splitting:OperatorSplittingMethod"
-    cpu_only = True
     colour, marker = "#009E73", "D"
     solves = _laws(attrgetter("is_rate_independent"))
 

@@ -36,6 +36,12 @@ def test_every_method_solves_some_law_and_names_itself():
         assert row().build().options == row()
 
 
+def test_a_gpu_splits_friction_and_descends_where_that_flows_too():
+    assert fastest(Scene.random((3, 4, 5)), 1e-8, on_gpu=True).name == "operator-splitting"
+    assert fastest(Scene.random((3, 4, 5), direction=(1, 0, 0)), 1e-8, on_gpu=True).name == "planar-cut"
+    assert fastest(Scene.random((3, 4, 5), law="coulomb-viscous"), 1e-8, on_gpu=True).name == "gradient-descent"
+
+
 def test_no_method_takes_a_law_that_it_is_not_made_for():
     class Cubic(Law):
         """Of a user: no method here knows its force."""

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import CundallStrack, GradientDescent
+from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
 from tests.benchmarks.device_table import course
 from tests.scenes import make_scene
 
@@ -21,7 +22,8 @@ COURSES = [
     for method in ("gradient-descent", "plain descent", "cundall-strack", "with energy")
     for law in ("coulomb", "viscous", "coulomb-viscous")
     for shape in ((12, 10), (6, 5, 7))
-]
+] + [("operator-splitting", "coulomb", shape) for shape in ((12, 10), (6, 5, 7), (4, 18, 17))]
+SPLITTING = ["potential", "trial", "push"]  # what a check of operator splitting reads
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +45,15 @@ def test_two_hundred_iterations_end_where_those_of_the_cpu_do(case, on_the_cpu, 
 
 
 @pytest.mark.parametrize(
-    ("method", "kernel", "launches", "reads"),
+    ("method", "where", "launches", "reads"),
     [
-        (GradientDescent().build(), "pair_on_gpu", 6, ["spin"]),  # sweeps come in pairs
-        (CundallStrack().build(), "step_on_gpu", 12, ["gear_0", "force", "elongation"]),
+        (GradientDescent().build(), ("sweeps", "pair_on_gpu"), 6, ["spin"]),  # sweeps come in pairs
+        (CundallStrack().build(), ("steps", "step_on_gpu"), 12, ["gear_0", "force", "elongation"]),
+        (OperatorSplitting().build(), ("contacts", "step_on_gpu"), 12, SPLITTING),
+        (OperatorSplitting().build(), ("balance.kernels", "on_gpu"), 12, SPLITTING),
     ],
 )
-def test_a_gpu_is_launched_once_a_step_and_read_only_at_checks(method, kernel, launches, reads, monkeypatch):
+def test_a_gpu_is_launched_once_a_step_and_read_only_at_checks(method, where, launches, reads, monkeypatch):
     if not runtime.current().is_gpu:
         pytest.skip("this is about GPUs; pytest --arch vulkan")
     scene = make_scene((4, 5, 6))
@@ -57,9 +61,9 @@ def test_a_gpu_is_launched_once_a_step_and_read_only_at_checks(method, kernel, l
     memory = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin))
     method.begin(scene, spin, memory)
     launched, read = [], []
-    kernels = method.steps if hasattr(method, "steps") else method.sweeps
-    launch, read_field = getattr(kernels, kernel), fields.Fields.read
-    monkeypatch.setattr(kernels, kernel, lambda *arguments: (launched.append(1), launch(*arguments)))
+    holder, kernel = attrgetter(where[0])(method), where[1]
+    launch, read_field = getattr(holder, kernel), fields.Fields.read
+    monkeypatch.setattr(holder, kernel, lambda *arguments: (launched.append(1), launch(*arguments)))
     monkeypatch.setattr(fields.Fields, "read", lambda self, field: (read.append(field), read_field(self, field))[1])
     method.advance(12)
     assert (len(launched), read) == (launches, [])

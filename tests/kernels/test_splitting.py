@@ -1,15 +1,15 @@
-"""The contact step and the Poisson solver of operator splitting against sums written out with NumPy."""
+"""The contact step and the torque balance of operator splitting against sums written out with NumPy, on any device."""
 
 import numpy as np
 import pytest
 
-from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
+from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import contact_differences, torques
-from taichi_bearings.numerics.poisson import PlanePoisson
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import OperatorSplitting
+from taichi_bearings.solvers.torque_balance import TorqueBalance
 from tests.scenes import make_scene
 
 
@@ -24,8 +24,6 @@ from tests.scenes import make_scene
     ],
 )
 def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
-    if runtime.current().is_gpu:
-        pytest.skip("operator splitting works in the memory of the CPU")
     accuracy = 1e-12 if precision == "f64" else 1e-4
     scene, rng = make_scene(shape, direction=direction, seeds=(11, 12)), np.random.default_rng(77)
     method, spin = OperatorSplitting().build(), initial_spin(scene, "random")
@@ -37,10 +35,8 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
     trial = [
         40 * rng.standard_normal(d.shape) * (c > 0) for d, c in zip(difference, scene.acting_coefficient, strict=True)
     ]
-    fields.view("potential")[...] = potential
-    for axis, values in enumerate(trial):
-        slot = method.stencil.force_slot[axis]
-        layout.from_lower_sphere(fields.view("trial")[slot : slot + len(values)], axis)[...] = values
+    fields.load("potential", potential)
+    fields.load("trial", method.stencil.forces_at_lower_sphere(tuple(trial), layout))
     method._step_contacts(1.7)
 
     pushes = []
@@ -54,25 +50,40 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
         friction = limited(old)
         new = (friction - 0.7 * (old - friction) + 1.7 * method.weights[axis] * d) * (c > 0)
         pushes.append(new - 2 * limited(new))
-    found = method.stencil.forces_by_axis(fields.view("push"), layout)
+    found = method.stencil.forces_by_axis(fields.read("push"), layout)
     for ours, expected in zip(found, pushes, strict=True):
         assert np.abs(ours - expected).max(initial=0.0) < accuracy
-    assert np.abs(fields.view("pull") + torques(tuple(pushes), lattice, axes)).max() < 10 * accuracy
+    assert np.abs(fields.read("pull") + torques(tuple(pushes), lattice, axes)).max() < 10 * accuracy
 
 
-@pytest.mark.parametrize("shape", [(5, 7), (4, 6, 5), (2, 3, 3)])
-def test_the_poisson_solution_solves_the_difference_equation(shape):
-    """-Laplace u = source, written out as weighted differences across the contacts of the component."""
-    lattice, rng = Lattice(shape), np.random.default_rng(5)
-    weights = (1.0,) * (len(shape) - 1) + (0.3,)
-    for component in lattice.all_spin_axes:
-        source = np.zeros((1, 2, *shape))
-        source[..., 1:-1] = rng.standard_normal((1, 2, *shape[:-1], shape[-1] - 2))
-        if component == lattice.height_axis:  # nothing holds a layer: it has no mean
-            source -= source.mean(axis=(2, 3), keepdims=True)
-        solution = np.zeros_like(source)
-        solver = PlanePoisson(lattice, component, weights, 2, np.float64)
-        solver.solve(source[0][..., 1:-1], solution[0][..., 1:-1])
-        forces = contact_differences(solution, lattice, (component,))
-        pull = torques(tuple(w * f for w, f in zip(weights, forces, strict=True)), lattice, (component,))
-        assert np.abs((pull + source)[..., 1:-1]).max() < 1e-12
+@pytest.mark.parametrize(
+    ("shape", "axes"),
+    [
+        ((5, 7), (2,)),
+        ((2, 3, 3), (0, 1)),
+        ((4, 6, 5), (0, 1)),
+        ((6, 4, 37), (1,)),
+        ((3, 5, 16), (0,)),
+        ((2, 20, 4), (0, 1)),
+    ],
+    ids=str,
+)
+def test_springs_balance_the_pull_of_each_sphere_whatever_the_driven_planes_do(shape, axes, precision):
+    """-Laplace u = pull, written out as weighted differences across contacts; 0 at the bottom, any value at the top."""
+    lattice, rng, weights = Lattice(shape), np.random.default_rng(5), (1.0,) * (len(shape) - 1) + (0.3,)
+    spec = (("potential", len(axes)), ("friction", 1), ("pull", len(axes)))
+    fields = Fields(make_layout(3, shape), spec)
+    balance = TorqueBalance(spec, Stencil(axes, len(shape), fields.layout.block), weights, fields)
+    pull, top = rng.standard_normal((len(axes), 3, *shape)), rng.standard_normal((len(axes), 3, 1))
+    start = rng.standard_normal(pull.shape)
+    start[..., 0], start[..., -1] = 0.0, top.reshape(-1, 3, *(1,) * (len(shape) - 1))
+    for name, values in (("pull", pull), ("potential", start)):
+        fields.load(name, values)
+    balance.drive(top * np.linspace(0, 1, shape[-1]))
+    with balance.begin():
+        balance.solve()
+    found = fields.read("potential")
+    forces = tuple(w * f for w, f in zip(weights, contact_differences(found, lattice, axes), strict=True))
+    accuracy = 1e-12 if precision == "f64" else 1e-3
+    assert np.abs((torques(forces, lattice, axes) + pull)[..., 1:-1]).max() < accuracy
+    assert np.abs((found - start)[..., [0, -1]]).max() < accuracy

@@ -1,0 +1,240 @@
+"""Torque balance of equal springs: sines along the height, and for each of them a chain of spheres along one side.
+
+A spin component is coupled only across the height and one other axis. The sines of a chain with held ends separate the
+height; what is left is a chain along the other axis for each of them, whose equations are solved from end to end and
+back. docs/decisions/0010 counts why. Every sum runs in one order, whatever the number of workers or replicas.
+"""
+
+from functools import lru_cache
+
+from taichi_bearings.compiler import ti
+from taichi_bearings.fields import FieldSpec, first_slots
+from taichi_bearings.kernels.memory import VALUES, in_range
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import LEAST_CHUNK
+from taichi_bearings.lattice.layout import Layout
+
+TILE = 4  # rows and columns of a matrix product that a thread of a GPU sums: 8 numbers read for 16 products
+AHEAD = 4  # spheres of a chain that a thread of a GPU reads before it writes the first of them
+
+
+@lru_cache
+def balance_kernels(spec: FieldSpec, stencil: Stencil) -> "BalanceKernels":
+    """One for each configuration, so that the next scene finds its kernels compiled."""
+    return BalanceKernels(spec, stencil)
+
+
+@ti.data_oriented
+class BalanceKernels:
+    """The steps of a solve over the fields `pull`, the right-hand side, which is used up, and `potential`, the
+    solution: sines of `pull` in `potential`, chains from there in `pull`, sines of that in `potential`. Driven spheres
+    keep theirs.
+
+    sines : (m, m), the modes of the m free spheres along the height.
+    chains : (C, longest side, height + block), the factors of each chain; rows go on from their begin at the end.
+    lift : (C, R, height + block), sines of what the driven planes do, which is added to the solution.
+    """
+
+    def __init__(self, spec: FieldSpec, stencil: Stencil):
+        slot = first_slots(spec)
+        self.pull, self.potential = slot["pull"], slot["potential"]
+        self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
+
+    def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
+        """What the kernels must know of the lattice."""
+        length, margin, _, stride_x, stride_y = layout.measures
+        return length, margin, layout.sites, stride_x, stride_y, layout.sites // layout.replicas, longest
+
+    @ti.func
+    def height(self, stride_x, stride_y):
+        """Spheres along the height."""
+        return stride_y if ti.static(self.stencil.dimension == 3) else stride_x
+
+    @ti.func
+    def chain(self, slot: ti.template(), stride_x, stride_y, sites):
+        """Number of spheres of the chains of a component, and how far they are apart."""
+        side, stride = sites // stride_x, stride_x
+        if ti.static(self.stencil.coupled_sides[slot] == 1):
+            side, stride = stride_x // stride_y, stride_y
+        return side, stride
+
+    @ti.func
+    def sines_of_tile(self, values: ti.template(), sines: ti.template(), source, target, item, rows, height):
+        """TILE rows and columns of a matrix product: `source` and `target` are the first numbers of both."""
+        free = height - 2
+        tile = ti.static(range(TILE))
+        lanes = (free + TILE - 1) // TILE
+        row, lane = item // lanes * TILE, item % lanes
+        at = [ti.min(row + r, rows - 1) * height + 1 for r in tile]
+        column = [ti.min(lane + c * lanes, free - 1) for c in tile]
+        total = [[0.0 for _ in tile] for _ in tile]
+        for k in range(free):
+            left = [values[source + at[r] + k] for r in tile]
+            right = [sines[k * free + column[c]] for c in tile]
+            for r in ti.static(tile):
+                for c in ti.static(tile):
+                    total[r][c] += left[r] * right[c]
+        for r in ti.static(tile):
+            for c in ti.static(tile):
+                if row + r < rows and lane + c * lanes < free:
+                    values[target + at[r] + column[c]] = total[r][c]
+
+    @ti.func
+    def chain_of_thread(
+        self, values: ti.template(), chains: ti.template(), source, target, stride, side, factors, pitch, weight, lift
+    ):
+        """Solve one chain: from end to end out of `source`, and back in `target`."""
+        ahead = ti.static(range(AHEAD))
+        carried = 0.0
+        for begin in range((side + AHEAD - 1) // AHEAD):
+            s = [ti.min(begin * AHEAD + u, side - 1) for u in ahead]
+            read = [values[source + s[u] * stride] for u in ahead]
+            factor = [chains[factors + s[u] * pitch] for u in ahead]
+            for u in ti.static(ahead):
+                carried = (read[u] + weight * carried) * factor[u]
+                if begin * AHEAD + u < side:
+                    values[target + s[u] * stride] = carried
+        carried = 0.0
+        for begin in range((side + AHEAD - 1) // AHEAD):
+            s = [ti.max(side - 1 - begin * AHEAD - u, 0) for u in ahead]
+            read = [values[target + s[u] * stride] for u in ahead]
+            factor = [chains[factors + s[u] * pitch] for u in ahead]
+            for u in ti.static(ahead):
+                carried = read[u] + weight * factor[u] * carried
+                if begin * AHEAD + u < side:
+                    values[target + s[u] * stride] = carried + lift
+
+    @ti.kernel
+    def on_gpu(
+        self,
+        values: VALUES,
+        sines: VALUES,
+        chains: VALUES,
+        lift: VALUES,
+        row: int,
+        margin: int,
+        count: int,
+        stride_x: int,
+        stride_y: int,
+        sites: int,
+        longest: int,
+        weight: float,
+    ):
+        for item in range(self.components * self.tiles(count, stride_x, stride_y)):
+            self.sines_of_item(values, sines, self.pull, self.potential, item, row, margin, count, stride_x, stride_y)
+        for item in range(self.lines(count, stride_x, stride_y, sites)):
+            line, height = item, self.height(stride_x, stride_y)
+            for slot in ti.static(range(self.components)):
+                side, stride = self.chain(slot, stride_x, stride_y, sites)
+                if 0 <= line < count // side:
+                    site = line // stride * stride * side + line % stride
+                    first, k, pitch = margin + site, line % stride % height, height + self.block
+                    source, target = (self.potential + slot) * row + first, (self.pull + slot) * row + first
+                    added = lift[(slot * (count // sites) + site // sites) * pitch + k]
+                    factors = slot * longest * pitch + k
+                    self.chain_of_thread(values, chains, source, target, stride, side, factors, pitch, weight, added)
+                line -= count // side
+        for item in range(self.components * self.tiles(count, stride_x, stride_y)):
+            self.sines_of_item(values, sines, self.pull, self.potential, item, row, margin, count, stride_x, stride_y)
+
+    @ti.func
+    def tiles(self, count, stride_x, stride_y):
+        """Tiles of the sines of one component."""
+        height = self.height(stride_x, stride_y)
+        return (count // height + TILE - 1) // TILE * ((height - 2 + TILE - 1) // TILE)
+
+    @ti.func
+    def lines(self, count, stride_x, stride_y, sites):
+        """Chains of all components."""
+        total = 0
+        for slot in ti.static(range(self.components)):
+            side, _ = self.chain(slot, stride_x, stride_y, sites)
+            total += count // side
+        return total
+
+    @ti.func
+    def sines_of_item(
+        self, values: ti.template(), sines: ti.template(), source, target, item, row, margin, count, stride_x, stride_y
+    ):
+        """One tile of the sines of all components, from the rows that begin at `source` to those at `target`."""
+        height, tiles = self.height(stride_x, stride_y), self.tiles(count, stride_x, stride_y)
+        slot = item // tiles
+        self.sines_of_tile(
+            values,
+            sines,
+            (source + slot) * row + margin,
+            (target + slot) * row + margin,
+            item % tiles,
+            count // height,
+            height,
+        )
+
+    @ti.func
+    def write(self, values: ti.template(), place, row: ti.template(), rest):
+        """Write so many of the numbers of a block, all in one go if it is whole."""
+        if rest >= self.block:
+            for m in ti.static(range(self.block)):
+                values[place + m] = row[m]
+        else:
+            for m in range(rest):
+                values[place + m] = row[m]
+
+    @ti.func
+    def chains_of_block(
+        self, values: ti.template(), chains: ti.template(), lift: ti.template(), source, target, stride, side, rest,
+        factors, pitch, weight, added,
+    ):  # fmt: skip
+        """The same for `rest` chains side by side, at most a block of them."""
+        carried = ti.Vector.zero(float, self.block)
+        for s in range(side):
+            at, to, factor = in_range(source + s * stride), in_range(target + s * stride), in_range(factors + s * pitch)
+            solved = ti.Vector.zero(float, self.block)
+            for m in range(self.block):
+                solved[m] = (values[at + m] + weight * carried[m]) * chains[factor + m]
+            self.write(values, to, solved, rest)
+            carried = solved
+        carried = ti.Vector.zero(float, self.block)
+        for back in range(side):
+            s = side - 1 - back
+            to, factor = in_range(target + s * stride), in_range(factors + s * pitch)
+            solved, lifted = ti.Vector.zero(float, self.block), ti.Vector.zero(float, self.block)
+            for m in range(self.block):
+                solved[m] = values[to + m] + weight * chains[factor + m] * carried[m]
+                lifted[m] = solved[m] + lift[added + m]
+            self.write(values, to, lifted, rest)
+            carried = solved
+
+    @ti.kernel
+    def chains_on_cpu(
+        self,
+        workers: int,
+        values: VALUES,
+        chains: VALUES,
+        lift: VALUES,
+        row: int,
+        margin: int,
+        count: int,
+        stride_x: int,
+        stride_y: int,
+        sites: int,
+        longest: int,
+        weight: float,
+    ):
+        for item in range(workers * LEAST_CHUNK):
+            if item % LEAST_CHUNK == 0:
+                worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
+                pitch = height + self.block
+                for slot in ti.static(range(self.components)):
+                    side, stride = self.chain(slot, stride_x, stride_y, sites)
+                    across = (stride + self.block - 1) // self.block
+                    groups = count // side // stride * across
+                    for group in range(groups * worker // workers, groups * (worker + 1) // workers):
+                        along = group % across * self.block
+                        site = group // across * stride * side + along
+                        k, first = along % height, margin + site
+                        source, target = (self.potential + slot) * row + first, (self.pull + slot) * row + first
+                        added = in_range((slot * (count // sites) + site // sites) * pitch + k)
+                        self.chains_of_block(
+                            values, chains, lift, source, target, stride, side, stride - along,
+                            slot * longest * pitch + k, pitch, weight, added,
+                        )  # fmt: skip
