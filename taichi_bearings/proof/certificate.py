@@ -24,6 +24,7 @@ from taichi_bearings.scene.scene import Scene, vector_length
 Forces = tuple[np.ndarray, ...]
 ROUNDING = 32 * np.finfo(np.float64).eps
 BALANCED = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
+NEAR = 1e-9  # relative distance from the bound from which on it is worth knowing what forces prove with all roundings
 PROVEN, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
 
 
@@ -42,7 +43,8 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
     balanced = balance(scene, force, spin_axes)
     found = [force, balanced] if scene.law.flows else []  # every force is admissible
     if scene.law.holds:
-        found += [capped(scene, force), scaled(scene, balanced), capped(scene, balanced)]
+        found += [capped(force, saturation(scene, force)), scaled(scene, balanced)]
+        found.append(capped(balanced, saturation(scene, balanced)))
     return found
 
 
@@ -68,20 +70,36 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
         force = _where(in_balance, force, balance(scene, force, spin_axes))
     if scene.law.flows:
         return _most_proving(scene, force, given, spin_axes, bound)
-    best = scaled(scene, force)
-    reached = dual_value(scene, best, spin_axes)
+    ratio = saturation(scene, force)
+    worst, best = _largest(ratio), force
+    proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
+    reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
     for _ in range(MOST_PROJECTIONS):
-        done |= (reached >= bound * (1 - PROVEN)) | (_worst_saturation(scene, force) <= 1 + PROVEN)
+        near = better & (proves >= bound * (1 - NEAR))
+        if near.any():
+            reached = np.where(near, dual_value(scene, scaled(scene, best), spin_axes), reached)
+        done |= (reached >= bound * (1 - PROVEN)) | (worst <= 1 + PROVEN)
         if done.all():
             break
-        shortened = (f + 1.5 * (c - f) for f, c in zip(force, capped(scene, force), strict=True))
+        shortened = (f + 1.5 * (c - f) for f, c in zip(force, capped(force, ratio), strict=True))
         force = _where(done, force, balance(scene, tuple(shortened), spin_axes))
-        trial = scaled(scene, force)
-        work = dual_value(scene, trial, spin_axes)
-        best = _where(~done & (work > reached), trial, best)
-        reached = np.where(done, reached, np.maximum(work, reached))
-    return _most_proving(scene, best, given, spin_axes, bound)
+        ratio = saturation(scene, force)
+        worst = _largest(ratio)
+        value = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
+        better = ~done & (value > proves)
+        best, proves = _where(better, force, best), np.where(better, value, proves)
+    return _most_proving(scene, scaled(scene, best), given, spin_axes, bound)
+
+
+def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Work (R,) of the driven planes against balanced forces of contacts that only hold, without an allowance."""
+    bottom, top = scene.driven_values(spin_axes)
+    work = np.zeros(scene.replicas)
+    for values, slot in zip(force[-1], tangential(scene.lattice.height_axis, spin_axes), strict=True):
+        ends = (values[..., 0] + values[..., -1]).reshape(scene.replicas, -1)
+        work += (top[slot] - bottom[slot]) / 2 * ends.sum(axis=1)
+    return scene.lattice.radius * scene.law.share * work
 
 
 def _most_proving(scene: Scene, best: Forces, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray) -> Forces:
@@ -98,6 +116,8 @@ def _most_proving(scene: Scene, best: Forces, force: Forces, spin_axes: tuple[in
 
 def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
     """`force` in the chosen (R,) replicas and `other` in the rest."""
+    if chosen.all() or not chosen.any():
+        return force if chosen.all() else other
     pick = chosen.reshape(1, -1, *(1,) * len(force))
     return tuple(np.where(pick, a, b) for a, b in zip(force, other, strict=True))
 
@@ -119,10 +139,8 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     for any finite forces, and both come from two passes over the contacts, for methods that check often.
     """
     ratio = saturation(scene, balanced)
-    worst = np.max([values.reshape(scene.replicas, -1).max(axis=1) for values in ratio], axis=0)
     work = dual_value(scene, balanced, spin_axes)
-    cap = tuple(f * np.minimum(1.0, _inverse(values)) for f, values in zip(balanced, ratio, strict=True))
-    bound = np.maximum(work / np.maximum(worst, 1.0), dual_value(scene, cap, spin_axes))
+    bound = np.maximum(work / np.maximum(_largest(ratio), 1.0), dual_value(scene, capped(balanced, ratio), spin_axes))
     return work, np.maximum(bound, 0.0)
 
 
@@ -190,22 +208,21 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     return total + lost
 
 
-def capped(scene: Scene, force: Forces) -> Forces:
-    """Forces with each one longer than its friction disc shortened to it."""
-    return tuple(f * np.minimum(1.0, _inverse(ratio)) for f, ratio in zip(force, saturation(scene, force), strict=True))
+def capped(force: Forces, ratio: Forces) -> Forces:
+    """Forces with each one longer than its friction disc shortened to it. ratio : their saturation."""
+    return tuple(f * np.minimum(1.0, _inverse(r)) for f, r in zip(force, ratio, strict=True))
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
     """All forces of a replica divided by the worst saturation, which keeps their torque balance."""
-    factor = (1.0 / np.maximum(_worst_saturation(scene, force), 1.0)).reshape(-1, *(1,) * scene.lattice.dimension)
+    worst = _largest(saturation(scene, force))
+    factor = (1.0 / np.maximum(worst, 1.0)).reshape(-1, *(1,) * scene.lattice.dimension)
     return tuple(f * factor for f in force)
 
 
-def _worst_saturation(scene: Scene, force: Forces) -> np.ndarray:
-    """Largest saturation of each replica, (R,)."""
-    return np.asarray(
-        np.max([ratio.reshape(scene.replicas, -1).max(axis=1) for ratio in saturation(scene, force)], axis=0)
-    )
+def _largest(ratio: Forces) -> np.ndarray:
+    """Of each replica, (R,)."""
+    return np.asarray(np.max([r.reshape(len(r), -1).max(axis=1) for r in ratio], axis=0))
 
 
 def saturation(scene: Scene, force: Forces) -> tuple[np.ndarray, ...]:
