@@ -24,6 +24,7 @@ from taichi_bearings.scene.scene import Scene, vector_length
 Forces = tuple[np.ndarray, ...]
 ROUNDING = 32 * np.finfo(np.float64).eps
 BALANCED = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
+FEW = 16_384  # numbers of which several arrays fit the second cache of a processor
 NEAR = 1e-9  # relative distance from the bound from which on it is worth knowing what forces prove with all roundings
 PROVEN, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
 
@@ -135,12 +136,15 @@ def _finite(scene: Scene, force: Forces) -> Forces:
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Work of Coulomb forces as they are, and the lower bound that they prove capped or scaled; (R,) each.
 
-    For forces that leave practically no torque: the Poisson solve of :func:`lower_bound` is left out. The bound holds
-    for any finite forces, and both come from two passes over the contacts, for methods that check often.
+    For forces that leave practically no torque: the Poisson solve of :func:`lower_bound` is left out, and roundings are
+    counted in the bound alone, which holds for any finite forces. For methods that check often.
     """
     ratio = saturation(scene, balanced)
-    work = dual_value(scene, balanced, spin_axes)
-    bound = np.maximum(work / np.maximum(_largest(ratio), 1.0), dual_value(scene, capped(balanced, ratio), spin_axes))
+    work = _work_of_planes(scene, balanced, spin_axes)
+    bound, as_a_whole = dual_value(scene, capped(balanced, ratio), spin_axes), work / np.maximum(_largest(ratio), 1.0)
+    if (as_a_whole > bound).any():
+        proven = dual_value(scene, scaled(scene, balanced), spin_axes)
+        bound = np.where(as_a_whole > bound, np.maximum(proven, bound), bound)
     return work, np.maximum(bound, 0.0)
 
 
@@ -201,11 +205,27 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
         for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
             both = (ends(part[slot], axis, dimension) for part in (total, lost))
             for before, rest, pull in zip(*both, (values, -values), strict=True):
-                after = before + pull
-                added = after - before
-                rest += (before - (after - added)) + (pull - added)
-                before[...] = after
+                for part in _in_cache(before):
+                    _add(before[part], rest[part], pull[part])
     return total + lost
+
+
+def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
+    """Parts of (R, n, ...) arrays that the caches of a processor hold while much is done with them."""
+    size = max(1, FEW * values.shape[1] // max(values[0].size, 1))
+    return [
+        (slice(r, r + 1), slice(first, first + size))
+        for r in range(len(values))
+        for first in range(0, values.shape[1], size)
+    ]
+
+
+def _add(before: np.ndarray, rest: np.ndarray, pull: np.ndarray) -> None:
+    """before += pull, and what that rounds away to `rest`."""
+    after = before + pull
+    added = after - before
+    rest += (before - (after - added)) + (pull - added)
+    before[...] = after
 
 
 def capped(force: Forces, ratio: Forces) -> Forces:
