@@ -26,18 +26,16 @@ def balance_kernels(spec: FieldSpec, stencil: Stencil) -> "BalanceKernels":
 
 @ti.data_oriented
 class BalanceKernels:
-    """The steps of a solve over the fields `pull`, the right-hand side, which is used up, and `potential`, the
-    solution: sines of `pull` in `potential`, chains from there in `pull`, sines of that in `potential`. Driven spheres
-    keep theirs.
+    """The steps of a solve over three fields: sines of `pull` in `modes`, chains solved there, sines of that added to
+    `potential`. Driven spheres stay as they are.
 
     sines : (m, m), the modes of the m free spheres along the height.
     chains : (C, longest side, height + block), the factors of each chain; rows go on from their begin at the end.
-    lift : (C, R, height + block), sines of what the driven planes do, which is added to the solution.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         slot = first_slots(spec)
-        self.pull, self.potential = slot["pull"], slot["potential"]
+        self.pull, self.modes, self.potential = slot["pull"], slot["modes"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
@@ -59,8 +57,11 @@ class BalanceKernels:
         return side, stride
 
     @ti.func
-    def sines_of_tile(self, values: ti.template(), sines: ti.template(), source, target, item, rows, height):
-        """TILE rows and columns of a matrix product: `source` and `target` are the first numbers of both."""
+    def sines_of_tile(self, values: ti.template(), sines: ti.template(), source, target, kept, item, rows, height):
+        """TILE rows and columns of a matrix product: `source` and `target` are the first numbers of both.
+
+        kept : 1 to add to the target, 0 to replace it.
+        """
         free = height - 2
         tile = ti.static(range(TILE))
         lanes = (free + TILE - 1) // TILE
@@ -77,32 +78,33 @@ class BalanceKernels:
         for r in ti.static(tile):
             for c in ti.static(tile):
                 if row + r < rows and lane + c * lanes < free:
-                    values[target + at[r] + column[c]] = total[r][c]
+                    place = target + at[r] + column[c]
+                    values[place] = kept * values[place] + total[r][c]
 
     @ti.func
     def chain_of_thread(
-        self, values: ti.template(), chains: ti.template(), source, target, stride, side, factors, pitch, weight, lift
+        self, values: ti.template(), chains: ti.template(), first, stride, side, factors, pitch, weight
     ):
-        """Solve one chain: from end to end out of `source`, and back in `target`."""
+        """Solve one chain in place, from end to end and back."""
         ahead = ti.static(range(AHEAD))
         carried = 0.0
         for begin in range((side + AHEAD - 1) // AHEAD):
             s = [ti.min(begin * AHEAD + u, side - 1) for u in ahead]
-            read = [values[source + s[u] * stride] for u in ahead]
+            read = [values[first + s[u] * stride] for u in ahead]
             factor = [chains[factors + s[u] * pitch] for u in ahead]
             for u in ti.static(ahead):
                 carried = (read[u] + weight * carried) * factor[u]
                 if begin * AHEAD + u < side:
-                    values[target + s[u] * stride] = carried
+                    values[first + s[u] * stride] = carried
         carried = 0.0
         for begin in range((side + AHEAD - 1) // AHEAD):
             s = [ti.max(side - 1 - begin * AHEAD - u, 0) for u in ahead]
-            read = [values[target + s[u] * stride] for u in ahead]
+            read = [values[first + s[u] * stride] for u in ahead]
             factor = [chains[factors + s[u] * pitch] for u in ahead]
             for u in ti.static(ahead):
                 carried = read[u] + weight * factor[u] * carried
                 if begin * AHEAD + u < side:
-                    values[target + s[u] * stride] = carried + lift
+                    values[first + s[u] * stride] = carried
 
     @ti.kernel
     def on_gpu(
@@ -110,7 +112,6 @@ class BalanceKernels:
         values: VALUES,
         sines: VALUES,
         chains: VALUES,
-        lift: VALUES,
         row: int,
         margin: int,
         count: int,
@@ -121,21 +122,21 @@ class BalanceKernels:
         weight: float,
     ):
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
-            self.sines_of_item(values, sines, self.pull, self.potential, item, row, margin, count, stride_x, stride_y)
+            way = [self.pull, self.modes, 0]
+            self.sines_of_item(values, sines, way, item, row, margin, count, stride_x, stride_y)
         for item in range(self.lines(count, stride_x, stride_y, sites)):
             line, height = item, self.height(stride_x, stride_y)
             for slot in ti.static(range(self.components)):
                 side, stride = self.chain(slot, stride_x, stride_y, sites)
                 if 0 <= line < count // side:
                     site = line // stride * stride * side + line % stride
-                    first, k, pitch = margin + site, line % stride % height, height + self.block
-                    source, target = (self.potential + slot) * row + first, (self.pull + slot) * row + first
-                    added = lift[(slot * (count // sites) + site // sites) * pitch + k]
-                    factors = slot * longest * pitch + k
-                    self.chain_of_thread(values, chains, source, target, stride, side, factors, pitch, weight, added)
+                    first, pitch = (self.modes + slot) * row + margin + site, height + self.block
+                    factors = slot * longest * pitch + line % stride % height
+                    self.chain_of_thread(values, chains, first, stride, side, factors, pitch, weight)
                 line -= count // side
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
-            self.sines_of_item(values, sines, self.pull, self.potential, item, row, margin, count, stride_x, stride_y)
+            way = [self.modes, self.potential, 1]
+            self.sines_of_item(values, sines, way, item, row, margin, count, stride_x, stride_y)
 
     @ti.func
     def tiles(self, count, stride_x, stride_y):
@@ -154,20 +155,22 @@ class BalanceKernels:
 
     @ti.func
     def sines_of_item(
-        self, values: ti.template(), sines: ti.template(), source, target, item, row, margin, count, stride_x, stride_y
+        self,
+        values: ti.template(),
+        sines: ti.template(),
+        way: ti.template(),
+        item,
+        row,
+        margin,
+        count,
+        stride_x,
+        stride_y,
     ):
-        """One tile of the sines of all components, from the rows that begin at `source` to those at `target`."""
+        """One tile of the sines of all components. way : rows where they come from and go to, and if they are added."""
         height, tiles = self.height(stride_x, stride_y), self.tiles(count, stride_x, stride_y)
         slot = item // tiles
-        self.sines_of_tile(
-            values,
-            sines,
-            (source + slot) * row + margin,
-            (target + slot) * row + margin,
-            item % tiles,
-            count // height,
-            height,
-        )
+        source, target = (way[0] + slot) * row + margin, (way[1] + slot) * row + margin
+        self.sines_of_tile(values, sines, source, target, way[2], item % tiles, count // height, height)
 
     @ti.func
     def write(self, values: ti.template(), place, row: ti.template(), rest):
@@ -181,27 +184,25 @@ class BalanceKernels:
 
     @ti.func
     def chains_of_block(
-        self, values: ti.template(), chains: ti.template(), lift: ti.template(), source, target, stride, side, rest,
-        factors, pitch, weight, added,
-    ):  # fmt: skip
+        self, values: ti.template(), chains: ti.template(), first, stride, side, rest, factors, pitch, weight
+    ):
         """The same for `rest` chains side by side, at most a block of them."""
         carried = ti.Vector.zero(float, self.block)
         for s in range(side):
-            at, to, factor = in_range(source + s * stride), in_range(target + s * stride), in_range(factors + s * pitch)
+            at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
             solved = ti.Vector.zero(float, self.block)
             for m in range(self.block):
                 solved[m] = (values[at + m] + weight * carried[m]) * chains[factor + m]
-            self.write(values, to, solved, rest)
+            self.write(values, at, solved, rest)
             carried = solved
         carried = ti.Vector.zero(float, self.block)
         for back in range(side):
             s = side - 1 - back
-            to, factor = in_range(target + s * stride), in_range(factors + s * pitch)
-            solved, lifted = ti.Vector.zero(float, self.block), ti.Vector.zero(float, self.block)
+            at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
+            solved = ti.Vector.zero(float, self.block)
             for m in range(self.block):
-                solved[m] = values[to + m] + weight * chains[factor + m] * carried[m]
-                lifted[m] = solved[m] + lift[added + m]
-            self.write(values, to, lifted, rest)
+                solved[m] = values[at + m] + weight * chains[factor + m] * carried[m]
+            self.write(values, at, solved, rest)
             carried = solved
 
     @ti.kernel
@@ -210,7 +211,6 @@ class BalanceKernels:
         workers: int,
         values: VALUES,
         chains: VALUES,
-        lift: VALUES,
         row: int,
         margin: int,
         count: int,
@@ -231,10 +231,7 @@ class BalanceKernels:
                     for group in range(groups * worker // workers, groups * (worker + 1) // workers):
                         along = group % across * self.block
                         site = group // across * stride * side + along
-                        k, first = along % height, margin + site
-                        source, target = (self.potential + slot) * row + first, (self.pull + slot) * row + first
-                        added = in_range((slot * (count // sites) + site // sites) * pitch + k)
+                        first, factors = (self.modes + slot) * row + margin + site, slot * longest * pitch
                         self.chains_of_block(
-                            values, chains, lift, source, target, stride, side, stride - along,
-                            slot * longest * pitch + k, pitch, weight, added,
-                        )  # fmt: skip
+                            values, chains, first, stride, side, stride - along, factors + along % height, pitch, weight
+                        )

@@ -1,4 +1,4 @@
-"""The contact step of operator splitting: friction limits the force of each contact, then spheres sum their pull."""
+"""The contact step of operator splitting: friction limits the force of each contact, then spheres feel the springs."""
 
 from functools import lru_cache
 
@@ -11,6 +11,8 @@ from taichi_bearings.kernels.contact import clamp, length
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
 from taichi_bearings.kernels.stencil import Stencil
 
+OUTSIDE = -1.0  # friction where the lattice has no contact
+
 
 @lru_cache
 def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
@@ -22,17 +24,17 @@ def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
 class ContactStep:
     """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`.
 
-    friction : mu F_n of the contact above each site along each axis, 0 where there is none.
+    friction : mu F_n of the contact above each site along each axis, OUTSIDE where the lattice has none.
     trial : the force that each contact would need, before friction limits it; V numbers a site, as in Stencil.
-    push : the limited force reflected, trial - 2 limited(trial).
+    spring : the force of each spring, weight D(potential) - (trial - 2 limited(trial)).
     potential : the spins in units of force, penalty * spin; the penalty is part of it, so kernels need not know it.
-    pull : what the pushes of its contacts add up to on each sphere.
+    pull : what the springs of its contacts add up to on each sphere.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         self.slot, self.stencil, self.block = first_slots(spec), stencil, stencil.block
         self.potential = stencil.spin_rows(self.slot["potential"])
-        self.trial, self.push = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["push"])
+        self.trial, self.spring = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["spring"])
         self.pull = tuple(self.slot["pull"] + c for c in range(stencil.components))
 
     def run(self, fields: Fields, weights: tuple[float, float], relaxation: float) -> None:
@@ -64,56 +66,57 @@ class ContactStep:
 
     @ti.func
     def limit(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """Trial force and push of one contact.
+        """Trial force and spring force of one contact.
 
         With f the limited old force: trial = f + (1 - relaxation) (trial - f) + relaxation weight D(potential).
         """
         here, above, trial, own = at
         weight, relaxation = numbers
-        friction, old = values[own[0] + m], read(values, trial, m)
-        spin_difference, force = difference(values, here, above, m), self.limited(old, friction)
+        is_inside, friction = values[own[0] + m] >= 0, ti.max(values[own[0] + m], 0.0)
+        old, spin_difference = read(values, trial, m), difference(values, here, above, m)
+        force = self.limited(old, friction)
         moved = [
             force[t] + (1 - relaxation) * (old[t] - force[t]) + relaxation * weight * spin_difference[t]
             for t in ti.static(range(len(old)))
         ]
-        new = [ti.select(friction > 0, f, 0.0) for f in ti.static(moved)]
-        reached = self.limited(new, friction)
-        return new + [new[t] - 2 * reached[t] for t in ti.static(range(len(new)))]
+        reached = self.limited(moved, friction)
+        spring = [weight * spin_difference[t] - (moved[t] - 2 * reached[t]) for t in ti.static(range(len(old)))]
+        return [ti.select(is_inside, number, 0.0) for number in ti.static(moved + spring)]
 
     @ti.func
     def gather(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The pushes of the contacts below a sphere minus those above it."""
+        """The springs above a sphere minus those below it."""
         pulls = [0.0 for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
-            pushed = difference(values, at[0][axis], at[1][axis], m)
-            for t in ti.static(range(len(pushed))):
-                pulls[self.stencil.kept[axis][t]] += pushed[t]
+            pulled = difference(values, at[0][axis], at[1][axis], m)
+            for t in ti.static(range(len(pulled))):
+                pulls[self.stencil.kept[axis][t]] += pulled[t]
         return pulls
 
     @ti.func
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """New trial forces and pushes of the contacts above the block of sites from `first` on.
+        """New trial forces and springs of the contacts above the block of sites from `first` on.
 
         numbers : weight sideways and along the height, relaxation.
         """
         for axis in ti.static(self.stencil.slipping_axes):
             here = places(self.potential[axis], row, first)
             above = places(self.potential[axis], row, first + strides[axis])
-            trial, push = places(self.trial[axis], row, first), places(self.push[axis], row, first)
+            trial, spring = places(self.trial[axis], row, first), places(self.spring[axis], row, first)
             own = places((self.slot["friction"] + axis,), row, first)
             weight = numbers[1] if ti.static(axis == self.stencil.height) else numbers[0]
             at = [here, above, trial, own]
-            each_site(values, blocks, self.block, trial + push, self.limit, at, [weight, numbers[2]])
+            each_site(values, blocks, self.block, trial + spring, self.limit, at, [weight, numbers[2]])
 
     @ti.func
     def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """What the pushes pull on the spheres of the block."""
+        """What the springs pull on the spheres of the block."""
         axes = ti.static(range(self.stencil.dimension))
-        push = [places(self.push[axis], row, first) for axis in axes]
-        push_below = [places(self.push[axis], row, first - strides[axis]) for axis in axes]
-        each_site(values, blocks, self.block, places(self.pull, row, first), self.gather, [push, push_below], [0.0])
+        above = [places(self.spring[axis], row, first) for axis in axes]
+        below = [places(self.spring[axis], row, first - strides[axis]) for axis in axes]
+        each_site(values, blocks, self.block, places(self.pull, row, first), self.gather, [below, above], [0.0])
 
     @ti.kernel
     def step_on_cpu(
@@ -160,9 +163,12 @@ class ContactStep:
     def scale(self, values: VALUES, factors: VALUES, row: int, margin: int, count: int):
         for site in range(count):
             factor, first = factors[site // (count // factors.shape[0])], margin + site
-            for k in ti.static(range(self.stencil.force_components)):
-                trial, push = (self.slot["trial"] + k) * row + first, (self.slot["push"] + k) * row + first
-                values[trial] = values[trial] + (factor - 1) / 2 * (values[trial] + values[push])
+            for axis in ti.static(self.stencil.slipping_axes):
+                at = places(self.trial[axis], row, first)
+                trial = read(values, at, 0)
+                force = self.limited(trial, ti.max(values[(self.slot["friction"] + axis) * row + first], 0.0))
+                for t in ti.static(range(len(trial))):
+                    values[at[t]] = force[t] + factor * (trial[t] - force[t])
             for c in ti.static(range(self.stencil.components)):
                 place = (self.slot["potential"] + c) * row + first
                 values[place] = values[place] * factor

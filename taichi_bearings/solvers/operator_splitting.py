@@ -22,10 +22,17 @@ import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.splitting import contact_step
+from taichi_bearings.kernels.splitting import OUTSIDE, contact_step
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences
-from taichi_bearings.proof.certificate import balance, largest_unbalanced_torque, work_and_bound
+from taichi_bearings.proof.certificate import (
+    Forces,
+    balance,
+    capped,
+    largest_unbalanced_torque,
+    saturation,
+    work_and_bound,
+)
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.table import OperatorSplitting
@@ -44,8 +51,8 @@ COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from re
 class OperatorSplittingMethod:
     """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
 
-    The fields: `friction` mu F_n, `trial` v, `push` v - 2 f = rho z - f, `potential` rho Omega, `pull` the pushes on
-    each sphere.
+    The fields: `friction` mu F_n, `trial` v, `spring` rho D Omega - (v - 2 f), `potential` rho Omega, `pull` the
+    springs of each sphere before the Poisson step, `modes` room for that.
     """
 
     def __init__(self, options: OperatorSplitting) -> None:
@@ -58,9 +65,10 @@ class OperatorSplittingMethod:
         self.spec = (
             ("friction", dimension),
             ("trial", forces),
-            ("push", forces),
+            ("spring", forces),
             ("potential", components),
             ("pull", components),
+            ("modes", components),
         )
         return self.spec
 
@@ -77,10 +85,12 @@ class OperatorSplittingMethod:
     def _load(self, staggered: np.ndarray) -> None:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
-        self.fields.load("friction", self.layout.at_lower_sphere(scene.acting_coefficient) * scene.strength)
+        friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), OUTSIDE)
+        for axis, coefficient in enumerate(scene.acting_coefficient):
+            self.layout.from_lower_sphere(friction[axis], axis)[...] = scene.strength * coefficient
+        self.fields.load("friction", friction)
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
-        self.linear = linear.reshape(*linear.shape[:2], -1, linear.shape[-1])[:, :, 0]
         self.change: np.ndarray | None = None
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
@@ -88,8 +98,6 @@ class OperatorSplittingMethod:
         differences = contact_differences(staggered, scene.lattice, self.spin_axes)
         trial = tuple(weight * stiffness * d for weight, d in zip(self.weights, differences, strict=True))
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
-        self.balance.drive(self.stiffness[:, None] * self.linear)
-        self._step_contacts(0.0)  # changes no trial force, limits them
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
@@ -115,7 +123,6 @@ class OperatorSplittingMethod:
             return
         self.stiffness = self.stiffness * self.change
         self.contacts.rescale(self.fields, self.change)
-        self.balance.drive(self.stiffness[:, None] * self.linear)
         self.change = None
 
     def progress(self) -> Progress:
@@ -123,14 +130,13 @@ class OperatorSplittingMethod:
         scene, axes = self.scene, self.spin_axes
         potential = self.fields.seen("potential")
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
-        trial, push = self._by_axis("trial"), self._by_axis("push")
+        trial, friction = self._trial_and_friction()
         slips = scene.slips(staggered, axes)
         powers = [scene.power_of(slip, axis) for axis, slip in enumerate(slips)]
         power = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in powers], axis=0)
-        balanced = self._spring_force(potential, push)
+        balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
         self._steer(power, work, bound)
-        friction = tuple((v - g) / 2 for v, g in zip(trial, push, strict=True))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -138,26 +144,29 @@ class OperatorSplittingMethod:
             force=friction,
             objective=power,
             lower_bound=bound,
-            resolution=self._resolution(slips, trial, push),
+            resolution=self._resolution(slips, trial, friction),
             unbalanced_torque=largest_unbalanced_torque(scene, friction, axes),
             proof=balanced,
         )
 
-    def balanced_force(self) -> tuple[np.ndarray, ...]:
+    def balanced_force(self) -> Forces:
         """Forces of the springs, rho D Omega - (v - 2 f): one array (T, R, *contacts) an axis.
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
-        return self._spring_force(self.fields.seen("potential"), self._by_axis("push"))
+        return self._spring_force(self.fields.seen("potential"), *self._trial_and_friction())
 
-    def _spring_force(self, potential: np.ndarray, push: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
         differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
-        force = tuple(w * d - g for w, d, g in zip(self.weights, differences, push, strict=True))
+        parts = zip(self.weights, differences, trial, friction, strict=True)
+        force = tuple(w * d - (v - 2 * f) for w, d, v, f in parts)
         exact = self.fields.dtype == np.float64
         return force if exact else balance(self.scene, force, self.spin_axes)
 
-    def _by_axis(self, name: str) -> tuple[np.ndarray, ...]:
-        return self.stencil.forces_by_axis(self.fields.seen(name), self.layout)
+    def _trial_and_friction(self) -> tuple[Forces, Forces]:
+        """v, and f, what friction bears of it."""
+        trial = self.stencil.forces_by_axis(self.fields.seen("trial"), self.layout)
+        return trial, capped(trial, saturation(self.scene, trial))
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
         """USUAL_STIFFNESS in its units, (R,): a column transmits the force power / (R * jump * columns)."""
@@ -184,12 +193,10 @@ class OperatorSplittingMethod:
         factor = wanted / self.stiffness
         self.change = np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
 
-    def _resolution(
-        self, slips: tuple[np.ndarray, ...], trial: tuple[np.ndarray, ...], push: tuple[np.ndarray, ...]
-    ) -> float:
+    def _resolution(self, slips: Forces, trial: Forces, friction: Forces) -> float:
         """The fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree."""
         creep = 0.0
-        for slip, v, g, coefficient in zip(slips, trial, push, self.scene.acting_coefficient, strict=True):
-            rests = (v == -g).all(axis=0) & (coefficient > 0)
+        for slip, v, f, coefficient in zip(slips, trial, friction, self.scene.acting_coefficient, strict=True):
+            rests = (v == f).all(axis=0) & (coefficient > 0)
             creep = max(creep, float((slip * rests).max()))
         return min(creep, COARSEST * self.scene.lattice.radius * self.scene.jump)

@@ -20,9 +20,13 @@ from taichi_bearings.numerics.blas import one_thread
 
 SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
 
+IN_CACHE = 65_536  # numbers that are still in the second cache when they are added to others
+
 
 class TorqueBalance:
-    """Solves sum over axes a of weight_a (-Laplace_a) potential = pull on the free spheres; `pull` is used up.
+    """Adds u to the field `potential`: sum over axes a of weight_a (-Laplace_a) u = `pull`, u = 0 on driven planes.
+
+    What is added is small once the springs nearly balance, and so is its rounding error.
 
     weights : one an axis, those sideways alike.
     """
@@ -48,37 +52,39 @@ class TorqueBalance:
         """Rows along the height for the kernels, continued from their begin by a block."""
         return on_device(np.take(rows, np.arange(rows.shape[-1] + self.fields.layout.block), axis=-1, mode="wrap"))
 
-    def drive(self, linear: np.ndarray) -> None:
-        """Set the potential (C, R, height) that the driven planes cause by themselves; it is added to each solution."""
-        lift = np.zeros_like(linear)
-        lift[..., 1:-1] = (linear[..., None, 1:-1] @ self.modes)[..., 0, :]  # row by row: the same bits in any batch
-        self.lift = self._table(lift)
-
     def begin(self) -> AbstractContextManager[None]:
         """In which many solves are made."""
         alone = self.workers == 0 or len(self.modes) < SHARED_BY_BLAS
         return nullcontext() if alone else one_thread()
 
     def solve(self) -> None:
-        """Replace the potential of the free spheres by the solution."""
+        """Change the spins of the free spheres so that the springs balance."""
         values = self.fields.values
         if self.workers == 0:
-            self.kernels.on_gpu(values, self.sines, self.chains, self.lift, *self.measures, self.weight)
+            self.kernels.on_gpu(values, self.sines, self.chains, *self.measures, self.weight)
             return
-        self._multiply("pull", "potential")
-        self.kernels.chains_on_cpu(self.workers, values, self.chains, self.lift, *self.measures, self.weight)
-        self._multiply("pull", "potential")
+        self._share(self._to_modes)
+        self.kernels.chains_on_cpu(self.workers, values, self.chains, *self.measures, self.weight)
+        self._share(self._from_modes)
 
-    def _multiply(self, source: str, target: str) -> None:
-        """The sines of the free spheres of all planes of one field, in another one."""
+    def _share(self, task: Callable[[slice], None]) -> None:
+        """Do it to all planes of the height and a side, a share a thread."""
+        count = len(self._planes("modes")[0])
+        ends = [count * n // self.workers for n in range(self.workers + 1)]
+        list(self.each(task, map(slice, ends[:-1], ends[1:])))
+
+    def _planes(self, name: str) -> list[np.ndarray]:
+        """The free spheres of a field, one array (planes, side, free height) a component."""
         planes = (-1, *self.fields.layout.shape[-2:])
-        given, found = (
-            [component.reshape(planes)[..., 1:-1] for component in self.fields.view(name)] for name in (source, target)
-        )
-        ends = [len(found[0]) * n // self.workers for n in range(self.workers + 1)]
+        return [component.reshape(planes)[..., 1:-1] for component in self.fields.view(name)]
 
-        def share(first: int, last: int) -> None:
-            for here, there in zip(given, found, strict=True):
-                np.matmul(here[first:last], self.sines, out=there[first:last])
+    def _to_modes(self, part: slice) -> None:
+        for pull, modes in zip(self._planes("pull"), self._planes("modes"), strict=True):
+            np.matmul(pull[part], self.sines, out=modes[part])
 
-        list(self.each(share, ends[:-1], ends[1:]))
+    def _from_modes(self, part: slice) -> None:
+        for modes, potential in zip(self._planes("modes"), self._planes("potential"), strict=True):
+            few = max(1, IN_CACHE // modes[0].size)
+            for first in range(part.start, part.stop, few):
+                now = slice(first, min(first + few, part.stop))
+                potential[now] += np.matmul(modes[now], self.sines)

@@ -23,7 +23,7 @@ COURSES = [
     for law in ("coulomb", "viscous", "coulomb-viscous")
     for shape in ((12, 10), (6, 5, 7))
 ] + [("operator-splitting", "coulomb", shape) for shape in ((12, 10), (6, 5, 7), (4, 18, 17))]
-SPLITTING = ["potential", "trial", "push"]  # what a check of operator splitting reads
+SPLITTING = ["potential", "trial"]  # what a check of operator splitting reads
 
 
 @pytest.fixture(scope="module")
