@@ -4,7 +4,8 @@ Write P(Omega) = R sum over contacts of mu F_n |D Omega| and give each contact a
 direction method of multipliers, which is Douglas-Rachford splitting, ties z to D Omega by springs of stiffness rho:
 
     f, z    per contact: the trial force v = f + rho z is split into f, v limited to the friction disc, and the rest
-    Omega   minimises sum over contacts of |v - 2 f - rho D Omega|^2, a Poisson problem with constant coefficients
+    Omega   minimises sum over contacts of |v - 2 f - rho D Omega|^2, a Poisson problem with constant coefficients,
+            solved for the change that takes away what the springs leave on each sphere
     v       <- f + (1 - alpha) rho z + alpha rho D Omega, with alpha = 1.9 (over-relaxation)
 
 Both halves are exact, so v converges from any start for any rho > 0 and 0 < alpha < 2 (Eckstein and Bertsekas 1992).
@@ -25,6 +26,7 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.splitting import OUTSIDE, contact_step
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.proof.certificate import (
     Forces,
     balance,
@@ -45,6 +47,7 @@ FORCES_LATE = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
 LARGEST_CHANGE, LEAST_CHANGE = 2.0, 1.2  # factor on the stiffness at one check; smaller changes are not made
 SETTLED = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
 FIRST_CHECK, CHECKS = 50, 6  # checks 50 iterations or 1/6 of the run apart, for 5 to 20 % of the time
+BYTES = 1000.0  # a sphere: 136 for fields in double precision, 220 for a check, the rest for the answer and its proof
 COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
 
 
@@ -61,6 +64,8 @@ class OperatorSplittingMethod:
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
+        spheres = scene.lattice.sites * scene.replicas
+        refuse_beyond(BYTES * spheres, f"{self.options.name} of {spheres:,} spheres")
         forces = Stencil(self.spin_axes, dimension, 1).force_components
         self.spec = (
             ("friction", dimension),
