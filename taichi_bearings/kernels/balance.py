@@ -26,22 +26,23 @@ def balance_kernels(spec: FieldSpec, stencil: Stencil) -> "BalanceKernels":
 
 @ti.data_oriented
 class BalanceKernels:
-    """The steps of a solve over three fields: sines of `pull` in `modes`, chains solved there, sines of that added to
+    """The steps of a solve: sines of the field `pull` in `modes`, chains solved there, sines of that added to the field
     `potential`. Driven spheres stay as they are.
 
+    modes : (C, R, *N) and a block more.
     sines : (m, m), the modes of the m free spheres along the height.
     chains : (C, longest side, height + block), the factors of each chain; rows go on from their begin at the end.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         slot = first_slots(spec)
-        self.pull, self.modes, self.potential = slot["pull"], slot["modes"], slot["potential"]
+        self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
         """What the kernels must know of the lattice."""
-        length, margin, _, stride_x, stride_y = layout.measures
-        return length, margin, layout.sites, stride_x, stride_y, layout.sites // layout.replicas, longest
+        _, _, _, stride_x, stride_y = layout.measures
+        return layout.sites, stride_x, stride_y, layout.sites // layout.replicas, longest
 
     @ti.func
     def height(self, stride_x, stride_y):
@@ -57,10 +58,12 @@ class BalanceKernels:
         return side, stride
 
     @ti.func
-    def sines_of_tile(self, values: ti.template(), sines: ti.template(), source, target, kept, item, rows, height):
-        """TILE rows and columns of a matrix product: `source` and `target` are the first numbers of both.
+    def sines_of_tile(
+        self, given: ti.template(), found: ti.template(), sines: ti.template(), source, target, kept, item, rows, height
+    ):
+        """TILE rows and columns of a matrix product: `source` and `target` are the first numbers `given` and `found`.
 
-        kept : 1 to add to the target, 0 to replace it.
+        kept : 1 to add to what is there, 0 to replace it.
         """
         free = height - 2
         tile = ti.static(range(TILE))
@@ -70,7 +73,7 @@ class BalanceKernels:
         column = [ti.min(lane + c * lanes, free - 1) for c in tile]
         total = [[0.0 for _ in tile] for _ in tile]
         for k in range(free):
-            left = [values[source + at[r] + k] for r in tile]
+            left = [given[source + at[r] + k] for r in tile]
             right = [sines[k * free + column[c]] for c in tile]
             for r in ti.static(tile):
                 for c in ti.static(tile):
@@ -79,37 +82,36 @@ class BalanceKernels:
             for c in ti.static(tile):
                 if row + r < rows and lane + c * lanes < free:
                     place = target + at[r] + column[c]
-                    values[place] = kept * values[place] + total[r][c]
+                    found[place] = kept * found[place] + total[r][c]
 
     @ti.func
-    def chain_of_thread(
-        self, values: ti.template(), chains: ti.template(), first, stride, side, factors, pitch, weight
-    ):
+    def chain_of_thread(self, modes: ti.template(), chains: ti.template(), first, stride, side, factors, pitch, weight):
         """Solve one chain in place, from end to end and back."""
         ahead = ti.static(range(AHEAD))
         carried = 0.0
         for begin in range((side + AHEAD - 1) // AHEAD):
             s = [ti.min(begin * AHEAD + u, side - 1) for u in ahead]
-            read = [values[first + s[u] * stride] for u in ahead]
+            read = [modes[first + s[u] * stride] for u in ahead]
             factor = [chains[factors + s[u] * pitch] for u in ahead]
             for u in ti.static(ahead):
                 carried = (read[u] + weight * carried) * factor[u]
                 if begin * AHEAD + u < side:
-                    values[first + s[u] * stride] = carried
+                    modes[first + s[u] * stride] = carried
         carried = 0.0
         for begin in range((side + AHEAD - 1) // AHEAD):
             s = [ti.max(side - 1 - begin * AHEAD - u, 0) for u in ahead]
-            read = [values[first + s[u] * stride] for u in ahead]
+            read = [modes[first + s[u] * stride] for u in ahead]
             factor = [chains[factors + s[u] * pitch] for u in ahead]
             for u in ti.static(ahead):
                 carried = read[u] + weight * factor[u] * carried
                 if begin * AHEAD + u < side:
-                    values[first + s[u] * stride] = carried
+                    modes[first + s[u] * stride] = carried
 
     @ti.kernel
     def on_gpu(
         self,
         values: VALUES,
+        modes: VALUES,
         sines: VALUES,
         chains: VALUES,
         row: int,
@@ -122,21 +124,24 @@ class BalanceKernels:
         weight: float,
     ):
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
-            way = [self.pull, self.modes, 0]
-            self.sines_of_item(values, sines, way, item, row, margin, count, stride_x, stride_y)
+            tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
+            slot, tile = item // tiles, item % tiles
+            source = (self.pull + slot) * row + margin
+            self.sines_of_tile(values, modes, sines, source, slot * count, 0, tile, count // height, height)
         for item in range(self.lines(count, stride_x, stride_y, sites)):
             line, height = item, self.height(stride_x, stride_y)
             for slot in ti.static(range(self.components)):
                 side, stride = self.chain(slot, stride_x, stride_y, sites)
                 if 0 <= line < count // side:
-                    site = line // stride * stride * side + line % stride
-                    first, pitch = (self.modes + slot) * row + margin + site, height + self.block
+                    first, pitch = slot * count + line // stride * stride * side + line % stride, height + self.block
                     factors = slot * longest * pitch + line % stride % height
-                    self.chain_of_thread(values, chains, first, stride, side, factors, pitch, weight)
+                    self.chain_of_thread(modes, chains, first, stride, side, factors, pitch, weight)
                 line -= count // side
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
-            way = [self.modes, self.potential, 1]
-            self.sines_of_item(values, sines, way, item, row, margin, count, stride_x, stride_y)
+            tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
+            slot, tile = item // tiles, item % tiles
+            target = (self.potential + slot) * row + margin
+            self.sines_of_tile(modes, values, sines, slot * count, target, 1, tile, count // height, height)
 
     @ti.func
     def tiles(self, count, stride_x, stride_y):
@@ -154,37 +159,18 @@ class BalanceKernels:
         return total
 
     @ti.func
-    def sines_of_item(
-        self,
-        values: ti.template(),
-        sines: ti.template(),
-        way: ti.template(),
-        item,
-        row,
-        margin,
-        count,
-        stride_x,
-        stride_y,
-    ):
-        """One tile of the sines of all components. way : rows where they come from and go to, and if they are added."""
-        height, tiles = self.height(stride_x, stride_y), self.tiles(count, stride_x, stride_y)
-        slot = item // tiles
-        source, target = (way[0] + slot) * row + margin, (way[1] + slot) * row + margin
-        self.sines_of_tile(values, sines, source, target, way[2], item % tiles, count // height, height)
-
-    @ti.func
-    def write(self, values: ti.template(), place, row: ti.template(), rest):
+    def write(self, modes: ti.template(), place, row: ti.template(), rest):
         """Write so many of the numbers of a block, all in one go if it is whole."""
         if rest >= self.block:
             for m in ti.static(range(self.block)):
-                values[place + m] = row[m]
+                modes[place + m] = row[m]
         else:
             for m in range(rest):
-                values[place + m] = row[m]
+                modes[place + m] = row[m]
 
     @ti.func
     def chains_of_block(
-        self, values: ti.template(), chains: ti.template(), first, stride, side, rest, factors, pitch, weight
+        self, modes: ti.template(), chains: ti.template(), first, stride, side, rest, factors, pitch, weight
     ):
         """The same for `rest` chains side by side, at most a block of them."""
         carried = ti.Vector.zero(float, self.block)
@@ -192,8 +178,8 @@ class BalanceKernels:
             at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
             solved = ti.Vector.zero(float, self.block)
             for m in range(self.block):
-                solved[m] = (values[at + m] + weight * carried[m]) * chains[factor + m]
-            self.write(values, at, solved, rest)
+                solved[m] = (modes[at + m] + weight * carried[m]) * chains[factor + m]
+            self.write(modes, at, solved, rest)
             carried = solved
         carried = ti.Vector.zero(float, self.block)
         for back in range(side):
@@ -201,18 +187,16 @@ class BalanceKernels:
             at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
             solved = ti.Vector.zero(float, self.block)
             for m in range(self.block):
-                solved[m] = values[at + m] + weight * chains[factor + m] * carried[m]
-            self.write(values, at, solved, rest)
+                solved[m] = modes[at + m] + weight * chains[factor + m] * carried[m]
+            self.write(modes, at, solved, rest)
             carried = solved
 
     @ti.kernel
     def chains_on_cpu(
         self,
         workers: int,
-        values: VALUES,
+        modes: VALUES,
         chains: VALUES,
-        row: int,
-        margin: int,
         count: int,
         stride_x: int,
         stride_y: int,
@@ -230,8 +214,6 @@ class BalanceKernels:
                     groups = count // side // stride * across
                     for group in range(groups * worker // workers, groups * (worker + 1) // workers):
                         along = group % across * self.block
-                        site = group // across * stride * side + along
-                        first, factors = (self.modes + slot) * row + margin + site, slot * longest * pitch
-                        self.chains_of_block(
-                            values, chains, first, stride, side, stride - along, factors + along % height, pitch, weight
-                        )
+                        first = slot * count + group // across * stride * side + along
+                        factors = slot * longest * pitch + along % height
+                        self.chains_of_block(modes, chains, first, stride, side, stride - along, factors, pitch, weight)

@@ -55,7 +55,7 @@ class OperatorSplittingMethod:
     """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
 
     The fields: `friction` mu F_n, `trial` v, `spring` rho D Omega - (v - 2 f), `potential` rho Omega, `pull` the
-    springs of each sphere before the Poisson step, `modes` room for that.
+    springs of each sphere before the Poisson step.
     """
 
     def __init__(self, options: OperatorSplitting) -> None:
@@ -73,7 +73,6 @@ class OperatorSplittingMethod:
             ("spring", forces),
             ("potential", components),
             ("pull", components),
-            ("modes", components),
         )
         return self.spec
 
@@ -133,6 +132,9 @@ class OperatorSplittingMethod:
     def progress(self) -> Progress:
         """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""
         scene, axes = self.scene, self.spin_axes
+        if self.balance.is_rough and self.iteration:  # once more, for what its rounding has left
+            self._step_contacts(0.0)
+            self.balance.solve()
         potential = self.fields.seen("potential")
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
         trial, friction = self._trial_and_friction()
@@ -154,14 +156,11 @@ class OperatorSplittingMethod:
             proof=balanced,
         )
 
-    def balanced_force(self) -> Forces:
-        """Forces of the springs, rho D Omega - (v - 2 f): one array (T, R, *contacts) an axis.
+    def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
+        """rho D Omega - (v - 2 f): one array (T, R, *contacts) an axis.
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
-        return self._spring_force(self.fields.seen("potential"), *self._trial_and_friction())
-
-    def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
         differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
         parts = zip(self.weights, differences, trial, friction, strict=True)
         force = tuple(w * d - (v - 2 * f) for w, d, v, f in parts)

@@ -1,7 +1,8 @@
 """Torque balance of equal springs, a Poisson problem, in the fields of operator splitting on any device.
 
 On a GPU all of it is one launch. On a CPU the products with sines are those of the BLAS library, plane by plane, so
-that no number depends on what else is solved at the time, nor on how many threads share the planes.
+that no number depends on what else is solved at the time, nor on how many threads share the planes. They are in single
+precision, which is twice as fast: what is solved for is a change, and the next change makes up for its rounding.
 """
 
 from collections.abc import Callable, Iterable
@@ -34,57 +35,61 @@ class TorqueBalance:
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
         self.fields, self.kernels, self.weight = fields, balance_kernels(spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
-        self.modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
+        modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
         held[1:-1] = weights[-1] * chain_eigenvalues(shape[-1] - 2, is_held=True)
         sides = [shape[axis] for axis in stencil.coupled_sides]
         chains = np.zeros((len(sides), max(sides), shape[-1]))
         for slot, side in enumerate(sides):
             chains[slot, :side, 1:-1] = chain_factors(side, held[1:-1], self.weight)
-        self.chains = self._table(chains)
+        padded = np.arange(shape[-1] + layout.block)  # rows go on from their begin for a block
+        self.chains = self._numbers(np.take(chains, padded, axis=-1, mode="wrap").ravel())
+        self.modes = self._numbers(np.zeros(len(sides) * layout.sites + layout.block))
         self.measures = self.kernels.measures(layout, max(sides))
-        if runtime.current().is_gpu:
-            self.sines, self.workers = on_device(self.modes), 0
-            return
-        self.sines, self.workers = self.modes.astype(fields.dtype), team_size(layout, stencil.components)
+        self.sines = self._numbers(modes)
+        self.workers = team_size(layout, stencil.components)
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map
+        self.is_rough = self.workers > 0 and fields.dtype == np.float64
+        self.is_small = len(modes) < SHARED_BY_BLAS
 
-    def _table(self, rows: np.ndarray) -> Any:
-        """Rows along the height for the kernels, continued from their begin by a block."""
-        return on_device(np.take(rows, np.arange(rows.shape[-1] + self.fields.layout.block), axis=-1, mode="wrap"))
+    def _numbers(self, values: np.ndarray) -> Any:
+        """Numbers beside the fields: on a GPU as precise as these."""
+        return on_device(values) if runtime.current().is_gpu else values.astype(np.float32)
 
     def begin(self) -> AbstractContextManager[None]:
         """In which many solves are made."""
-        alone = self.workers == 0 or len(self.modes) < SHARED_BY_BLAS
-        return nullcontext() if alone else one_thread()
+        return nullcontext() if self.workers == 0 or self.is_small else one_thread()
 
     def solve(self) -> None:
         """Change the spins of the free spheres so that the springs balance."""
-        values = self.fields.values
+        layout = self.fields.layout
         if self.workers == 0:
-            self.kernels.on_gpu(values, self.sines, self.chains, *self.measures, self.weight)
+            values, places = self.fields.values, (layout.length, layout.margin)
+            self.kernels.on_gpu(values, self.modes, self.sines, self.chains, *places, *self.measures, self.weight)
             return
-        self._share(self._to_modes)
-        self.kernels.chains_on_cpu(self.workers, values, self.chains, *self.measures, self.weight)
-        self._share(self._from_modes)
+        self._by_planes("pull", self._to_modes)
+        self.kernels.chains_on_cpu(self.workers, self.modes, self.chains, *self.measures, self.weight)
+        self._by_planes("potential", self._from_modes)
 
-    def _share(self, task: Callable[[slice], None]) -> None:
-        """Do it to all planes of the height and a side, a share a thread."""
-        count = len(self._planes("modes")[0])
-        ends = [count * n // self.workers for n in range(self.workers + 1)]
-        list(self.each(task, map(slice, ends[:-1], ends[1:])))
+    def _by_planes(self, name: str, task: Callable[[np.ndarray, np.ndarray], None]) -> None:
+        """Do it to the free spheres of a field and their modes, a few planes across a side at a time."""
+        layout = self.fields.layout
+        planes, room = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
+        both = [
+            tuple(part.reshape(planes)[..., 1:-1] for part in parts)
+            for parts in zip(self.fields.view(name), room, strict=True)
+        ]
+        count, few = len(both[0][0]), max(1, IN_CACHE // both[0][0][0].size)
 
-    def _planes(self, name: str) -> list[np.ndarray]:
-        """The free spheres of a field, one array (planes, side, free height) a component."""
-        planes = (-1, *self.fields.layout.shape[-2:])
-        return [component.reshape(planes)[..., 1:-1] for component in self.fields.view(name)]
+        def share(worker: int) -> None:
+            last = count * (worker + 1) // self.workers
+            for field, modes in both:
+                for first in range(count * worker // self.workers, last, few):
+                    task(field[first : min(first + few, last)], modes[first : min(first + few, last)])
 
-    def _to_modes(self, part: slice) -> None:
-        for pull, modes in zip(self._planes("pull"), self._planes("modes"), strict=True):
-            np.matmul(pull[part], self.sines, out=modes[part])
+        list(self.each(share, range(self.workers)))
 
-    def _from_modes(self, part: slice) -> None:
-        for modes, potential in zip(self._planes("modes"), self._planes("potential"), strict=True):
-            few = max(1, IN_CACHE // modes[0].size)
-            for first in range(part.start, part.stop, few):
-                now = slice(first, min(first + few, part.stop))
-                potential[now] += np.matmul(modes[now], self.sines)
+    def _to_modes(self, pull: np.ndarray, modes: np.ndarray) -> None:
+        np.matmul(pull.astype(np.float32, copy=False), self.sines, out=modes)
+
+    def _from_modes(self, potential: np.ndarray, modes: np.ndarray) -> None:
+        potential += np.matmul(modes, self.sines)

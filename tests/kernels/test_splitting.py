@@ -73,16 +73,20 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
 def test_springs_balance_the_pull_of_each_sphere(shape, axes, precision):
     """-Laplace u = pull, written out as weighted differences across contacts; u is 0 on the driven planes."""
     lattice, rng, weights = Lattice(shape), np.random.default_rng(5), (1.0,) * (len(shape) - 1) + (0.3,)
-    spec = (("potential", len(axes)), ("modes", len(axes)), ("friction", 1), ("pull", len(axes)))
+    spec = (("potential", len(axes)), ("friction", 1), ("pull", len(axes)))
     fields = Fields(make_layout(3, shape), spec)
     balance = TorqueBalance(spec, Stencil(axes, len(shape), fields.layout.block), weights, fields)
-    pull, start = rng.standard_normal((2, len(axes), 3, *shape))
-    for name, values in (("pull", pull), ("potential", start)):
-        fields.load(name, values)
-    with balance.begin():
-        balance.solve()
-    added = fields.read("potential") - start
-    forces = tuple(w * f for w, f in zip(weights, contact_differences(added, lattice, axes), strict=True))
-    accuracy = 1e-12 if precision == "f64" else 1e-3
-    assert np.abs((torques(forces, lattice, axes) + pull)[..., 1:-1]).max() < accuracy
-    assert np.abs(added[..., [0, -1]]).max() < accuracy
+    pull, start = rng.standard_normal((2, len(axes), 3, *shape)).astype(np.float32).astype(np.float64)
+    fields.load("potential", start)
+    left = pull
+    for _ in range(3):  # a CPU multiplies in single precision
+        fields.load("pull", left)
+        with balance.begin():
+            balance.solve()
+        added = fields.read("potential") - start
+        forces = tuple(w * f for w, f in zip(weights, contact_differences(added, lattice, axes), strict=True))
+        before, left = np.abs(left).max(), torques(forces, lattice, axes) + pull
+        left[..., [0, -1]] = 0.0
+        assert np.abs(left).max() < max(1e-3 * before, 1e-12 if precision == "f64" else 1e-4)
+    assert np.abs(left).max() < (1e-12 if precision == "f64" else 1e-4)
+    assert np.abs(added[..., [0, -1]]).max() == 0.0
