@@ -13,13 +13,10 @@ from taichi_bearings.compiler import ti
 
 @ti.func
 def length(components: ti.template()):
-    """Euclidean length of one or two components; one needs no square root."""
-    result = 0.0
+    """Euclidean length of one or two components; one needs no square root. (Taichi's abs and minus take no vectors.)"""
     if ti.static(len(components) == 1):
-        result = ti.abs(components[0])
-    else:
-        result = ti.sqrt(components[0] * components[0] + components[1] * components[1])
-    return result
+        return ti.select(components[0] < 0.0, 0.0 - components[0], components[0])
+    return ti.sqrt(components[0] * components[0] + components[1] * components[1])
 
 
 @ti.func

@@ -11,7 +11,7 @@ from math import comb
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length, viscous_force
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, places, store
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
@@ -77,19 +77,42 @@ class CundallStrackSteps:
             self.step_on_gpu(fields.values, *(0,) * 5, *nothing)
 
     @ti.func
-    def spring(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """Elongation and force of one contact with friction: a spring and a damper that slip together, and beside them
+    def load(self, values: ti.template(), at: ti.template()):
+        """The numbers of a block of sites from each of the places `at` on."""
+        return [load(values, place, self.block) for place in ti.static(at)]
+
+    @ti.func
+    def difference(self, values: ti.template(), lower: ti.template(), upper: ti.template()):
+        """The numbers that begin at `upper` minus those that begin at `lower`."""
+        return [
+            load(values, upper[k], self.block) - load(values, lower[k], self.block)
+            for k in ti.static(range(len(lower)))
+        ]
+
+    @ti.func
+    def store(self, values: ti.template(), blocks: ti.template(), to: ti.template(), new: ti.template()):
+        for k in ti.static(range(len(to))):
+            store(values, blocks, to[k], self.block, new[k])
+
+    @ti.func
+    def spring(
+        self,
+        moved: ti.template(),
+        speed: ti.template(),
+        before: ti.template(),
+        coefficients: ti.template(),
+        numbers: ti.template(),
+    ):
+        """Elongation and force of contacts with friction: a spring and a damper that slip together, and beside them
         the viscosity, if there is one.
 
+        moved, speed : differences of the spins, integrated over the step and at its end. before : elongation so far.
         reach: radius * time step; damping: A_t * radius.
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         compliance, memory: elongation after a slip, from the force and from the elongation before.
         """
-        integral, integral_above, spin, spin_above, elongation, own = at
         reach, stiffness, damping, kinetic, static, compliance, memory = numbers
-        before, coefficients = read(values, elongation, m), read(values, own, m)
         friction = coefficients[0]
-        moved, speed = difference(values, integral, integral_above, m), difference(values, spin, spin_above, m)
         stretch = [reach * moved[t] + before[t] for t in ti.static(range(len(moved)))]
         trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(len(moved)))]
         size = length(trial)
@@ -97,59 +120,34 @@ class CundallStrackSteps:
         share = ti.select(slips, kinetic * friction / size, 1.0)
         force = [share * f for f in ti.static(trial)]
         left = [force[t] * compliance + memory * before[t] for t in ti.static(range(len(force)))]
-        if ti.static(len(own) > 1):
+        if ti.static(len(coefficients) > 1):
             flowing = viscous_force(speed, coefficients, 0.0)
             for t in ti.static(range(len(force))):
                 force[t] += flowing[t]
         return [ti.select(slips, left[t], stretch[t]) for t in ti.static(range(len(left)))] + force
 
     @ti.func
-    def dashpot(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """Force of one viscous contact."""
-        spin, spin_above, own = at
-        return [values[own[0] + m] * numbers[0] * d for d in difference(values, spin, spin_above, m)]
-
-    @ti.func
-    def added_work(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """What the contacts above a sphere have taken, with the power at the end of the last step added."""
-        total = values[at[0][0] + m]
-        for axis in ti.static(self.stencil.slipping_axes):
-            force, speed = read(values, at[1][axis], m), difference(values, at[2][axis], at[3][axis], m)
-            for t in ti.static(range(len(force))):
-                total += force[t] * speed[t]
-        return [total]
-
-    @ti.func
-    def added_impulse(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """What the contacts have pulled on one component of a sphere, if it is driven."""
-        impulse, is_free, above, below = at
-        return [values[impulse[0] + m] + (1.0 - values[is_free[0] + m]) * self.pull(values, below, above, m)]
-
-    @ti.func
-    def pull(self, values: ti.template(), below: ti.template(), above: ti.template(), m):
+    def pull(self, values: ti.template(), below: ti.template(), above: ti.template()):
         """Sum of the contact forces that pull on one component of a sphere."""
-        total = 0.0
-        for k in ti.static(range(len(above))):
-            total += values[above[k] + m] - values[below[k] + m]
-        return total
+        pulled = self.difference(values, below, above)
+        return pulled[0] + pulled[1]
 
     @ti.func
-    def motion(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """One component of a sphere: the corrected spin and its derivatives, the prediction and its mean.
+    def motion(self, old: ti.template(), pull, is_free, response):
+        """One component of spheres: the corrected spin and its derivatives, the prediction and its mean.
 
-        response: time step * radius / inertia.
+        old : the spin and its derivatives. response : time step * radius / inertia.
         """
-        gear, is_free, above, below = at
-        old, response = read(values, gear, m), numbers[0]
-        derivative = 0.0
-        for k in ti.static(range(1, self.order)):
+        derivative = old[1]
+        for k in ti.static(range(2, self.order)):
             derivative += ti.static(float(k)) * old[k]
-        error = response * values[is_free[0] + m] * self.pull(values, below, above, m) - derivative
+        error = response * is_free * pull - derivative
         corrected = [self.corrector[n] * error for n in ti.static(range(self.order))]
-        end, mean = 0.0, 0.0
         for n in ti.static(range(self.order)):
             for k in ti.static(range(n, self.order)):  # the Taylor series one step on
                 corrected[n] += ti.static(float(comb(k, n))) * old[k]
+        end, mean = corrected[0], corrected[0]
+        for n in ti.static(range(1, self.order)):
             end += corrected[n]
             mean += corrected[n] * ti.static(1.0 / (n + 1))
         # the stretch of the last step was a prediction: the second term is Gear's correction of it
@@ -168,30 +166,41 @@ class CundallStrackSteps:
         """Forces of the contacts above the block of sites from `first` on. row: length of a row of numbers."""
         above = [first + strides[axis] for axis in ti.static(range(self.stencil.dimension))]
         if ti.static(self.tally):
-            axes = ti.static(range(self.stencil.dimension))
-            work = places((self.slot["work"],), row, first)
-            force = [places(self.force[axis], row, first) for axis in axes]
-            spin = [places(self.spin[axis], row, first) for axis in axes]
-            spin_above = [places(self.spin[axis], row, above[axis]) for axis in axes]
-            each_site(values, blocks, self.block, work, self.added_work, [work, force, spin, spin_above], numbers)
+            self.add_work(values, blocks, row, first, above)
         for axis in ti.static(self.stencil.slipping_axes):
-            own = places(self.coefficients[axis], row, first)
+            coefficients = self.load(values, places(self.coefficients[axis], row, first))
             spin, force = places(self.predicted[axis], row, first), places(self.force[axis], row, first)
-            spin_above = places(self.predicted[axis], row, above[axis])
+            speed = self.difference(values, spin, places(self.predicted[axis], row, above[axis]))
             if ti.static(self.holds):
-                integral = places(self.integral[axis], row, first)
-                integral_above = places(self.integral[axis], row, above[axis])
-                elongation = places(self.elongation[axis], row, first)
-                at = [integral, integral_above, spin, spin_above, elongation, own]
-                each_site(values, blocks, self.block, elongation + force, self.spring, at, numbers)
+                integral, elongation = (
+                    places(self.integral[axis], row, first),
+                    places(self.elongation[axis], row, first),
+                )
+                moved = self.difference(values, integral, places(self.integral[axis], row, above[axis]))
+                before = self.load(values, elongation)
+                new = self.spring(moved, speed, before, coefficients, numbers)
+                self.store(values, blocks, elongation + force, new)
             else:
-                at = [spin, spin_above, own]
-                each_site(values, blocks, self.block, force, self.dashpot, at, numbers[2:3])
+                damping = numbers[2]
+                self.store(values, blocks, force, [coefficients[0] * damping * d for d in ti.static(speed)])
+
+    @ti.func
+    def add_work(self, values: ti.template(), blocks: ti.template(), row, first, above: ti.template()):
+        """To what the contacts above a block of spheres have taken, add the power at the end of the last step."""
+        work = in_range(self.slot["work"] * row + first)
+        total = load(values, work, self.block)
+        for axis in ti.static(self.stencil.slipping_axes):
+            force = self.load(values, places(self.force[axis], row, first))
+            spin, spin_above = places(self.spin[axis], row, first), places(self.spin[axis], row, above[axis])
+            speed = self.difference(values, spin, spin_above)
+            for t in ti.static(range(len(force))):
+                total += force[t] * speed[t]
+        store(values, blocks, work, self.block, total)
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
         """Spins of one block. A loop over the components at run time is compiled and read once."""
-        is_free = places((self.slot["is_free"],), row, first)
+        is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
             forces = [chosen(self.pulls[k], c) * row + first for k in ti.static(range(2))]
             above = [in_range(force) for force in ti.static(forces)]
@@ -199,13 +208,14 @@ class CundallStrackSteps:
                 in_range(forces[k] - chosen([strides[axis] for axis in ti.static(self.felt[k])], c))
                 for k in ti.static(range(2))
             ]
+            pull = self.pull(values, below, above)
             gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
-            moved = [gear, is_free, above, below]
-            each_site(values, blocks, self.block, gear + ahead, self.motion, moved, [response])
-            if ti.static(self.tally):
-                impulse = places((self.slot["impulse"],), row, first + c * row)
-                pulled = [impulse, is_free, above, below]
-                each_site(values, blocks, self.block, impulse, self.added_impulse, pulled, [response])
+            new = self.motion(self.load(values, gear), pull, is_free, response)
+            self.store(values, blocks, gear + ahead, new)
+            if ti.static(self.tally):  # of driven spheres, which do not move
+                impulse = in_range((self.slot["impulse"] + c) * row + first)
+                before = load(values, impulse, self.block)
+                store(values, blocks, impulse, self.block, before + (1.0 - is_free) * pull)
 
     @ti.kernel
     def steps_by_team(

@@ -1,8 +1,11 @@
 """How kernels reach the numbers of a site: row by row in one array, blocks of neighbouring sites at a time.
 
-A physical law is a function of one site; :func:`each_site` walks it over a block. On a CPU the results go to local
-vectors, which are written as a whole: a loop that writes to memory cannot be told from one that changes its own input,
-or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0002).
+Cundall-Strack steps reckon with vectors: `load` a block, apply a law to it, `store` what it says.
+
+The laws of sweeps and splitting are functions of one site; :func:`each_site` walks them over a block. On a CPU the
+results go to local vectors, which are written as a whole: a loop that writes to memory cannot be told from one that
+changes its own input, or even the address of the array, so it would not be turned into SIMD instructions
+(docs/decisions/0002).
 """
 
 from taichi_bearings.compiler import ti
@@ -22,6 +25,29 @@ def in_range(index):
 def places(rows: ti.template(), length, site):
     """Where the numbers of a site stand, one a row of `length`; those of the site m further on stand m further on."""
     return [in_range(row * length + site) for row in ti.static(rows)]
+
+
+@ti.func
+def load(values: ti.template(), place, block: ti.template()):
+    """The numbers of as many neighbouring sites as a block has, from any place on: a vector, or of one site its number.
+
+    LLVM knows the loop for a copy, and loads the vector with few instructions.
+    """
+    if ti.static(block == 1):
+        return values[place]
+    result = ti.Vector.zero(float, block)
+    for m in range(block):
+        result[m] = values[place + m]
+    return result
+
+
+@ti.func
+def store(values: ti.template(), blocks: ti.template(), place, block: ti.template(), new):
+    """Write the numbers of a whole block of sites."""
+    if ti.static(block == 1):
+        values[place] = new
+    else:
+        blocks[place // block] = new
 
 
 @ti.func
