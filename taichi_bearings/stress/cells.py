@@ -125,7 +125,8 @@ class Judge:
         row |= {"truth": float(truth.upper), "error": _error(truth, answer.objective)}
         row |= dict(zip(("states_wrong", "states_unproven"), _states(truth, answer), strict=True))
         row["reason"] = _fault(truth, answer, row)
-        return row | {"outcome": WRONG if row["reason"] else RIGHT if answer.reached else NOT_REACHED}
+        at_rest = answer.reached and (answer.status != "finished" or row["error"] <= BELIEVED)
+        return row | {"outcome": WRONG if row["reason"] else RIGHT if at_rest else NOT_REACHED}
 
     def _truth(self, cell: Cell) -> Truth:
         scene, unit = cell.case.in_plain_units, Decimal(cell.case.unit)
@@ -168,6 +169,8 @@ def _fault(truth: Truth, answer: Answer, row: dict[str, Any]) -> str:
     if not answer.reached:
         return ""
     allowed = TOLERANCE if answer.status == "certified" else BELIEVED
+    if answer.status == "finished":  # its time has passed: how far it still is from rest, it says itself
+        allowed = max(allowed, answer.gap)
     if error is None or error > allowed * (1 + ROUNDING):
         return f"it is {answer.status} with an error of {error if error is not None else nan:.1e}"
     return ""

@@ -77,6 +77,13 @@ def test_an_answer_that_says_so_may_be_far_off(answer):
     assert judged(replace(far, objective=np.nan, lower_bound=np.nan, gap=np.nan))["outcome"] == NOT_REACHED
 
 
+def test_a_finished_dynamics_may_be_as_far_off_as_it_says(answer):
+    far = replace(answer, objective=1.01 * answer.objective, status="finished", gap=0.0099)
+    assert judged(far)["outcome"] == WRONG
+    assert judged(replace(far, gap=0.0100))["outcome"] == NOT_REACHED
+    assert judged(replace(answer, status="finished"))["outcome"] == RIGHT
+
+
 def test_what_must_be_refused_is_wrong_if_it_is_not(answer):
     cell = replace(CELL, axis="start", value="NaN")
     assert judged(answer, cell)["outcome"] == WRONG
