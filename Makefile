@@ -20,9 +20,9 @@ run: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 	$(BIN)/python -m pytest -n auto --dist worksteal --precision f32 tests/kernels tests/laws tests/agreement
-	$(BIN)/python -m pytest --compiler quadrants tests/kernels tests/agreement/test_methods.py
-	$(BIN)/python -m pytest --arch vulkan tests/kernels
-	$(BIN)/python -m pytest --arch vulkan --precision f32 tests/kernels
+	$(BIN)/python -m pytest -n auto --dist worksteal --compiler quadrants tests/kernels tests/agreement/test_methods.py
+	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan tests/kernels
+	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan --precision f32 tests/kernels
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
