@@ -8,6 +8,7 @@ precision, which is twice as fast: what is solved for is a change, and the next 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from taichi_bearings.numerics.blas import one_thread
 SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
 
 IN_CACHE = 65_536  # numbers that are still in the second cache when they are added to others
+
+Planes = list[tuple[np.ndarray, np.ndarray]]
 
 
 class TorqueBalance:
@@ -50,6 +53,8 @@ class TorqueBalance:
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map
         self.is_rough = self.workers > 0 and fields.dtype == np.float64
         self.is_small = len(modes) < SHARED_BY_BLAS
+        if self.workers:
+            self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
 
     def _numbers(self, values: np.ndarray) -> Any:
         """Numbers beside the fields: on a GPU as precise as these."""
@@ -66,30 +71,31 @@ class TorqueBalance:
             values, places = self.fields.values, (layout.length, layout.margin)
             self.kernels.on_gpu(values, self.modes, self.sines, self.chains, *places, *self.measures, self.weight)
             return
-        self._by_planes("pull", self._to_modes)
+        list(self.each(_to_modes, self.pulls, repeat(self.sines)))
         self.kernels.chains_on_cpu(self.workers, self.modes, self.chains, *self.measures, self.weight)
-        self._by_planes("potential", self._from_modes)
+        list(self.each(_from_modes, self.potentials, repeat(self.sines)))
 
-    def _by_planes(self, name: str, task: Callable[[np.ndarray, np.ndarray], None]) -> None:
-        """Do it to the free spheres of a field and their modes, a few planes across a side at a time."""
+    def _shares(self, name: str) -> list[Planes]:
+        """The free spheres of a field and their modes, a few planes across a side at a time, a list a thread."""
         layout = self.fields.layout
         planes, room = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
-        both = [
-            tuple(part.reshape(planes)[..., 1:-1] for part in parts)
-            for parts in zip(self.fields.view(name), room, strict=True)
-        ]
-        count, few = len(both[0][0]), max(1, IN_CACHE // both[0][0][0].size)
+        shares: list[Planes] = [[] for _ in range(self.workers)]
+        for parts in zip(self.fields.view(name), room, strict=True):
+            field, modes = (part.reshape(planes)[..., 1:-1] for part in parts)
+            few = max(1, IN_CACHE // field[0].size)
+            for worker, share in enumerate(shares):
+                first, last = (len(field) * n // self.workers for n in (worker, worker + 1))
+                share += [
+                    (field[n : min(n + few, last)], modes[n : min(n + few, last)]) for n in range(first, last, few)
+                ]
+        return shares
 
-        def share(worker: int) -> None:
-            last = count * (worker + 1) // self.workers
-            for field, modes in both:
-                for first in range(count * worker // self.workers, last, few):
-                    task(field[first : min(first + few, last)], modes[first : min(first + few, last)])
 
-        list(self.each(share, range(self.workers)))
+def _to_modes(planes: Planes, sines: np.ndarray) -> None:
+    for pull, modes in planes:
+        np.matmul(pull.astype(np.float32, copy=False), sines, out=modes)
 
-    def _to_modes(self, pull: np.ndarray, modes: np.ndarray) -> None:
-        np.matmul(pull.astype(np.float32, copy=False), self.sines, out=modes)
 
-    def _from_modes(self, potential: np.ndarray, modes: np.ndarray) -> None:
-        potential += np.matmul(modes, self.sines)
+def _from_modes(planes: Planes, sines: np.ndarray) -> None:
+    for potential, modes in planes:
+        potential += np.matmul(modes, sines)
