@@ -22,6 +22,7 @@ from taichi_bearings.numerics.blas import one_thread
 
 SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
 
+PRODUCTS = np.float32  # numbers that are multiplied on a CPU
 IN_CACHE = 65_536  # numbers that are still in the second cache when they are added to others
 
 Planes = list[tuple[np.ndarray, np.ndarray]]
@@ -38,6 +39,7 @@ class TorqueBalance:
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
         self.fields, self.kernels, self.weight = fields, balance_kernels(spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
+        self.products = min(np.dtype(PRODUCTS), fields.dtype, key=lambda kind: kind.itemsize)
         modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
         held[1:-1] = weights[-1] * chain_eigenvalues(shape[-1] - 2, is_held=True)
         sides = [shape[axis] for axis in stencil.coupled_sides]
@@ -51,14 +53,14 @@ class TorqueBalance:
         self.sines = self._numbers(modes)
         self.workers = team_size(layout, stencil.components)
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map
-        self.is_rough = self.workers > 0 and fields.dtype == np.float64
+        self.is_rough = self.workers > 0 and self.products != fields.dtype
         self.is_small = len(modes) < SHARED_BY_BLAS
         if self.workers:
             self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
 
     def _numbers(self, values: np.ndarray) -> Any:
         """Numbers beside the fields: on a GPU as precise as these."""
-        return on_device(values) if runtime.current().is_gpu else values.astype(np.float32)
+        return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
 
     def begin(self) -> AbstractContextManager[None]:
         """In which many solves are made."""
@@ -93,7 +95,7 @@ class TorqueBalance:
 
 def _to_modes(planes: Planes, sines: np.ndarray) -> None:
     for pull, modes in planes:
-        np.matmul(pull.astype(np.float32, copy=False), sines, out=modes)
+        np.matmul(pull.astype(sines.dtype, copy=False), sines, out=modes)
 
 
 def _from_modes(planes: Planes, sines: np.ndarray) -> None:
