@@ -11,6 +11,7 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
+from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.solvers.answer import answered, proven
@@ -132,7 +133,7 @@ class _Course:
                 _refuse_unlike(resume, method.state())
                 method.restore(resume)
                 self.recorder.restore(resume)
-                self.best.restore(resume)
+                self.best.restore(resume, method.spin_axes)
                 self.began = time.perf_counter() - float(resume["elapsed"])
                 looked = bool(resume["looked"])
             except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
@@ -282,11 +283,13 @@ class _Best:
         """The forces that prove the bound, for a checkpoint; the bound itself is not believed."""
         return {f"proof_{axis}": force for axis, force in enumerate(self.proof)}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
         lattice = self.scene.lattice
         self.proof = tuple(np.array(state[f"proof_{axis}"], dtype=float) for axis in range(lattice.dimension))
         for axis, force in enumerate(self.proof):
-            if force.shape[1:] != (self.scene.replicas, *lattice.contact_shape(axis)) or not np.isfinite(force).all():
+            parts = len(tangential(axis, spin_axes))
+            shape = (parts, self.scene.replicas, *lattice.contact_shape(axis))
+            if force.shape != shape or not np.isfinite(force).all():
                 raise ValueError(f"proof_{axis} holds something else than the forces of its contacts")
 
     def _take_proof(self, new: Progress) -> None:

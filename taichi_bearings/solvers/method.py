@@ -50,6 +50,7 @@ class Dynamics(Method, Protocol):
 
     iteration: int
     time: float
+    spin_axes: tuple[int, ...]
 
     def aim_at(self, time: float) -> None:
         """The next simulated time at which a state is wanted; infinity for none.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -74,9 +75,14 @@ class Recorder:
             self._last_time = progress.time
 
     def add_row(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
-        """Write this state into the history, unless it ends with it already."""
+        """Write this state into the history, unless it ends with it already; FileError if that has other columns."""
+        row = self._row(progress, bound, seconds)
+        shapes = {name: np.asarray(values[-1]).shape for name, values in self._columns.items()}
+        if shapes and shapes != {name: np.asarray(value).shape for name, value in row.items()}:
+            raise FileError("the checkpoint is damaged or was changed: its history has other columns than this run")
         if not self._columns or self._columns["iteration"][-1] != progress.iteration:
-            self._append(progress, bound, seconds)
+            for name, value in row.items():
+                self._columns.setdefault(name, []).append(value)
 
     def _is_due(self, progress: Progress, times: np.ndarray) -> bool:
         if progress.time is None:
@@ -84,7 +90,7 @@ class Recorder:
         reached = progress.time * (1 + SAME)
         return bool(((times > self._last_time * (1 + SAME)) & (times <= reached)).any())
 
-    def _append(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
+    def _row(self, progress: Progress, bound: np.ndarray, seconds: float) -> dict[str, Any]:
         scene, minimises_power = self._scene, self._scene.law.minimises == "power"
         row = {
             "iteration": progress.iteration,
@@ -104,11 +110,7 @@ class Recorder:
             for name in ("kinetic", "spring", "injected", "dissipated"):
                 row[f"{name}_energy"] = getattr(energy, name)
             row["energy_residual"] = energy.residual
-        shapes = {name: np.asarray(values[-1]).shape for name, values in self._columns.items()}
-        if shapes and shapes != {name: np.asarray(value).shape for name, value in row.items()}:
-            raise FileError("the checkpoint is damaged or was changed: its history has other columns than this run")
-        for name, value in row.items():
-            self._columns.setdefault(name, []).append(value)
+        return row
 
     def history(self) -> dict[str, np.ndarray]:
         """Columns of equal length; those with one value a replica are (rows, R)."""

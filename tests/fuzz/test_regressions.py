@@ -145,6 +145,7 @@ def test_a_scan_without_its_columns(corpus, tmp_path, scanned):
         ("spin", np.zeros((1, 1, 3, 4), dtype=int)),
         ("force_0", np.zeros((1, 1, 2, 2))),
         ("proof_1", np.zeros(3)),
+        ("proof_0", np.zeros((2, 1, 2, 4))),
         ("times", np.zeros(2)),
         ("elapsed", np.zeros(2)),
     ],
@@ -156,6 +157,15 @@ def test_checkpoints_of_something_else(corpus, tmp_path, name, values):
             del file[name]
         file[name] = values
     assert "checkpoint" in refused("run", "--resume", tmp_path, "--time-limit", "1")
+
+
+@pytest.mark.parametrize("name", ["iteration", "power"])
+@pytest.mark.parametrize("duration", [[], ["--duration", "0.02"]])
+def test_a_checkpoint_whose_history_lacks_a_column(corpus, tmp_path, name, duration):
+    shutil.copyfile(corpus.resumable / "checkpoint.h5", tmp_path / "checkpoint.h5")
+    with h5py.File(tmp_path / "checkpoint.h5", "r+") as file:
+        del unsealed(file)[f"history/{name}"]
+    assert "history has other columns" in refused("run", "--resume", tmp_path, "--time-limit", "1", *duration)
 
 
 def test_a_checkpoint_whose_scene_has_none(corpus, tmp_path):
