@@ -8,8 +8,10 @@ it goes when the journal is next opened for appending.
 import json
 import logging
 import os
+import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,6 +22,8 @@ from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 NAME = "samples.jsonl"
 HEAD = '{"crc32": "%08x", "sample": '
 HEAD_LENGTH = len(HEAD % 0)
+TEXTS = {"status", "method", "law", "shape", "version", "warnings", "error"}  # scalars that are no numbers
+COLUMNS = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
 MOST_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
 
 
@@ -37,6 +41,18 @@ def _has_key(record: Any) -> bool:
     return isinstance(record, dict) and isinstance(record.get("key"), str)
 
 
+@lru_cache(maxsize=4096)
+def _names_a_column(name: str) -> bool:
+    return name not in COLUMNS and re.fullmatch(r"[A-Za-z]\w{0,99}", name, re.ASCII) is not None
+
+
+def _is_scalar(name: str, value: Any) -> bool:
+    """A text where texts belong, elsewhere a number, or None. ValueError for a text that is no Unicode."""
+    if name not in TEXTS:
+        return isinstance(value, bool | int | float | None) and _names_a_column(name)
+    return value is None or (isinstance(value, str) and b"\0" not in value.encode())
+
+
 def is_sample(sample: Any) -> bool:
     """Key, scalars and bins, of the kinds and sizes that a solve leaves: a number of a bin may ask for no memory."""
     if not _has_key(sample):
@@ -44,11 +60,9 @@ def is_sample(sample: Any) -> bool:
     scalars, bins = sample.get("scalars"), sample.get("bins")
     if not isinstance(scalars, dict) or not isinstance(scalars.get("status"), str) or not isinstance(bins, dict):
         return False
-    if not all(value is None or isinstance(value, (bool, int, float, str)) for value in scalars.values()):
+    if not all(_is_scalar(name, value) for name, value in scalars.items()):
         return False
     if not all(isinstance(scalars.get(name), int | None) for name in ("slipping", "slipless", "undecided")):
-        return False
-    if not isinstance(scalars.get("power"), int | float | None):
         return False
     if not all(abs(value) < 2**62 for value in scalars.values() if type(value) is int):
         return False

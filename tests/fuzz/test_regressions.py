@@ -86,6 +86,19 @@ def test_a_file_that_is_none_is_not_waited_for(tmp_path):
         ("scalars", "undecided", 2**70),
         ("scalars", "status", 3),
         ("scalars", "power", []),
+        ("scalars", "power", "text"),
+        ("scalars", "slip_threshold", "certified"),
+        ("scalars", "normal_force", "x"),
+        ("scalars", "shape", True),
+        ("scalars", "law", 3),
+        ("scalars", "method", 3),
+        ("scalars", "error", "\ud800"),
+        ("scalars", "method", "a\0"),
+        ("scalars", "", 1),
+        ("scalars", ".", 1),
+        ("scalars", "a/b", 1),
+        ("scalars", "\ud800", 1),
+        ("scalars", "sample", 1),
         ("bins", "1000000000000", 1),
         ("bins", "-99999", 1),
         ("bins", "a", 1),
@@ -103,13 +116,18 @@ def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_pat
     text = json.dumps(record).encode()
     changed = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
     (tmp_path / "samples.jsonl").write_bytes(changed + b"".join(others))
-    answer = answer_to("histogram", tmp_path, "--out", tmp_path / "out", "--json")
-    assert not answer.fault, answer.fault
-    assert answer.code == 0
-    assert "is damaged; its sample counts as missing" in caplog.text
+    for words in (
+        ["histogram", tmp_path, "--normalise", "unit", "--out", tmp_path / "out"],
+        ["scan", tmp_path, "--merge"],
+    ):
+        answer = answer_to(*words)
+        assert not answer.fault, answer.fault
+        assert answer.code == (1 if "--merge" in words else 0)
+        assert "is damaged; its sample counts as missing" in caplog.text
+        caplog.clear()
 
 
-@pytest.mark.parametrize(("name", "value"), [("law", "\x1b\n"), ("shape", True), ("law", 3)])
+@pytest.mark.parametrize(("name", "value"), [("law", "\x1b\n"), ("shape", "4x"), ("law", "springs")])
 def test_a_journal_of_another_system_is_refused(corpus, tmp_path, name, value):
     shutil.copyfile(corpus.scan / "scan.toml", tmp_path / "scan.toml")
     first, *others = (corpus.scan / "samples.jsonl").read_bytes().splitlines(keepends=True)
