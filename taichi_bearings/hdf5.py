@@ -10,6 +10,7 @@ import gc
 import math
 import mmap
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -128,12 +129,9 @@ def reason_against(path: str, size: int) -> str:
         file.visititems(lambda name, item: items.append((name, item)))
         declared = 0
         for name, item in items:
-            if not isinstance(item, h5py.Dataset):
-                for attribute in list(item.attrs):
-                    with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
-                        if not _is_plain(item.attrs[attribute]):
-                            return f"{attribute} of {name} in it is neither a number nor a text"
-            else:
+            if reason := _strange_attribute(item):
+                return f"{reason} of {name} in it is neither a number nor a text in UTF-8"
+            if isinstance(item, h5py.Dataset):
                 if reason := _reason_against_data(item):
                     return f"{name} in it {reason}"
                 claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
@@ -151,11 +149,29 @@ def reason_against(path: str, size: int) -> str:
     return ""
 
 
-def _is_plain(value: object) -> bool:
-    """True for numbers and texts, and lists of them: no references, which lead elsewhere."""
+def _strange_attribute(item: h5py.HLObject) -> str:
+    """The name of an attribute that is neither number nor text, or of such a name; empty if there is none.
+
+    References of data sets to others, such as their scales, are let be: they are never followed.
+    """
+    plain = (*PLAIN, h5py.Reference, h5py.RegionReference) if isinstance(item, h5py.Dataset) else PLAIN
+    for name in list(item.attrs):
+        with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
+            if not (_is_plain(name, plain) and _is_plain(item.attrs[name], plain)):
+                return name
+    return ""
+
+
+PLAIN: tuple[type, ...] = (bytes, int, float, np.generic, np.ndarray, h5py.Empty)
+
+
+def _is_plain(value: object, plain: tuple[type, ...]) -> bool:
+    """True for these kinds, texts in UTF-8, and lists of them."""
     if isinstance(value, np.ndarray) and value.dtype == object:
-        return all(map(_is_plain, value.ravel()))
-    return isinstance(value, (str, bytes, int, float, np.generic, np.ndarray, h5py.Empty))
+        return all(_is_plain(item, plain) for item in value.ravel())
+    if isinstance(value, str):
+        return not re.search("[\ud800-\udfff]", value)  # what h5py makes of other bytes
+    return isinstance(value, plain)
 
 
 HEAP = b"GCOL\x01\0\0\0"

@@ -115,21 +115,28 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
             check(path, file)
             yield file
     except UNREADABLE as error:
-        words = " ".join(str(error).strip("'").split())
-        raise FileError(f"{path} cannot be read as {kind}: {words}") from None
+        raise _unreadable(path, f"as {kind}", error) from None
+
+
+def _unreadable(path: Path, how: str, error: Exception) -> FileError:
+    words = " ".join(str(error).strip("'").split())
+    return FileError(f"{path} cannot be read {how}: {words}")
 
 
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
     """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
 
     def copy(whole: h5py.File) -> None:
-        with open_hdf5(path) as old:
-            check(path, old)
-            for key, value in old.attrs.items():
-                whole.attrs[key] = value
-            for key in old:
-                if key != name:
-                    old.copy(key, whole)
+        try:
+            with open_hdf5(path) as old:
+                check(path, old)
+                for key, value in old.attrs.items():
+                    whole.attrs[key] = value
+                for key in old:
+                    if key != name:
+                        old.copy(key, whole)
+        except UNREADABLE as error:
+            raise _unreadable(path, "in full", error) from None
         group = whole.create_group(name)
         fill(group)
         seal(group)

@@ -293,3 +293,32 @@ def test_numbers_that_are_references(corpus, tmp_path, number):
         unsealed(file).attrs[number] = file["spin"].ref
     for command in ("verify", "analyse"):
         assert f"{number} of / in it is neither a number nor a text" in refused(command, tmp_path)
+
+
+@pytest.mark.parametrize("change", [b"\xe9", b"\xff\xfe"])
+def test_texts_that_are_not_utf_8(corpus, tmp_path, change):
+    content = (corpus.folder / "flat" / "run.h5").read_bytes()
+    assert b"shape = " in content
+    (tmp_path / "run.h5").write_bytes(content.replace(b"shape = ", change + b"shape = "[len(change) :]))
+    for words in (("verify",), ("analyse", "--no-figures")):
+        assert "scene of / in it is neither a number nor a text in UTF-8" in refused(words[0], tmp_path, *words[1:])
+
+
+def test_texts_of_data_sets_that_are_lost(corpus, tmp_path):
+    """Texts lie in a heap of their own, which HDF5 looks for only when it reads or copies."""
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        for item in (file["spin"], file["contact/x/slip"]):
+            item.attrs["description"] = "to be lost"
+    content = (tmp_path / "run.h5").read_bytes()
+    place = content.rindex(b"to be lost") - 16  # number of the text in its heap
+    (tmp_path / "run.h5").write_bytes(content[:place] + b"\x07\x77" + content[place + 2 :])
+    assert "is damaged" in refused("analyse", tmp_path, "--no-figures")
+
+
+def test_scales_of_data_sets_are_no_harm(corpus, tmp_path):
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file["history/iteration"].make_scale("iteration")
+        file["history/power"].dims[0].attach_scale(file["history/iteration"])
+    assert answer_to("analyse", tmp_path, "--no-figures").code == 0
