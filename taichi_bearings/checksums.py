@@ -32,8 +32,8 @@ def digest_of_array(values: np.ndarray) -> str:
 
 
 def digest_of_attribute(value: Any) -> str:
-    """Of a number, a text or a list as JSON."""
-    return hashlib.sha256(json.dumps(np.asarray(value).tolist()).encode()).hexdigest()
+    """Of a number, a text or a list as JSON; of what else there can be, as text."""
+    return hashlib.sha256(json.dumps(np.asarray(value).tolist(), default=str).encode()).hexdigest()
 
 
 def _digest(group: h5py.Group, name: str) -> str | None:
@@ -69,6 +69,6 @@ def check(path: Path, file: h5py.File) -> None:
     for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
         digests = json.loads(group.attrs.get(ATTRIBUTE, "{}"))
         for name in _names(group):  # each thing once, whatever names it is given
-            if digests.get(name) not in (None, _digest(group, name)):
+            if name in digests and digests[name] != _digest(group, name):
                 where = f"{group.name.strip('/')}/{name}".strip("/")
                 raise FileError(f"{path} is damaged or was changed: the checksum of {where} does not match")

@@ -218,9 +218,11 @@ def _scene(
 
 
 def _numbers(attributes: Mapping[str, Any], replicas: int, name: str, default: float = np.nan) -> np.ndarray:
-    """An attribute with one value a replica, (R,); what is no number is `default`."""
+    """An attribute with one value a replica, (R,); `default` where it is missing or says nothing, as "" does."""
     value = attributes.get(name, "")
-    values = np.atleast_1d(default if isinstance(value, str) else value)
+    values = np.atleast_1d(default if isinstance(value, str) and not value else value)
+    if values.dtype.kind not in "biuf" or values.shape not in ((1,), (replicas,)):
+        raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
     return np.broadcast_to(values, replicas).copy()
 
 
