@@ -165,13 +165,26 @@ class StoredScan:
         for name, form in (("status", "[a-z-]+"), ("law", f"({laws})?"), ("shape", f"({shape})?")):
             if not all(isinstance(text, str) and re.fullmatch(form, text) for text in table.get(name, ())):
                 raise FileError(f"{self.path} is damaged or was changed: its column {name} holds something else")
+        for name, kind in (("scan", str), ("asked", int | None), ("journals", int | None)):
+            if not isinstance(self.attributes.get(name), kind):
+                raise FileError(f"{self.path} is damaged or was changed: its attribute {name} holds something else")
+        for name, values in table.items():
+            if values.dtype.kind not in "biufO":
+                raise FileError(f"{self.path} is damaged or was changed: its column {name} holds {values.dtype}")
         if "status" not in table or counts.count.ndim != 2 or counts.edges.ndim != 1:
             raise FileError(f"{self.path} is damaged or was changed: it lacks statuses or histograms")
         lengths = {len(values) if values.ndim == 1 else -1 for values in table.values()}
         lengths |= {len(values) for values in (counts.count, counts.slipping, counts.slipless, counts.undecided)}
         bins = max(len(counts.edges) - 1, 0)
-        if len(lengths) > 1 or counts.count.shape[1] != bins or not (counts.edges > 0).all():
+        if len(lengths) > 1 or counts.count.shape[1] != bins:
             raise FileError(f"{self.path} is damaged or was changed: its columns differ in length")
+        whole = (counts.count, counts.slipping, counts.slipless, counts.undecided)
+        if any(values.dtype.kind not in "iu" or (values < 0).any() for values in whole):
+            raise FileError(
+                f"{self.path} is damaged or was changed: its histograms count in something else than numbers"
+            )
+        if counts.edges.dtype.kind != "f" or not ((counts.edges > 0) & (counts.edges < np.inf)).all():
+            raise FileError(f"{self.path} is damaged or was changed: the edges of its histograms are no powers")
 
     @property
     def samples(self) -> int:

@@ -20,7 +20,7 @@ from taichi_bearings.analysis.histogram import (
     together,
 )
 from taichi_bearings.analysis.statistics import groups
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import make_folder, refuse_standing
@@ -55,6 +55,13 @@ class Source:
         """Values (S,) of a scalar; InputError if there is no such scalar."""
         return self.whole_column(name)[self.samples]
 
+    def numbers(self, name: str) -> np.ndarray:
+        """Values (S,) of a scalar that is a number; FileError if it is none."""
+        values = self.column(name)
+        if values.dtype.kind not in "biuf":
+            raise FileError(f"{self.stored.path} is damaged or was changed: its {name} is no number")
+        return values.astype(float)
+
     def whole_column(self, name: str) -> np.ndarray:
         """Values (asked,) of a scalar, where samples have no result too."""
         if isinstance(self.stored, StoredScan):
@@ -81,7 +88,7 @@ class Source:
             contacts = sum(
                 (s != ContactState.DRIVEN).reshape(len(s), -1).sum(axis=1) for s in self.stored.solution.state
             )
-        return self.column("power") / np.maximum(contacts, 1)
+        return self.numbers("power") / np.maximum(contacts, 1)
 
     def unit(self, normalise: str) -> np.ndarray:
         """Power that counts as 1, (S,)."""
@@ -93,7 +100,7 @@ class Source:
         if (self.column("law") != "coulomb").any():
             raise InputError("normalise is 'unit', F_n R omega_T, which the viscous law does not know; use 'mean'")
         with np.errstate(over="ignore"):
-            unit = self.column("normal_force") * self.column("radius") * np.abs(self.column("spin_top"))
+            unit = self.numbers("normal_force") * self.numbers("radius") * np.abs(self.numbers("spin_top"))
         if not ((unit > 0) & (unit < np.inf)).all():
             raise InputError("normalise is 'unit', F_n R omega_T, but a top has spin 0 or no finite one; use 'mean'")
         return unit
@@ -178,7 +185,7 @@ def pooled(
     counts = together(
         [source.counts(bins_per_decade, unit, anchor) for source, unit in zip(sources, units, strict=True)]
     )
-    threshold = np.concatenate([source.column("slip_threshold").astype(float) for source in sources])
+    threshold = np.concatenate([source.numbers("slip_threshold") for source in sources])
     disorder = numbered(name for source in sources for name in source.disorder())
     reasons = np.concatenate([source.reasons for source in sources])
     place = np.cumsum(reasons == "") - 1  # of those with a result among themselves

@@ -322,3 +322,75 @@ def test_scales_of_data_sets_are_no_harm(corpus, tmp_path):
         file["history/iteration"].make_scale("iteration")
         file["history/power"].dims[0].attach_scale(file["history/iteration"])
     assert answer_to("analyse", tmp_path, "--no-figures").code == 0
+
+
+NONE = [["a", "b"], "a", 1j, [np.nan, np.nan], h5py.Empty("f8")]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [*(("lower_bound", value) for value in NONE), ("gap", "a"), ("states_proven", ["a", "b"])],
+    ids=str,
+)
+def test_numbers_of_a_run_that_are_none(corpus, tmp_path, name, value):
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        unsealed(file).attrs[name] = value
+    assert f"{name} is " in refused("analyse", tmp_path, "--no-figures")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("normal_force", "a"), ("radius", ["a", "b"]), ("spin_top", 1j), ("spin_top", h5py.Empty("f8"))],
+    ids=str,
+)
+def test_units_of_a_run_that_are_no_numbers(corpus, tmp_path, name, value):
+    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        unsealed(file).attrs[name] = value
+    words = ["histogram", tmp_path, "--out", tmp_path / "out", "--normalise", "unit"]
+    assert f"its {name} is no number" in refused(*words)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("scan", None), ("scan", [3, 4]), ("asked", np.zeros(2)), ("journals", np.zeros(2000)), ("asked", "a")],
+    ids=["lost", "list", "asked", "journals", "text"],
+)
+def test_a_scan_whose_attributes_are_something_else(corpus, tmp_path, name, value):
+    shutil.copyfile(corpus.scan / "scan.h5", tmp_path / "scan.h5")
+    with h5py.File(tmp_path / "scan.h5", "r+") as file:
+        del unsealed(file).attrs[name]
+        if value is not None:
+            file.attrs[name] = value
+    for words in (
+        ["histogram", tmp_path, "--out", tmp_path / "out"],
+        ["plot", "scan", tmp_path, "--y", "gap", "--x", "L"],
+    ):
+        assert f"its attribute {name} " in refused(*words)
+    for copied in ("samples.jsonl", "scan.toml"):
+        shutil.copyfile(corpus.scan / copied, tmp_path / copied)
+    assert answer_to("histogram", tmp_path, "--out", tmp_path / "out").code == 0  # from the journal beside it
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("histogram/edges", lambda v: np.full(v.shape, np.inf), "edges of its histograms"),
+        ("histogram/edges", lambda v: v.astype(complex), "edges of its histograms"),
+        ("histogram/count", lambda v: -v - 1, "histograms count"),
+        ("histogram/count", lambda v: v + 0.5, "histograms count"),
+        ("histogram/slipless", lambda v: v.astype(complex), "histograms count"),
+        ("table/power", lambda v: v.astype(complex), "column power"),
+        ("table/seed", lambda v: np.zeros(v.shape, dtype="V8"), "column seed"),
+        ("table/slip_threshold", lambda v: np.full(v.shape, b"text"), "slip_threshold is no number"),
+    ],
+)  # fmt: skip
+def test_a_scan_whose_columns_are_something_else(corpus, tmp_path, name, change, words):
+    shutil.copyfile(corpus.scan / "scan.h5", tmp_path / "scan.h5")
+    with h5py.File(tmp_path / "scan.h5", "r+") as file:
+        values, marks = unsealed(file)[name][()], dict(file[name].attrs)
+        del file[name]
+        file[name] = change(values)
+        file[name].attrs.update(marks)
+    assert words in refused("histogram", tmp_path, "--out", tmp_path / "out")
