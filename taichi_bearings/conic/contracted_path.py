@@ -19,6 +19,7 @@ DECIDED = 1e4  # ratio from which a contact counts as decided in the end
 FARTHEST = 1e-22  # product of slip (in its unit) and margin beyond which what is in doubt remains so
 LEAST = 1e-25  # product at which double precision ends
 STEPS = 80
+STALLING, PATIENCE = 0.6, 3  # share of the product that a step leaves if rounding stops it, and such steps in a row
 FAST = 1e3  # slip, in the unit of those in doubt, that is not in doubt
 BALANCED = 1e-6  # torques, of the mean friction, up to which a point can be judged
 ROUNDING = 1e-14  # of differences of spins
@@ -52,21 +53,21 @@ class ContractedPath:
         return self.tied.expanded(self.point.spins)
 
     def decide(self) -> Arrays | None:
-        """Follow the path until slip and margin differ by DECIDED everywhere, or to its end: masks (n,) a group, the
-        contacts left that slip, or come to slip; None if that fails.
+        """Follow the path until slip and margin differ by DECIDED everywhere, or as far as it goes: masks (n,) a group,
+        the contacts left that slip, or come to slip; None if that fails.
 
         None is tied on the way: there the slip of a contact can be far below what it will be in the end.
         """
-        before = each(np.zeros_like, self.point.friction)
+        before, last, stalled = each(np.zeros_like, self.point.friction), np.inf, 0
         for _ in range(STEPS):
-            ratios = self.point.slip_over_margin / self.unit
-            if self._decided(ratios):
+            ratios, product = self.point.slip_over_margin / self.unit, self.point.complementarity
+            stalled = stalled + 1 if product > STALLING * last else 0
+            if self._decided(ratios) or stalled == PATIENCE:
                 self.matrix.forget()
                 return (ratios > 1) | (ratios > before)
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
-            product = self.point.complementarity
             point = self.point.let_slip(min(max(product / (1000 * EPS), 100 * np.sqrt(product)), FAST * self.unit))
-            self.point, before = newton_step(point, self.matrix), ratios
+            self.point, before, last = newton_step(point, self.matrix), ratios, product
         return None
 
     def _decided(self, ratios: Arrays) -> bool:
