@@ -7,6 +7,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from taichi_bearings.conic import newton_matrix
 from taichi_bearings.conic.contact_system import lattice_system, stacked
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -34,6 +35,12 @@ SCENES = {
     "two wide": {"shape": (2, 2, 12)},
     "a single sphere high and two wide": {"shape": (2, 3, 3)},
 }
+
+
+@pytest.fixture(autouse=True)
+def eliminated_by_fronts(monkeypatch):
+    """Small systems too."""
+    monkeypatch.setattr(newton_matrix, "FEW", 0)
 
 
 def system_of(scene):
@@ -87,6 +94,20 @@ def test_solutions_equal_those_of_scipy(monkeypatch, options, leaf, narrow):
     right = rng.standard_normal(system.unknowns)
     expected = spsolve(assembled(system, stiffness), right)
     assert matrix.solve(right) == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
+
+
+def test_a_small_system_is_one_dense_block(monkeypatch):
+    monkeypatch.setattr(newton_matrix, "FEW", 160)
+    rng, scene = np.random.default_rng(4), make_scene(shape=(4, 4, 7))
+    system = system_of(scene)
+    stiffness, right = random_stiffness(system, rng), rng.standard_normal(system.unknowns)
+    matrix = NewtonMatrix(system, [])
+    matrix.factorise(stiffness, inertia=np.full(system.unknowns, 0.5))
+    expected = spsolve(assembled(system, stiffness) + 0.5 * sparse.eye(system.unknowns, format="csc"), right)
+    assert system.unknowns == 160
+    assert matrix.solve(right) == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
+    with pytest.raises(NotPositiveDefinite):
+        matrix.factorise(-stiffness)
 
 
 @pytest.mark.parametrize("shape", [(5, 6, 7), (2, 3, 3), (2, 2, 9)])

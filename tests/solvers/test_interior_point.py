@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from taichi_bearings.conic.contracted_path import ContractedPath
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState, separate
@@ -10,7 +12,7 @@ from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver
+from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, interior_point
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -196,3 +198,28 @@ def test_auto_keeps_a_stalled_answer_that_no_other_method_goes_on_from():
     solution = solve_job(prepare(settings))
     assert solution.status is Status.STALLED
     assert solution.gap[0] < 1e-8
+
+
+def test_small_lattices_keep_what_their_samples_share(monkeypatch):
+    made, new = [], NewtonMatrix.__init__
+    monkeypatch.setattr(NewtonMatrix, "__init__", lambda self, *of: made.append(1) or new(self, *of))
+    interior_point._kept_skeleton.cache_clear()
+    first, other, again = (minimum_of(make_scene((5, 6, 7), seeds=(seed,)), settle=False) for seed in (1, 2, 1))
+    assert len(made) == 1
+    assert (first.spin == again.spin).all()
+    assert (first.spin != other.spin).any()
+    monkeypatch.setattr(interior_point, "QUICK", 0)  # a large lattice leaves nothing behind
+    minimum_of(make_scene((5, 6, 7), seeds=(1,)), settle=False)
+    assert len(made) == 2
+    assert interior_point._kept_skeleton.cache_info().currsize == 0
+
+
+def test_most_samples_need_no_contracted_path(monkeypatch):
+    """Newton's method with every contact slipping that does not surely stick."""
+    monkeypatch.setattr(ContractedPath, "decide", lambda path: None)
+    resolved = [minimum_of(make_scene((6, 6, 6), seeds=(seed,))).resolved[0] for seed in range(10)]
+    assert sum(resolved) >= 7
+
+
+def test_states_are_proven_where_rounding_stops_the_contracted_path():
+    assert minimum_of(make_scene((16, 16, 16), seeds=(3,))).resolved[0]
