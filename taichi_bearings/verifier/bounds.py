@@ -22,6 +22,8 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, row_sum
 from taichi_bearings.verifier.motion import length, spread
 from taichi_bearings.verifier.samples import Samples
 
+ROUGHLY = 1e-12  # more than doubles are off
+
 
 @dataclass(frozen=True)
 class Work:
@@ -31,6 +33,7 @@ class Work:
     saturation : (R,), largest |F| / (mu F_n), rounded up (Coulomb alone, else 0).
     largest_torque : (R,), left over on a free sphere in the components that are driven, over the radius and in units of
     `force_unit`, rounded up.
+    size : |F| of every contact, (R, *contacts) an axis, in units of `force_unit`.
     """
 
     work: Enclosure
@@ -38,6 +41,7 @@ class Work:
     cost: Enclosure
     saturation: np.ndarray
     largest_torque: np.ndarray
+    size: list[Enclosure]
 
 
 def work_of(samples: Samples) -> Work:
@@ -55,20 +59,30 @@ def work_of(samples: Samples) -> Work:
         # the least of torque * spin for a spin from 0 to the jump: 0 where the two have the same sign for sure
         taken = np.where(np.sign(jump.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
         price = price + row_sum(Enclosure.exact(taken)) * spread(abs(jump), count)
-    for axis, turning in enumerate(samples.turning):
+    sizes = [length([Enclosure.exact(part) for part in turning.values()]) for turning in samples.turning]
+    for axis, whole in enumerate(sizes):
         acts = ~samples.idle(axis)
-        size = length([Enclosure.exact(np.where(acts, part, 0.0)) for part in turning.values()])
         if not samples.flows:
-            full = (size / _or_one(samples.strength[axis], acts)).reshaped((count, -1))
-            saturation = np.maximum(saturation, full.most.max(axis=1, initial=0.0))
+            saturation = np.maximum(saturation, _largest_share(whole, samples.strength[axis], acts))
             continue
+        size = Enclosure(*(np.where(acts, part, 0.0) for part in whole.parts))
         if samples.holds:  # no less than what is beyond the friction
             size = Enclosure.exact(np.where(acts, np.maximum((size - samples.strength[axis]).upper(), 0.0), 0.0))
         cost = cost + row_sum((size * size / _or_one(samples.slope[axis], acts)).signed(0.5).reshaped((count, -1)))
     if not samples.holds:  # a force is damping * radius * spin
         speed = spread(Enclosure.exact([samples.radius * samples.spin_unit]), count)
         work, price, cost = work / speed, price / speed, cost / speed / speed
-    return Work(work, price, cost, saturation, largest)
+    return Work(work, price, cost, saturation, largest, sizes)
+
+
+def _largest_share(size: Enclosure, strength: Enclosure, acts: np.ndarray) -> np.ndarray:
+    """Largest size / strength of the contacts that take part, (R,), rounded up: of those that are about as large."""
+    about = np.where(acts, size.most / np.where(acts, strength.high, 1.0), 0.0)
+    first = about.max(axis=tuple(range(1, about.ndim)), initial=0.0, keepdims=True)
+    large = np.nonzero(acts & ~(about < first * (1 - ROUGHLY)))
+    found = np.zeros(len(about))
+    np.maximum.at(found, large[0], (size[large] / strength[large]).most)
+    return found
 
 
 def _or_one(values: Enclosure, acts: np.ndarray) -> Enclosure:
@@ -101,9 +115,9 @@ def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.
     excess = np.maximum(((objective - _proven(samples, work).lower()) * UP).reshape(-1, *(1,) * samples.dimension), 0.0)
     worst = np.maximum(work.saturation, 1.0).reshape(excess.shape)  # no disc is exceeded without viscosity
     found = []
-    for axis, turning in enumerate(samples.turning):
-        size = length([Enclosure.exact(part) for part in turning.values()])
-        size = size if samples.flows else size / Enclosure.exact(np.broadcast_to(worst, size.high.shape))
+    for axis, size in enumerate(work.size):
+        if not samples.flows and (worst > 1).any():
+            size = size / Enclosure.exact(np.broadcast_to(worst, size.high.shape))
         room = samples.strength[axis] - size
         inside, beyond = np.maximum(room.lower(), 0.0), np.maximum(-room.lower(), 0.0)
         bound = np.where(inside > 0, excess / inside, np.inf)

@@ -28,6 +28,7 @@ TRIALS = 4  # each from spins that Newton's method has improved
 STIFF = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
 GUESS = 1e-7  # of the least curvature
 LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
+FEW = 400  # unknowns of a matrix that is factorised as a dense one
 EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
 
@@ -166,7 +167,7 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     slope = curvature.clusters.T @ contacts.slope().most
     radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
     reach = radius[block] / root  # of each variable, at most
-    entries = [abs(contacts.change(slot) @ curvature.clusters) for slot in range(2)]  # zeros and ones, exactly
+    entries = [abs(change) for change in curvature.changes]  # zeros and ones, exactly
     turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
     # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
     loss = np.where(contacts.two, (2 * turn) ** 2 * contacts.stiffness.most, 0.0)
@@ -179,18 +180,23 @@ class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
     clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. matrix : about H, scaled.
+    changes : (n, unknowns), how the difference of either component changes with v.
     """
 
     clusters: sparse.csr_array
     scale: np.ndarray
     tau: float
     matrix: sparse.csc_array
+    changes: list[sparse.csr_array]
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
         """None if no curvature can be proven."""
         clusters = _clusters(contacts)
-        rows, doubt = _conditions(contacts, clusters)
+        changes = [
+            contacts.change(slot) @ clusters for slot in range(2)
+        ]  # what both ends have in common is gone exactly
+        rows, doubt = _conditions(contacts, changes)
         scale = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
         if not (scale > 0).all():
             return None
@@ -198,7 +204,7 @@ class Curvature:
         rows, doubt = (rows @ inverse).tocsr(), (doubt @ inverse).tocsr()
         matrix = (rows.T @ rows).tocsc()
         tau = _proven(rows, doubt, matrix)
-        return None if tau is None else cls(clusters, scale, tau, matrix)
+        return None if tau is None else cls(clusters, scale, tau, matrix, changes)
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""
@@ -240,15 +246,14 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     return total
 
 
-def _conditions(contacts: Slipping, clusters: sparse.csr_array) -> tuple[sparse.csr_array, sparse.csr_array]:
+def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and how far they
     may be off, entry by entry. Slips of one component have no curvature."""
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
     root = np.where(contacts.two, np.sqrt(stiffness.value), 0.0)
     inexact = stiffness.error / stiffness.most + 16 * EPS
     rows = doubt = sparse.csr_array((len(contacts.two), contacts.unknowns))
-    for slot, part in enumerate(across):
-        change = contacts.change(slot) @ clusters  # what the two ends have in common is gone exactly
+    for part, change in zip(across, changes, strict=True):
         rows = rows + sparse.diags_array(root * part.value) @ change
         doubt = doubt + sparse.diags_array(root * (part.error + inexact * part.most)) @ abs(change)
     rows = rows.tocsr()
@@ -266,7 +271,9 @@ def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_
     one = sparse.eye_array(matrix.shape[0], format="csc")
     for guess in (lambda: GUESS, lambda: _least_eigenvalue((matrix + LEAST * one).tocsc()) / 2):
         tau = guess()
-        missed = _distance_from_positive(_factorised((matrix - tau * one).tocsc()))
+        shifted = (matrix - tau * one).tocsc()
+        few = matrix.shape[0] <= FEW
+        missed = _dense_distance(shifted.toarray()) if few else _distance_from_positive(_factorised(shifted))
         if missed is not None and tau - (missed + error) * UP > tau / 2:
             return tau / 2
     return None
@@ -287,6 +294,21 @@ def _factorised(matrix: sparse.csc_array) -> Any:
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError:  # singular
         return None
+
+
+def _dense_distance(matrix: np.ndarray) -> float | None:
+    """Bound, in the spectral norm, of how far a small symmetric matrix is from a positive semidefinite one, R^T R, with
+    the factor that elimination in floating point has found; None if a pivot is not positive.
+
+    The product of the computed factors differs from the matrix by at most gamma |R^T| |R| (Higham, theorem 10.3), and
+    the norm of that is at most gamma times the trace of R^T R, which is the trace of the matrix but for that.
+    """
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return None
+    gamma = (len(matrix) + 2) * EPS
+    return float(gamma / (1 - 2 * gamma) * np.trace(matrix)) * UP
 
 
 def _distance_from_positive(factor: Any) -> float | None:
@@ -314,7 +336,7 @@ def _distance_from_positive(factor: Any) -> float | None:
 
 def _largest_eigenvalue(root: sparse.csr_array) -> float:
     """Upper bound of the largest eigenvalue of W W^T, W without negative entries (Collatz and Wielandt)."""
-    other, vector = root.T.tocsr(), np.ones(root.shape[0])
+    other, vector = root.T, np.ones(root.shape[0])
     for _ in range(STEPS):
         vector = root @ (other @ vector)
         vector = vector / max(float(vector.max(initial=0.0)), TINY) + EPS
