@@ -166,7 +166,7 @@ class InteriorPoint(MethodOptions):
 
     @classmethod
     def bytes(cls, sites: int) -> float:
-        return 480 * sites ** (4 / 3)
+        return 8000 * sites + 190 * sites ** (4 / 3)  # vectors of contacts; the factor with its updates
 
 
 @register

@@ -119,7 +119,7 @@ def limited(bytes_of_memory):
     ("words", "sentence"),
     [
         (("--shape", "4,4,5"), "Virtual memory allocation (1073741824 B) failed"),  # Taichi's own
-        (("--shape", "64,64,64", "--method", "interior-point"), "interior-point of 262,144 spheres needs 2.7 GB"),
+        (("--shape", "64,64,64", "--method", "interior-point"), "interior-point of 262,144 spheres needs 1.8 GB"),
     ],
     ids=["Taichi", "estimated"],
 )
