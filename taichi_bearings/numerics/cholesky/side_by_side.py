@@ -54,7 +54,8 @@ class _Storage:
     def __init__(self, pattern: Pattern, lanes: int) -> None:
         self.lanes = lanes
         self._tables, size, self._pivots = _tables(pattern, LANES // lanes)
-        refuse_beyond(8 * lanes * size, f"the factorisation of {lanes} times {len(pattern.order):,} unknowns")
+        samples = "" if lanes == 1 else f" in {lanes} samples"
+        refuse_beyond(8 * lanes * size, f"the factorisation of {len(pattern.order):,} unknowns{samples}")
         longest = max(len(front.border) for front in pattern.fronts)
         counts = len(pattern.row), size, len(pattern.order), longest + 1
         self._entries, self._numbers, self._solution, self._work = (_vectors(count, lanes) for count in counts)
