@@ -58,11 +58,11 @@ def change(path, name):
             file[place][...] = values
 
 
-def test_any_change_is_refused_in_one_sentence(path):
+def test_any_change_is_refused_in_one_sentence(path, thorough):
     whole, names = path.read_bytes(), everything(path)
     assert len(names) > 80
     read_run_file(path)
-    for name in names:
+    for name in names if thorough else names[::4]:
         path.write_bytes(whole)
         change(path, name)
         with pytest.raises(FileError) as refused:
