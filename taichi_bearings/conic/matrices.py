@@ -1,10 +1,14 @@
 """The matrices of Newton steps of several samples of one lattice, factorised side by side."""
 
+from functools import lru_cache
+
 import numpy as np
 
-from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contact_system import ContactSystem, lattice_system, stacked
+from taichi_bearings.conic.grouped import isotropic
 from taichi_bearings.conic.newton_matrix import SHIFTS
-from taichi_bearings.numerics.cholesky import Part
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.cholesky import Part, dissect
 from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide
 
 
@@ -36,3 +40,13 @@ class NewtonMatrices:
     def solve_each(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems, (unknowns, S)."""
         return self._cholesky.solve(right)
+
+
+@lru_cache
+def compile_kernels(samples: int) -> None:
+    """Compile the kernels of one or of several samples, on a tiny lattice: they are the same for all."""
+    lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
+    system = lattice_system(lattice, spin_axes, np.ones(2))
+    matrices, stiffness = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes)), isotropic(system.offset)
+    matrices.factorise_each(np.repeat(stacked(stiffness)[:, None], samples, axis=1))
+    matrices.solve_each(np.zeros((system.unknowns, samples)))

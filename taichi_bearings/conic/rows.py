@@ -1,6 +1,7 @@
 """The numbers of all contacts as the kernels of a Newton step take them, of one sample or of several side by side."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -9,7 +10,6 @@ from taichi_bearings import runtime
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.kernels import central_path as kernels
 
-SERIAL = 20_000  # numbers in a row up to which one thread is faster than several
 ALONE = {kernels.FRICTION: 1.0, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}  # of no contact: no harm
 
 
@@ -50,11 +50,11 @@ class ContactRows:
 
     def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> None:
         """Walk all contacts. slots : of the step that is read and that is written. numbers : of each sample, or all."""
-        serial = self._length < SERIAL or runtime.current().threads == 1
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
         blocks = len(self.values[0]) * self.samples // kernels.BLOCK
-        kernel(serial, self._flat, self._blocks, self._numbers.ravel(), self._length, self._first_two, blocks, *slots)
+        runtime.current()  # starts it
+        kernel(self._flat, self._blocks, self._numbers.ravel(), self._length, self._first_two, blocks, *slots)
 
     def put(self, row: int, sample: int, values: Arrays) -> None:
         """Write numbers (n,) or vectors (d, n) a group from a row on."""
@@ -96,6 +96,14 @@ class ContactRows:
                 for k in range(rows[d])
             ]
         )
+
+
+@lru_cache
+def compile_kernels() -> None:
+    """Compile the passes, on next to nothing: they are the same for all systems and numbers of samples."""
+    rows = ContactRows([sparse.csr_matrix(np.ones((1, 1))), sparse.csr_matrix(np.ones((2, 1)))], [1, 2])
+    for kernel in (kernels.prepare, kernels.expand, kernels.multiply, kernels.correct, kernels.recentre):
+        rows.run(kernel)
 
 
 def _spread(matrix: sparse.spmatrix, places: np.ndarray, rows: int) -> sparse.csr_matrix:

@@ -302,7 +302,6 @@ def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE) -> Callable:
 
     @ti.kernel
     def run(
-        serial: ti.template(),
         values: VALUES,
         blocks: BLOCKS,
         numbers: VALUES,
@@ -312,15 +311,13 @@ def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE) -> Callable:
         read_slot: int,
         write_slot: int,
     ):
-        if ti.static(serial):
-            ti.loop_config(serialize=True)
+        ti.loop_config(serialize=True)
         for block in range(first_two):
             walk(
                 values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
                 ti.static((iterate[0], step[0])), ti.static((0,)), numbers,
             )  # fmt: skip
-        if ti.static(serial):
-            ti.loop_config(serialize=True)
+        ti.loop_config(serialize=True)
         for block in range(first_two, count):
             walk(
                 values, blocks, law, length, block * BLOCK, [read_slot, write_slot],

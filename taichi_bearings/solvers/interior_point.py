@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from taichi_bearings.conic import rows
 from taichi_bearings.conic.central_path import SIDE_BY_SIDE, Matrix, balance, flowing, newton_steps
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.matrices import NewtonMatrices
+from taichi_bearings.conic.matrices import NewtonMatrices, compile_kernels
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
 from taichi_bearings.fields import Fields, FieldSpec
@@ -117,8 +118,8 @@ def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[floa
     matrix = NewtonMatrix(system, parts)
     small = lattice.sites < SMALL
     matrices = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes, LEAF)) if small else matrix
-    with one_thread():  # once for all, so that the kernels are compiled before the clock starts
-        matrix.factorise(isotropic(system.offset))
+    with one_thread():
+        matrix.factorise(isotropic(system.offset))  # compiles what it needs
     return system, parts, matrix, matrices
 
 
@@ -141,6 +142,11 @@ class InteriorPointMethod:
         self.system, self.parts, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
         if matrix is not None and matrices is not None:
             self.matrix, self.matrices = matrix, matrices
+            rows.compile_kernels()  # all before the clock starts
+            if isinstance(matrices, NewtonMatrices):
+                compile_kernels(1)  # the last one may be alone
+                if scene.replicas > 1:
+                    compile_kernels(SIDE_BY_SIDE)
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
