@@ -6,6 +6,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 CGROUP = Path("/sys/fs/cgroup")
 LITTLE = 1e8  # bytes
 
@@ -35,3 +37,10 @@ def refuse_beyond(needed: float, what: str) -> None:
     room = free_bytes() if needed > LITTLE else needed
     if needed > room:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(room, 0) / 1e9:.1f} GB are free")
+
+
+def aligned_zeros(count: int, block: int, dtype: np.typing.DTypeLike = float) -> np.ndarray:
+    """Zeros (count,) at an address that is a multiple of a block of them, as SIMD writes of whole blocks expect."""
+    memory = np.zeros(count + block, dtype)
+    start = -(memory.ctypes.data // memory.itemsize) % block
+    return memory[start : start + count]

@@ -21,9 +21,9 @@ from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
+from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-SIDE_BY_SIDE = 8  # samples that share every vector of numbers
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
 LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
 WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
@@ -148,23 +148,18 @@ class _Directions:
 
     def __init__(self, iterates: Sequence[Iterate], matrix: Matrix) -> None:
         self.iterates, self.matrix = iterates, matrix
-        samples = 1 if len(iterates) == 1 else SIDE_BY_SIDE
-        self.all = [
-            *iterates,
-            *[iterates[0]] * (samples - len(iterates)),
-        ]  # whatever there is no sample for is the first
-        self.rows, first = iterates[0].system.rows(samples), iterates[0]
+        first, samples = iterates[0], 1 if len(iterates) == 1 else LANES
+        self.all = [*iterates, *[first] * (samples - len(iterates))]  # where there is no sample, the first once more
+        self.rows = first.system.rows(samples)
         for sample, iterate in enumerate(self.all):
             self._put(sample, iterate)
         self.spins = np.stack([iterate.spins for iterate in self.all], axis=1)
         self.rows.run(kernels.prepare, (0, 0), WEAK)
         stiffness, self.viscosity = self.rows.upper_stiffness(), None
         if first.viscosity is not None:
-            springs = [isotropic(i.difference, i.viscosity) for i in self.all if i.viscosity is not None]
-            stiffness = stiffness + np.stack([stacked(spring) for spring in springs], axis=1)
-            self.viscosity = self.rows.flattened(
-                [each(lambda k: k[0, :1].repeat(len(k), axis=0), spring) for spring in springs]
-            )
+            flows = [(i.difference, i.viscosity) for i in self.all if i.viscosity is not None]
+            stiffness = stiffness + np.stack([stacked(isotropic(z, eta)) for z, eta in flows], axis=1)
+            self.viscosity = self.rows.flattened([eta * each(np.ones_like, z) for z, eta in flows])
         self.regular = matrix.factorise_each(stiffness, first.inertia.weight if first.inertia else 0.0)
         # spins and forces that balance each other go on together
         self.together = first.inertia is not None or first.viscosity is not None

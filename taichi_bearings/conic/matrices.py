@@ -19,8 +19,7 @@ class NewtonMatrices:
         """parts : elimination tree over the unknowns of `system`."""
         self._cholesky = CholeskySideBySide(parts, *system.couplings())
         pattern = self._cholesky.pattern
-        self._map = system.laplacian_map(pattern.entry, len(pattern.row))
-        self._diagonal = np.flatnonzero(pattern.row == pattern.column)
+        self._map, self._diagonal = system.laplacian_map(pattern.entry, pattern.entries), pattern.diagonal
 
     def factorise_each(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
         """stiffness : (entries, S), upper triangles as `stacked` gives them. True (S,) where that succeeds, if need be
@@ -43,7 +42,7 @@ class NewtonMatrices:
 
 
 @lru_cache
-def compile_kernels(samples: int) -> None:
+def compile_eliminations(samples: int) -> None:
     """Compile the kernels of one or of several samples, on a tiny lattice: they are the same for all."""
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))

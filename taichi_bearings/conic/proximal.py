@@ -20,7 +20,7 @@ from taichi_bearings.conic.contact_system import free_spins, lattice_system, pla
 from taichi_bearings.conic.grouped import Arrays
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.rows import compile_kernels
+from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
 
@@ -70,7 +70,7 @@ class ProximalSteps:
         self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
         self._system = lattice_system(scene.lattice, spin_axes, scene.driven_values(spin_axes)[1] / unit)
         self._matrix = NewtonMatrix(self._system, dissect(scene.lattice.free_shape, spin_axes))
-        compile_kernels()
+        compile_passes()
         acting = [self._system.gather(scene.positive_coefficient, replica) for replica in range(scene.replicas)]
         mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])
         self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]

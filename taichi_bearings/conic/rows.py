@@ -9,6 +9,7 @@ from scipy import sparse
 from taichi_bearings import runtime
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.kernels import central_path as kernels
+from taichi_bearings.memory import aligned_zeros
 
 ALONE = {kernels.FRICTION: 1.0, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}  # of no contact: no harm
 
@@ -34,9 +35,7 @@ class ContactRows:
                 self._first_two = contacts // block
         self._spans = [slice(start, start + size) for start, size in zip(starts, sizes, strict=True)]
         self._length, rows = contacts * samples, kernels.ROWS
-        memory = np.zeros(rows * self._length + kernels.BLOCK)
-        first = -(memory.ctypes.data // memory.itemsize) % kernels.BLOCK  # SIMD writes whole blocks at such addresses
-        self._flat = memory[first : first + rows * self._length]
+        self._flat = aligned_zeros(rows * self._length, kernels.BLOCK)
         self._blocks, self._numbers = self._flat.reshape(-1, kernels.BLOCK), np.zeros((4, block, samples))
         self.values = self._flat.reshape(rows, contacts, samples)
         for row, value in ALONE.items():
@@ -99,7 +98,7 @@ class ContactRows:
 
 
 @lru_cache
-def compile_kernels() -> None:
+def compile_passes() -> None:
     """Compile the passes, on next to nothing: they are the same for all systems and numbers of samples."""
     rows = ContactRows([sparse.csr_matrix(np.ones((1, 1))), sparse.csr_matrix(np.ones((2, 1)))], [1, 2])
     for kernel in (kernels.prepare, kernels.expand, kernels.multiply, kernels.correct, kernels.recentre):

@@ -7,6 +7,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
 from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.memory import aligned_zeros
 
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
 
@@ -71,10 +72,7 @@ class Fields:
     def _allocate(self) -> tuple[Any, np.ndarray | None]:
         count = self.rows * self.layout.length
         if not runtime.current().is_gpu:
-            block = self.layout.block  # SIMD writes expect whole blocks at multiples of their size
-            memory = np.zeros(count + block, self.dtype)
-            start = -(memory.ctypes.data // self.dtype.itemsize) % block
-            flat = memory[start : start + count]
+            flat = aligned_zeros(count, self.layout.block, self.dtype)
             return flat, flat.reshape(self.rows, -1)
         from taichi_bearings.compiler import ti
 

@@ -20,15 +20,16 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic import rows
-from taichi_bearings.conic.central_path import SIDE_BY_SIDE, Matrix, balance, flowing, newton_steps
+from taichi_bearings.conic.central_path import Matrix, balance, flowing, newton_steps
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.matrices import NewtonMatrices, compile_kernels
+from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Resolved, resolve
+from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part, dissect
@@ -142,11 +143,11 @@ class InteriorPointMethod:
         self.system, self.parts, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
         if matrix is not None and matrices is not None:
             self.matrix, self.matrices = matrix, matrices
-            rows.compile_kernels()  # all before the clock starts
+            compile_passes()  # all before the clock starts
             if isinstance(matrices, NewtonMatrices):
-                compile_kernels(1)  # the last one may be alone
+                compile_eliminations(1)  # the last one may be alone
                 if scene.replicas > 1:
-                    compile_kernels(SIDE_BY_SIDE)
+                    compile_eliminations(LANES)
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
@@ -185,7 +186,7 @@ class InteriorPointMethod:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
                 going = [sample for sample in self.samples if not sample.done]
-                together = SIDE_BY_SIDE if isinstance(self.matrices, NewtonMatrices) else 1
+                together = LANES if isinstance(self.matrices, NewtonMatrices) else 1
                 for first in range(0, len(going), together):
                     self._steps(going[first : first + together])
                 self.iteration += 1

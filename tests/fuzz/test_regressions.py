@@ -1,12 +1,10 @@
 """What fuzzing has found, each input once."""
 
-import io
 import json
 import os
 import shutil
 import subprocess
 import sys
-import zipfile
 import zlib
 
 import h5py
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.fuzz.answers import answer_to
+from tests.fuzz.damage import claiming
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
 
@@ -206,14 +205,7 @@ def test_headers_of_arrays(tmp_path, header):
 @pytest.mark.parametrize("ending", ["npy", "npz"])
 @pytest.mark.parametrize("kind", ["|V0", "|S0", "<U0"])
 def test_numbers_of_no_size_are_without_number(tmp_path, ending, kind):
-    whole = io.BytesIO()
-    np.lib.format.write_array_header_1_0(whole, {"descr": kind, "fortran_order": False, "shape": (10**12,)})
-    file = tmp_path / f"a.{ending}"
-    if ending == "npy":
-        file.write_bytes(whole.getvalue())
-    else:
-        with zipfile.ZipFile(file, "w") as stored:
-            stored.writestr("spin.npy", whole.getvalue())
+    file = claiming(tmp_path / f"a.{ending}", kind, (10**12,))
     assert "cannot be read" in refused("run", "--shape", "4,5", "--initial", file, "--out", tmp_path / "b")
 
 

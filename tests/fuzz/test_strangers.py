@@ -16,6 +16,7 @@ import taichi_bearings as tb
 from taichi_bearings import hdf5
 from taichi_bearings.errors import BearingsError, FileError
 from tests.fuzz.answers import answer_to
+from tests.fuzz.damage import claiming
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and limits of POSIX")
 
@@ -196,14 +197,7 @@ def test_a_small_file_takes_little_memory(stranger, tmp_path, make, reader):
 @pytest.mark.parametrize("claim", [(10**12,), (10**5, 10**5), (2**40, 2**40)])
 @pytest.mark.parametrize("ending", ["npy", "npz"])
 def test_an_array_that_claims_too_much_is_not_allocated(tmp_path, claim, ending):
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": claim})
-    file = tmp_path / f"a.{ending}"
-    if ending == "npy":
-        file.write_bytes(header.getvalue())
-    else:
-        with zipfile.ZipFile(file, "w") as stored:
-            stored.writestr("spin.npy", header.getvalue())
+    file = claiming(tmp_path / f"a.{ending}", "<f8", claim)
     assert "cannot be read" in refused("run", "--shape", "4,5", "--initial", file, "--out", tmp_path / "out")
 
 

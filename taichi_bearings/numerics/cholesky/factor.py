@@ -68,7 +68,7 @@ class _Elimination:
 
     def __init__(self, pattern: Pattern, storage: Storage) -> None:
         self._tables, self._reals, fronts = storage.tables, storage.new_reals(), pattern.fronts
-        self._entries, self._worth_threads = len(pattern.row), pattern.factor_entries > WORTH_A_SOLVE
+        self._entries, self._worth_threads = pattern.entries, pattern.factor_entries > WORTH_A_SOLVE
         columns, updates = (
             (self._reals.ctypes.data + REAL * places).tolist() for places in (storage.factor, storage.update)
         )

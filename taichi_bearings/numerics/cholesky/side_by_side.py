@@ -7,7 +7,7 @@ import numpy as np
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels import elimination as kernels
 from taichi_bearings.kernels.elimination import HEADER, LANES, WIDTH
-from taichi_bearings.memory import refuse_beyond
+from taichi_bearings.memory import aligned_zeros, refuse_beyond
 from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.fronts import Pattern, analyse
 
@@ -55,9 +55,9 @@ class _Storage:
         self.lanes = lanes
         self._tables, size, self._pivots = _tables(pattern, LANES // lanes)
         samples = "" if lanes == 1 else f" in {lanes} samples"
-        refuse_beyond(8 * lanes * size, f"the factorisation of {len(pattern.order):,} unknowns{samples}")
+        refuse_beyond(8 * lanes * size, f"the factorisation of {pattern.size:,} unknowns{samples}")
         longest = max(len(front.border) for front in pattern.fronts)
-        counts = len(pattern.row), size, len(pattern.order), longest + 1
+        counts = pattern.entries, size, pattern.size, longest + 1
         self._entries, self._numbers, self._solution, self._work = (_vectors(count, lanes) for count in counts)
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
@@ -86,9 +86,7 @@ class _Storage:
 def _vectors(count: int, lanes: int) -> np.ndarray:
     """Zeros (count, lanes), whole vectors at addresses for SIMD."""
     count = _whole(count, LANES // lanes)
-    memory = np.zeros(count * lanes + LANES)
-    first = -(memory.ctypes.data // memory.itemsize) % LANES
-    return memory[first : first + count * lanes].reshape(count, lanes)
+    return aligned_zeros(count * lanes, LANES).reshape(count, lanes)
 
 
 def _whole(count: int, unit: int) -> int:

@@ -48,7 +48,7 @@ class Storage:
         own = np.array([f.own for f in fronts], dtype=np.int64)
         border = np.array([len(f.border) for f in fronts], dtype=np.int64)
         height = own + border
-        ends = len(pattern.row) + np.cumsum(own * height)
+        ends = pattern.entries + np.cumsum(own * height)
         self.factor = ends - own * height
         self.update = ends[-1] + schedule.update
         self._size, self._unknowns = int(ends[-1]) + schedule.peak, pattern.size
@@ -106,7 +106,7 @@ def _join_children(pattern: Pattern, table: np.ndarray, columns: np.ndarray, map
 def _entries(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
     """Start of each column among the stored entries, and the row of each entry within its front."""
     start = np.concatenate([[0], np.cumsum(np.bincount(pattern.column, minlength=pattern.size))])
-    place = np.empty(len(pattern.row), dtype=np.int64)
+    place = np.empty(pattern.entries, dtype=np.int64)
     for front in pattern.fronts:
         end = front.first + front.own
         inside = slice(start[front.first], start[end])
