@@ -213,13 +213,12 @@ class _Directions:
     def refined(self, step: _Step) -> _Step:
         """Solve for the torques that rounding left, as long as that helps."""
         last, going = np.full(len(step.along), np.inf), np.ones(len(step.along), dtype=bool)
-        for trial in range(REFINEMENTS):
+        for _ in range(REFINEMENTS):
             change, dual_step = (self.rows.two(_in(step.slot, row)) for row in (kernels.CHANGE, kernels.DUAL_STEP))
             dual, slip = self.rows.two(kernels.DUAL) + dual_step, self.rows.two(kernels.SLIP) + change
             imbalance = self._imbalance(self.spins + step.spins, dual, slip)
             size = np.abs(imbalance).max(axis=0, initial=0.0)
-            if trial > 0:
-                going &= (size > BALANCED) & (size < last / 2)
+            going &= (size > BALANCED) & (size < last / 2)
             if not going.any():
                 break
             last = size

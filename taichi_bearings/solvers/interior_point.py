@@ -42,8 +42,9 @@ from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
+SETTLE, AGAIN = 1e-10, 3  # relative gap from which settling is tried, and factor between one trial and the next
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
+FIRST = 12  # steps that small samples take before the first look at where they are
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 QUICK = 10_000  # spheres up to which what all samples of a lattice share is kept
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
@@ -178,7 +179,7 @@ class InteriorPointMethod:
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
         if self.scene.lattice.sites < SMALL and self.options.settle:
-            return iteration + (4 if iteration < 12 else 2)
+            return max(FIRST, iteration + 2)
         far = self.frustrated and max(sample.iterate.gap for sample in self.samples) > FAR
         return iteration + (2 if far else 1)
 
@@ -200,15 +201,17 @@ class InteriorPointMethod:
 
     def _judge(self, sample: _Sample, iterate: Iterate | None) -> None:
         """See where a step of a sample has led, and settle its states if that can be tried."""
-        done = True
+        done, gap = True, np.nan
         with suppress(NotPositiveDefinite), np.errstate(all="ignore"):
             if iterate is not None:
-                if iterate.price_of_torques > max(iterate.gap, CLOSEST):
+                gap = iterate.gap
+                if iterate.price_of_torques > max(gap, CLOSEST):
                     iterate = balance(iterate, self.matrix)
-                if np.isfinite(iterate.gap):
+                    gap = iterate.gap
+                if np.isfinite(gap):
                     sample.iterate, done = iterate, False
                     sample.remember()
-        gap = sample.iterate.gap
+        gap = gap if np.isfinite(gap) else sample.iterate.gap
         sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
             return  # slips of any size are met with a force: there is no set of contacts that rest to be found

@@ -34,11 +34,11 @@ EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Slipping:
-    """The n contacts of one sample that slip. A driven domain, and a component that is not felt, have the unknown -1.
+    """The n contacts of all samples that slip. A driven domain, and a component that is not felt, have the unknown -1.
 
     lower, upper : (2, n), unknown of the domain at either end, component by component. two : (n,), feels both of them.
     difference : of signed spins, two enclosures (n,). strength : friction that a contact bears.
-    spheres : (2, n), flat numbers of the lower and the upper sphere.
+    spheres : (2, n), flat numbers among those of all samples of the lower and the upper sphere.
     """
 
     unknowns: int
@@ -58,7 +58,7 @@ class Slipping:
             new = np.where(labels > 1, np.cumsum(labels > 1) - 1 + unknowns, -1)
             number.append(new[inverse.reshape(motion.domain[k].shape)])
             unknowns += int((labels > 1).sum())
-        place = np.arange(int(np.prod(samples.shape))).reshape(1, *samples.shape)
+        place = np.arange(samples.count * samples.sublattice.size).reshape(samples.count, *samples.shape)
         lower, upper, two, spheres, strengths = [], [], [], [], []
         parts: list[list[Enclosure]] = [[], []]
         for axis, still in enumerate(motion.still):

@@ -54,7 +54,10 @@ class Samples:
 
     def one(self, number: int) -> Samples:
         """One of them alone."""
-        pick = slice(number, number + 1)
+        return self.some(slice(number, number + 1))
+
+    def some(self, pick: slice) -> Samples:
+        """A few of them."""
         return replace(
             self,
             coefficient=tuple(values[pick] for values in self.coefficient),

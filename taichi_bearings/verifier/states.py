@@ -33,6 +33,7 @@ from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_plane
 from taichi_bearings.verifier.samples import Samples
 
 SLIPLESS, SLIPPING, UNPROVEN = 0, 1, 2
+TOGETHER = 50_000  # spheres of the samples that are proven at once, at most
 SATURATED = 1e-6  # share of the friction by which a contact that slips may miss its limit
 
 
@@ -162,26 +163,33 @@ def _reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 
 
 def _by_curvature(motion: Motion) -> list[States]:
-    """Two components: steps 1 to 3 of the module docstring, sample by sample."""
-    count = motion.samples.count
-    return [_steps(motion if count == 1 else Motion(motion.samples.one(r))) for r in range(count)]
+    """Two components: steps 1 to 3 of the module docstring, of all samples at once, or else of each half of them."""
+    samples, count = motion.samples, motion.samples.count
+    small = count == 1 or count * samples.sublattice.size <= TOGETHER
+    doubt = _doubt(motion) if small else "too many"
+    if not doubt:
+        return [States(tuple(np.where(s[r], SLIPLESS, SLIPPING) for s in motion.still), True) for r in range(count)]
+    if count == 1:
+        return [_nothing(samples, doubt)]
+    halves = samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))
+    return [states for half in halves for states in _by_curvature(Motion(half))]
 
 
-def _steps(motion: Motion) -> States:
-    """Of a single sample."""
-    samples, contacts = motion.samples, Slipping.of(motion)
+def _doubt(motion: Motion) -> str:
+    """What is missing in the proof; "" if nothing is. Samples are like parts of one that no contact joins."""
+    contacts = Slipping.of(motion)
     if not _saturated(motion):
-        return _nothing(samples, "contacts slip whose friction is not at its limit")
+        return "contacts slip whose friction is not at its limit"
     if not (contacts.size.least > 0).all():
-        return _nothing(samples, "slips are lost in the rounding of the spins")
+        return "slips are lost in the rounding of the spins"
     near = nearest_minimum(contacts)
     if near is None:
-        return _nothing(samples, "the power is not known to rise in all directions")
+        return "the power is not known to rise in all directions"
     if not _bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
         near = nearest_minimum(near[0].improved())
         if near is None or not _bearable(motion, *near):
-            return _nothing(samples, "slipless contacts are not known to bear what the others leave to them")
-    return States(tuple(np.where(still[0], SLIPLESS, SLIPPING) for still in motion.still), True)
+            return "slipless contacts are not known to bear what the others leave to them"
+    return ""
 
 
 def _saturated(motion: Motion) -> bool:
@@ -213,17 +221,18 @@ def _bearable(motion: Motion, contacts: Slipping, turn: np.ndarray) -> bool:
 
 
 def _left_over(motion: Motion, contacts: Slipping, turn: np.ndarray, slot: int) -> np.ndarray:
-    """E_D of the domain of each sphere in a component, (1, *N): the torques left over in it, summed."""
+    """E_D of the domain of each sphere in a component, (R, *N): the torques left over in it, summed."""
     samples = motion.samples
-    component, spheres = samples.needed[slot], contacts.spheres.ravel()
-    side = samples.sublattice.ravel()[contacts.spheres[1]]
+    component, spheres, domain = samples.needed[slot], contacts.spheres.ravel(), motion.domain[samples.needed[slot]]
+    side = samples.sublattice.ravel()[contacts.spheres[1] % samples.sublattice.size]
     exerted = (contacts.strength * contacts.direction[slot]).signed(side)
-    of_slipping = grouped_sum(joined([exerted, exerted]), spheres, samples.sublattice.size)
-    pull = torques(samples, component, motion.still) + of_slipping.reshaped((1, *samples.shape))
+    of_slipping = grouped_sum(joined([exerted, exerted]), spheres, domain.size)
+    pull = torques(samples, component, motion.still) + of_slipping.reshaped(domain.shape)
     unsure = np.where(contacts.two, 2 * turn * contacts.strength.most, 0.0)
-    residual = pull.most.ravel() + np.bincount(spheres, np.tile(unsure, 2), samples.sublattice.size)
+    residual = pull.most.ravel() + np.bincount(spheres, np.tile(unsure, 2), domain.size)
     residual = residual.reshape(pull.high.shape)
     residual[..., [0, -1]] = 0.0
-    labels, inverse = np.unique(motion.domain[component].ravel(), return_inverse=True)
-    of_domain = np.bincount(inverse, residual.ravel(), len(labels)) * UP
+    own = domain * samples.count + np.arange(samples.count).reshape(-1, *(1,) * samples.dimension)  # driven ones too
+    inverse = np.unique(own.ravel(), return_inverse=True)[1]
+    of_domain = np.bincount(inverse, residual.ravel()) * UP
     return of_domain[inverse].reshape(residual.shape)

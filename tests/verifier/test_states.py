@@ -10,6 +10,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.verifier.curvature import Slipping
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN
@@ -106,6 +107,30 @@ def test_friction_that_is_out_of_balance_loses_the_proof(sample):
         limit = samples.normal_force * samples.coefficient[2][(0, *holds)]
         friction[2][(0, *holds)] += share * limit * np.array([1.0, 1.0, 0.0])
         assert all_proven(replace(samples, friction=tuple(friction))) == proven
+
+
+@pytest.mark.parametrize("spoiled", [(), (0,), (3,), (1, 4)], ids=str)
+def test_samples_proven_together_are_those_proven_alone(spoiled, monkeypatch):
+    """At once if all can be, and one that cannot be proven takes no other one with it."""
+    samples = samples_of(minimum((3, 3, 4), {"seeds": range(5)}, "interior-point"))
+    spin, friction = samples.spin.copy(), tuple(f.copy() for f in samples.friction)
+    for r in spoiled[:1]:
+        spin[r, 1, 2, 1, 0] += 1e-9
+    for r in spoiled[1:]:
+        friction[2][r, 1, 1, 1] = 0.0
+    samples = replace(samples, spin=spin, friction=friction)
+    looks, look = [], Slipping.of
+    monkeypatch.setattr(Slipping, "of", lambda motion: looks.append(motion.samples.count) or look(motion))
+    together = Judgement(samples).states
+    assert (
+        looks
+        == {(): [5], (0,): [5, 2, 1, 1, 3], (3,): [5, 2, 3, 1, 2, 1, 1], (1, 4): [5, 2, 1, 1, 3, 1, 2, 1, 1]}[spoiled]
+    )
+    alone = [Judgement(samples).one(r).states[0] for r in range(5)]
+    for r, (one, other) in enumerate(zip(together, alone, strict=True)):
+        assert all((a == b).all() for a, b in zip(one.proven, other.proven, strict=True))
+        assert (one.unique, one.reason) == (other.unique, other.reason)
+        assert (one.unique is None) == (r in spoiled)
 
 
 def test_other_coefficients_lose_the_proof(sample):
