@@ -42,7 +42,8 @@ from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-10, 3  # relative gap from which settling is tried, and factor between one trial and the next
+SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
+SOONEST, LARGE = 1e-8, 4096  # that gap of the smallest samples, whose slips are larger; spheres of those it is not for
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 FIRST = 12  # steps that small samples take before the first look at where they are
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
@@ -199,6 +200,11 @@ class InteriorPointMethod:
         for sample, iterate in zip(samples, found, strict=True):
             self._judge(sample, iterate)
 
+    @property
+    def settles_at(self) -> float:
+        """Relative gap. A step costs little beside a round of settling in large samples, and much in small ones."""
+        return float(np.clip(SETTLE * (LARGE / self.scene.lattice.sites) ** 3, SETTLE, SOONEST))
+
     def _judge(self, sample: _Sample, iterate: Iterate | None) -> None:
         """See where a step of a sample has led, and settle its states if that can be tried."""
         done, gap = True, np.nan
@@ -215,11 +221,12 @@ class InteriorPointMethod:
         sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
             return  # slips of any size are met with a force: there is no set of contacts that rest to be found
-        if gap < min(SETTLE, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
+        if gap < min(self.settles_at, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
             sample.tried = gap
             with stage("settling contact states"):
-                sample.resolved = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
-            sample.done |= sample.resolved is not None
+                found = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
+            sample.resolved = found or sample.resolved
+            sample.done |= found is not None and found.sure
 
     def progress(self) -> Progress:
         scene = self.scene
@@ -255,7 +262,7 @@ class InteriorPointMethod:
             resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
-            settles_at=SETTLE,
+            settles_at=self.settles_at,
             ended=np.array([self.iteration if s.ended is None else s.ended for s in self.samples]),
         )
 
