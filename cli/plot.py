@@ -1,9 +1,14 @@
 """bearings plot"""
 
+import math
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from taichi_bearings.plots.page import Page
 
 STRUCTURE = (
     "domains", "network", "plane_cuts", "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution",
@@ -31,11 +36,25 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
     "--collapse", metavar="A,B", default=None, help="scan: y L^-A against x L^B, a curve for each size L (the height)."
 )
 @click.option("--log", type=click.Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
-@click.option("--out", metavar="FILE", default=None, help="PNG, PDF or SVG. [default: KIND.png in the run directory]")
+@click.option(
+    "--fit", metavar="KIND[:SLOPE]", default=None,
+    help="scan: a line through each curve: power, exponential or log; with a slope a guide, as power:1.5.",
+)  # fmt: skip
+@click.option("--fit-range", metavar="LOW,HIGH", default=None, help="scan: the points for --fit, by their x.")
+@click.option(
+    "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
+)
+@click.option("--dpi", metavar="N", default=None, help="Dots an inch of PNG, and of pictures in others. [default: 300]")
+@click.option("--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a cut to show, as y=5. May be repeated.")
+@click.option("--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where, in degrees, as 22,-55.")
+@click.option(
+    "--out",
+    metavar="FILE",
+    default=None,
+    help="PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]",
+)
 @click.option("--force", is_flag=True, help="Replace an existing file.")
-def command(
-    kind: str, run: str, replica: int, time: float | None, out: str | None, force: bool, **of_scan: Any
-) -> None:
+def command(kind: str, run: str, replica: int, time: float | None, out: str | None, force: bool, **more: Any) -> None:
     """Draw one figure from RUN, a run directory or its run.h5. KIND is one of
 
     \b
@@ -65,44 +84,89 @@ def command(
     \b
     Examples:
       bearings plot spins outputs/my-run --out spins.png
+      bearings plot power outputs/my-run --plane z=5 --plane x=0 --width single --out power.pdf
       bearings plot scan outputs/my-scan --y power --x spin_bottom --by shape
+      bearings plot scan outputs/my-scan --y power --x L --log xy --fit power
       bearings plot scan outputs/my-scan --y power/power_minimum_cut --x L --where law=coulomb
       bearings plot scan outputs/my-scan --y power --x spin_bottom --collapse 1.5,0 --log y
     """
+    page = _page(more.pop("width"), more.pop("dpi"), more.pop("planes"), more.pop("view"))
+    if kind == "scan":
+        _plot_scan(Path(run), Path(out) if out else None, force, page, **more)
+    else:
+        _plot_run(kind, Path(run), replica, time, Path(out) if out else None, force, page, more)
+
+
+def _plot_run(
+    kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: "Page", of_scan: Any
+) -> None:
     from taichi_bearings.errors import InputError
     from taichi_bearings.files.whole_file import refuse_standing
-    from taichi_bearings.plots.style import refuse_ending, save
+    from taichi_bearings.plots.style import refuse_ending, save, save_small
     from taichi_bearings.runs.figures import draw_figure
     from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_file import read_run_file
 
-    if kind == "scan":
-        _plot_scan(Path(run), Path(out) if out else None, force, **of_scan)
-        return
     if given := [name for name, value in of_scan.items() if value]:
-        raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
-    stored = read_run_file(Path(run))
-    path = Path(out) if out else stored.path.parent / f"{kind}.png"
-    refuse_ending(path)
-    refuse_standing([path], force or out is None)
-    save(draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold), path)
-    click.echo(path)
+        raise InputError(
+            f"--{given[0].replace('_', '-')} belongs to `bearings plot scan`, not to `bearings plot {kind}`"
+        )
+    stored = read_run_file(run)
+    if out:
+        refuse_ending(out)
+        refuse_standing([out], force)
+    figure = draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold, page)
+    if out:
+        save(figure, out)
+    click.echo(out or save_small(figure, stored.path.parent / kind))
+
+
+def _page(width: str | None, dpi: str | None, planes: tuple[str, ...], view: str | None) -> "Page":
+    """How the figure is printed, as asked for."""
+    from taichi_bearings.plots.page import PAGE, Page, read_dpi, read_plane, read_view, read_width
+
+    return Page(
+        None if width is None else read_width(width),
+        PAGE.dpi if dpi is None else read_dpi(dpi),
+        tuple(dict.fromkeys(map(read_plane, planes))),
+        None if view is None else read_view(view),
+    )
 
 
 def _plot_scan(
-    scan: Path, out: Path | None, force: bool, y: str | None, x: str | None, collapse: str | None, **rest: Any
+    scan: Path, out: Path | None, force: bool, page: "Page", y: str | None, x: str | None, **rest: Any
 ) -> None:
+    from taichi_bearings.analysis.fit import read_fit, read_range
     from taichi_bearings.errors import InputError
     from taichi_bearings.scans.figure import Request, plot_scan
 
     if y is None or x is None:
         raise InputError("`bearings plot scan` needs --y and --x, the names of columns")
-    exponents = None
-    if collapse is not None:
-        try:
-            a, b = map(float, collapse.split(","))
-        except ValueError:
-            raise InputError(f"collapse is {collapse!r}; it must be two exponents such as 1.5,0") from None
-        exponents = (a, b)
-    request = Request(y, x, rest["by"], rest["where"], rest["bars"], exponents, rest["log"] or "")
-    click.echo("\n".join(map(str, plot_scan(scan, request, out, force, click.echo))))
+    if page.planes or page.view:
+        raise InputError(
+            f"--{'plane' if page.planes else 'view'} belongs to figures of runs, not to `bearings plot scan`"
+        )
+    request = Request(y, x, rest["by"], rest["where"], rest["bars"], _exponents(rest["collapse"]), rest["log"] or "")
+    if rest["fit"]:
+        read_fit(rest["fit"])
+        request = replace(request, fit=rest["fit"])
+    if rest["fit_range"]:
+        if not rest["fit"]:
+            raise InputError("--fit-range belongs to --fit")
+        request = replace(request, fit_range=read_range(rest["fit_range"]))
+    click.echo("\n".join(map(str, plot_scan(scan, request, out, force, click.echo, page))))
+
+
+def _exponents(collapse: str | None) -> tuple[float, float] | None:
+    """Two finite numbers, if any are given."""
+    from taichi_bearings.errors import InputError
+
+    if collapse is None:
+        return None
+    try:
+        a, b = map(float, collapse.split(","))
+        if not (math.isfinite(a) and math.isfinite(b)):
+            raise ValueError
+    except ValueError:
+        raise InputError(f"collapse is {collapse!r}; it must be two exponents such as 1.5,0") from None
+    return a, b

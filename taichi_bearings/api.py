@@ -32,6 +32,8 @@ from taichi_bearings.solvers.drive import Report
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taichi_bearings.plots.page import Page
+
 
 @dataclass(frozen=True)
 class Check:
@@ -217,16 +219,20 @@ class Result:
         more = f"<br>and {len(self) - MOST_ROWS} more samples" if len(self) > MOST_ROWS else ""
         return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{more}"
 
-    def plot(self, kind: str = "spins", sample: int = 0, time: float | None = None) -> "Figure":
+    def plot(
+        self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
+    ) -> "Figure":
         """A figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
 
         kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network", "plane_cuts",
             "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution".
-        sample : which of several. time : of the snapshot whose spins are drawn.
+        sample : which of several. time : of the snapshot whose spins are drawn. page : how it is printed, a
+            `taichi_bearings.plots.page.Page` with width, planes and view.
         """
+        from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import draw_figure  # and with it matplotlib, which nothing else needs
 
-        return draw_figure(kind, self._run.solution, sample, time, self._run.settings.slip_threshold)
+        return draw_figure(kind, self._run.solution, sample, time, self._run.settings.slip_threshold, page or PAGE)
 
     def save(self, path: str | Path, force: bool = False) -> Path:
         """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.

@@ -62,7 +62,7 @@ def draw_accuracy(panels: Sequence[Panel]) -> Figure:
 
 
 def _draw_panel(error: Axes, gap: Axes, panel: Panel, least: float) -> None:
-    error.set_title(panel.title, fontsize=10)
+    error.set_title(panel.title)
     error.axhspan(LEAST, panel.reference_gap, color="0.9", lw=0)
     gap.set_xlabel("time (s)")
     for axes in (error, gap):
@@ -109,4 +109,4 @@ def _legend(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
         dashed = "--" if method in PEERS else "-"
         handles.append(Line2D([], [], color=colour, marker=marker, ms=4, lw=1.3, ls=dashed, label=label))
     handles.append(Patch(color="0.9", lw=0, label="least power not known better"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 1 + columns), fontsize=9)
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 1 + columns))

@@ -6,89 +6,81 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.plots.lattice import frame_block, line_on_site, site_on_paper
+from taichi_bearings.plots.page import PAGE, Page, View, columns_on
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
 COLOURS = "viridis_r"
 LEAST_SHARE = 1e-3  # of the pairs, that a link must carry to get a colour
+SIDEWAYS = View(14.0, -62.0)
 MOST_IDLE = 4000  # links without a colour are drawn, in grey, up to this number
 
 
 @in_our_style
-def draw_bottlenecks(found: Bottlenecks, title: str = "") -> Figure:
+def draw_bottlenecks(found: Bottlenecks, title: str = "", page: Page = PAGE) -> Figure:
     """Map of the loaded links beside the number of links that carry at least a given share."""
-    figure = new_figure(10.5, 5.2)
-    network = found.network
-    flat = network.lattice.dimension == 2
-    parts: Any = figure.add_gridspec(1, 2, width_ratios=(1.35, 1))
-    place = figure.add_subplot(
-        parts[0], projection=None if flat else "3d", **({} if flat else {"computed_zorder": False})
-    )
-    _draw_planes(place, network.lattice)
-    _draw_links(figure, place, found)
-    _draw_limits(place, found)
-    _draw_ranks(figure.add_subplot(parts[1]), found)
+    columns, lattice = columns_on(page, 2), found.network.lattice
+    width = page.inches("double")
+    figure = new_figure(width, 3.6 if columns == 2 else 6.0, page.dpi)
+    ratios: Any = {"width_ratios": (1.35, 1)} if columns == 2 else {"height_ratios": (1.4, 1)}
+    place, ranks = figure.subplots(*((1, 2) if columns == 2 else (2, 1)), **ratios)
+    view = page.view or SIDEWAYS
+    placed = _placed(found, view)
+    _draw_planes(place, lattice, view)
+    site = site_on_paper(0.4 * width * (2 if columns == 1 else 1), (1.6 * max(lattice.shape),) * 2)
+    _draw_links(figure, place, found, placed, site)
+    _draw_limits(place, found, placed.mean(axis=1))
+    _draw_ranks(ranks, found)
     if title:
         figure.suptitle(title)
     return figure
 
 
-def _draw_planes(place: Any, lattice: Lattice) -> None:
+def _draw_planes(place: Any, lattice: Lattice, view: View) -> None:
     """The driven planes, and limits that hold the whole lattice."""
-    last = [n - 1 for n in lattice.shape]
-    if lattice.dimension == 2:
-        for height in (0, last[1]):
-            place.plot([0, last[0]], [height, height], color=GREY, lw=3, alpha=0.4, solid_capstyle="round", zorder=0)
-        place.set(xlim=(-0.5, last[0] + 0.5), ylim=(-0.5, last[1] + 0.5), xlabel="x", ylabel="y", aspect="equal")
+    if lattice.dimension == 3:
+        frame_block(place, lattice.shape, view)
         return
-    corners = [(0, 0), (last[0], 0), (last[0], last[1]), (0, last[1])]
-    planes = [[(x, y, z) for x, y in corners] for z in (0, last[2])]
-    place.add_collection3d(Poly3DCollection(planes, facecolor=GREY, alpha=0.12, edgecolor=GREY, lw=0.6))
-    place.set(xlim=(0, last[0]), ylim=(0, last[1]), zlim=(0, last[2]), xlabel="x", ylabel="y", zlabel="z")
-    place.set_box_aspect(lattice.shape, zoom=1.08)
-    place.view_init(elev=14, azim=-62)
-    place.grid(False)
-    for axis in (place.xaxis, place.yaxis, place.zaxis):
-        axis.pane.set_visible(False)
-        axis.get_major_locator().set_params(nbins=4, integer=True)
+    last = [n - 1 for n in lattice.shape]
+    for height in (0, last[1]):
+        place.plot([0, last[0]], [height, height], color=GREY, lw=3, alpha=0.4, solid_capstyle="round", zorder=0)
+    place.set(xlim=(-0.5, last[0] + 0.5), ylim=(-0.5, last[1] + 0.5), xlabel="$x$", ylabel="$y$", aspect="equal")
 
 
-def _draw_links(figure: Figure, place: Any, found: Bottlenecks) -> None:
+def _draw_links(figure: Figure, place: Any, found: Bottlenecks, placed: np.ndarray, site: float) -> None:
     """Links coloured and thickened by their share; the others in grey, if they are not too many to be seen through."""
-    segments = _segments(found)
     loaded = np.flatnonzero(found.share >= LEAST_SHARE)
     loaded = loaded[np.argsort(found.share[loaded])]  # the heaviest on top
     idle = np.flatnonzero(found.share < LEAST_SHARE)
     if len(idle) <= MOST_IDLE:
-        _add(place, segments[idle], colors=GREY, linewidths=0.5, alpha=0.35, zorder=1)
+        place.add_collection(LineCollection(list(placed[idle]), colors=GREY, lw=0.4, alpha=0.35, zorder=1.5))
     share = found.share[loaded]
     weight = 1 + np.log10(np.maximum(share, LEAST_SHARE)) / -np.log10(LEAST_SHARE)
-    lines = _add(
-        place, segments[loaded], cmap=COLOURS, norm=LogNorm(LEAST_SHARE, 1), linewidths=0.5 + 3 * weight**2, zorder=2
-    )
+    width = 0.3 + line_on_site(site, 0.35, 1.0, 2.5) * weight**2
+    look: dict[str, Any] = {"cmap": COLOURS, "norm": LogNorm(LEAST_SHARE, 1), "linewidths": width, "zorder": 2}
+    lines = place.add_collection(LineCollection(list(placed[loaded]), **look))
     lines.set_array(share)
-    kept = f"{len(loaded)} of {len(segments)} links carry more than {LEAST_SHARE:g}"
-    place.set_title("No path joins the planes" if not found.betweenness.pairs else kept, fontsize=9)
-    figure.colorbar(lines, ax=place, label="share of the shortest paths", shrink=0.7, pad=0.08, location="left")
+    kept = f"{len(loaded):,} of {len(placed):,} links carry more than {LEAST_SHARE:g}"
+    place.set_title("No path joins the planes" if not found.betweenness.pairs else kept)
+    figure.colorbar(lines, ax=place, label="share $s$ of the shortest paths", shrink=0.7, pad=0.04, location="left")
 
 
-def _draw_limits(place: Any, found: Bottlenecks) -> None:
-    """Links that part the planes alone, else the smallest sets that do."""
-    middle = _segments(found).mean(axis=1)
+def _draw_limits(place: Any, found: Bottlenecks, middle: np.ndarray) -> None:
+    """Links that part the planes alone, else the smallest sets that do; middle : (E, 2) of the links."""
     paths = found.network.disjoint_paths
     style = {"linestyle": "none", "markerfacecolor": "none", "zorder": 3}
     if paths.number == 1:
         alone = middle[found.backbone.parting_links]
-        place.plot(*alone.T, marker="o", ms=11, mec=ORANGE, mew=1.8, label="parts the planes alone", **style)
+        place.plot(*alone.T, marker="o", ms=8, mec=ORANGE, mew=1.4, label="parts the planes alone", **style)
     elif paths.number:
         for name, chosen, marker in (("lowest", paths.lowest, "v"), ("highest", paths.highest, "^")):
             label = f"{name} of the smallest parting sets ({paths.number} links)"
-            place.plot(*middle[chosen].T, marker=marker, ms=6, mec=ORANGE, mew=1.2, label=label, **style)
+            place.plot(*middle[chosen].T, marker=marker, ms=4.5, mec=ORANGE, mew=1.0, label=label, **style)
     if paths.number:
-        place.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0 if middle.shape[1] == 3 else -0.12), fontsize=8)
+        place.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0 if found.network.lattice.dimension == 3 else -0.12))
 
 
 def _draw_ranks(axes: Any, found: Bottlenecks) -> None:
@@ -98,28 +90,21 @@ def _draw_ranks(axes: Any, found: Bottlenecks) -> None:
         ("current", found.current.link, ORANGE),
     ):
         falling = np.sort(load[load > 1e-12])[::-1]
-        axes.plot(falling, 1 + np.arange(len(falling)), color=colour, lw=1.6, label=name, drawstyle="steps-pre")
+        axes.plot(falling, 1 + np.arange(len(falling)), color=colour, lw=1.2, label=name, drawstyle="steps-pre")
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel="share $s$ of the pairs, or of the current",
+        xlabel="share $s$ of the pairs or the current",
         ylabel="links that carry $s$ or more",
     )
     axes.set(xlim=(1e-6, 1.5), ylim=(0.8, 2 * max(5, len(found.share))))
     axes.legend(loc="lower left")
-    axes.set_title("Spread of the load", fontsize=9)
+    axes.set_title("Spread of the load")
 
 
-def _segments(found: Bottlenecks) -> np.ndarray:
-    """Both ends (E, 2, dimension) of each link."""
+def _placed(found: Bottlenecks, view: View) -> np.ndarray:
+    """Both ends (E, 2, 2) of each link, as they are seen."""
     network = found.network
-    return np.stack(
-        [network.contact, network.contact + np.eye(network.lattice.dimension, dtype=int)[network.axis]], axis=1
-    )
-
-
-def _add(place: Any, segments: np.ndarray, **look: Any) -> Any:
-    """Add lines to 2D or 3D axes."""
-    if segments.shape[2] == 2:
-        return place.add_collection(LineCollection(list(segments), **look))
-    return place.add_collection3d(Line3DCollection(list(segments), **look), autolim=False)
+    step = np.eye(network.lattice.dimension, dtype=int)[network.axis]
+    ends = np.stack([network.contact, network.contact + step], axis=1)
+    return ends if network.lattice.dimension == 2 else view.seen(ends)[..., :2]

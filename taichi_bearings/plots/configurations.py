@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from taichi_bearings.plots.lattice import COLOURS, box_driven_rows, draw_walls, paint_plane
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, ORANGE, in_our_style, new_figure
 
 
 @in_our_style
@@ -27,7 +27,7 @@ def draw_configurations(
     distance : (S,) weight of the second cut over that of the minimum cut, less 1. differs : (S,), True where descent
     ended with other contacts slipping than those of the cut.
     """
-    figure = new_figure(10.8, 3.5)
+    figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
     panels = parts[0].subplots(1, 2)
     for axes, name, speed in (
@@ -36,7 +36,7 @@ def draw_configurations(
     ):
         paint_plane(axes, colormaps[COLOURS](speed))
         box_driven_rows(axes, speed.shape)
-        axes.set_title(name, fontsize=9)
+        axes.set_title(name)
     draw_walls(panels[1], tuple(cut), colors="black", lw=1.0)
     parts[0].colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=panels, label=r"$|\omega| / \omega_T$", shrink=0.8)
     _draw_ranks(parts[1].subplots(), distance, differs)
@@ -51,5 +51,5 @@ def _draw_ranks(axes: Any, distance: np.ndarray, differs: np.ndarray) -> None:
     expected = 0.017 * len(order)
     axes.axvline(expected + 0.5, color=GREY, lw=0.8, ls="--", label="17 of 1000, as in the paper")
     axes.set(xlabel="rank of the sample", ylabel="second cut over minimum cut, less 1")
-    axes.set_title("(c) how nearly the two lightest cuts tie", fontsize=9)
-    axes.legend(fontsize=8, loc="lower right")
+    axes.set_title("(c) how nearly the two lightest cuts tie")
+    axes.legend(loc="lower right")

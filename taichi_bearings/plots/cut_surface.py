@@ -18,73 +18,93 @@ from taichi_bearings.plots.lattice import (
     contacts_in_plane,
     draw_walls,
     frame_block,
-    middle_cuts,
+    line_on_site,
     name_cut,
     paint_plane,
-    seen,
+    site_on_paper,
     squares,
     walls_between,
 )
+from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, grid, middle_planes
 from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure
 
+LETTERS = "cdefghijklmnopqrstuvwxyz"
 SIDES = np.array([to_rgba("#cfdcf3"), to_rgba("#f6d5cd")])  # with the bottom, with the top
 
 
 @in_our_style
-def draw_cut_surface(above: np.ndarray, coefficient: tuple[np.ndarray, ...], slips: tuple[np.ndarray, ...]) -> Figure:
-    """3D: the surface by the coefficients it cuts, its height from above, and two cuts through the middle with the
-    contacts that slip. 2D: the line across the discs with them.
+def draw_cut_surface(
+    above: np.ndarray,
+    coefficient: tuple[np.ndarray, ...],
+    slips: tuple[np.ndarray, ...],
+    page: Page = PAGE,
+    symbol: str = r"\mu_{ij}",
+) -> Figure:
+    """3D: the surface by the coefficients it cuts, its height from above, and cuts with the contacts that slip. 2D: the
+    line across the discs with them.
 
     above : N, True on the top side. coefficient, slips : one array (*contacts) an axis; slips is bool.
+    symbol : of the coefficients.
     """
-    walls = walls_between(above)
+    walls, shape = walls_between(above), above.shape
     if above.ndim == 2:
-        figure = new_figure(5.2, 0.9 + 4.6 * float(np.clip(above.shape[1] / above.shape[0], 0.4, 1.6)))
+        width = page.inches("single")
+        height = width * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
+        figure = new_figure(width, 0.6 + height, page.dpi)
         axes = figure.add_subplot()
-        _draw_sides(axes, above, walls, slips)
-        axes.set_title(_summary(walls, slips), fontsize=9)
+        _draw_sides(axes, above, walls, slips, site_on_paper(width, shape, height))
+        axes.set_title(_summary(walls, slips, "\n"))
     else:
-        figure = new_figure(9.6, 8.6)
-        (surface, height), cuts = figure.subplots(2, 2)
-        _draw_surface(surface, above, walls, coefficient)
-        surface.set_title("(a) minimum cut", fontsize=9)
-        _draw_height(height, above)
-        for axes, letter, (axis, index) in zip(cuts, "cd", middle_cuts(above.shape), strict=True):
-            inside = [contacts_in_plane(values, axis, index) for values in (walls, slips)]
-            _draw_sides(axes, np.take(above, index, axis), *inside)
+        planes = page.planes or middle_planes(shape)
+        columns, number = min(2, columns_on(page, 4)), 2 + len(planes)
+        width, rows = page.inches("double") / columns, -(-number // columns)
+        figure = new_figure(columns * width, rows * 0.85 * width + 0.6, page.dpi)
+        surface, height_map, *cuts = grid(figure, page, number, page.inches("double") / columns)
+        _draw_surface(surface, above, walls, coefficient, page.view or VIEW, symbol)
+        surface.set_title("(a) minimum cut")
+        _draw_height(height_map, above)
+        for axes, letter, (axis, index) in zip(cuts, LETTERS, planes, strict=False):
+            cut, slipping = (contacts_in_plane(values, axis, index) for values in (walls, slips))
+            plane = np.take(above, index, axis)
+            _draw_sides(axes, plane, cut, slipping, site_on_paper(0.7 * width, plane.shape), axis < 2)
             name_cut(axes, axis, index, f"({letter}) ")
-        figure.suptitle(_summary(walls, slips), fontsize=10)
+        figure.suptitle(_summary(walls, slips, "\n" if columns == 1 else " "))
     key = [
-        Line2D([], [], color=ORANGE, lw=4, label="minimum cut"),
-        Line2D([], [], color=BLUE, lw=1.5, label="slipping contacts"),
+        Line2D([], [], color=ORANGE, lw=3, label="minimum cut"),
+        Line2D([], [], color=BLUE, lw=1.2, label="slipping contacts"),
     ]
-    figure.legend(handles=key, loc="outside lower center", ncols=2, fontsize=9)
+    figure.legend(handles=key, loc="outside lower center", ncols=2)
     return figure
 
 
-def _summary(walls: tuple[np.ndarray, ...], slips: tuple[np.ndarray, ...]) -> str:
+def _summary(walls: tuple[np.ndarray, ...], slips: tuple[np.ndarray, ...], gap: str) -> str:
     cut, slipping, both = (
         sum(int(values.sum()) for values in sets) for sets in (walls, slips, map(np.logical_and, walls, slips))
     )
-    return f"the minimum cut has {cut:,} contacts, {slipping:,} slip, {both:,} of them in the cut"
+    return f"the minimum cut has {cut:,} contacts;{gap}{slipping:,} slip, {both:,} of them in the cut"
 
 
 def _draw_surface(
-    axes: Any, above: np.ndarray, walls: tuple[np.ndarray, ...], coefficient: tuple[np.ndarray, ...]
+    axes: Any,
+    above: np.ndarray,
+    walls: tuple[np.ndarray, ...],
+    coefficient: tuple[np.ndarray, ...],
+    view: View,
+    symbol: str,
 ) -> None:
     """A square for each contact of the cut, from the back to the front."""
     corners = np.concatenate(
         [squares(np.argwhere(chosen) + 0.5 * np.eye(3)[axis], axis) for axis, chosen in enumerate(walls)]
     )
     values = np.concatenate([c[chosen] for c, chosen in zip(coefficient, walls, strict=True)])
-    placed = seen(corners)
+    placed = view.seen(corners)
     order = np.argsort(placed[..., 2].mean(axis=1))
-    edge = float(np.clip(8.0 / max(above.shape), 0.1, 0.6))
+    edge = float(np.clip(4.0 / max(above.shape), 0.05, 0.4))
     drawn = PolyCollection(list(placed[order][..., :2]), cmap="cividis", edgecolors="white", lw=edge, zorder=2)
     drawn.set_array(values[order])
     axes.add_collection(drawn)
-    frame_block(axes, above.shape)
-    axes.figure.colorbar(drawn, ax=axes, label="coefficient of the contact", shrink=0.7)
+    frame_block(axes, above.shape, view)
+    axes.figure.colorbar(drawn, ax=axes, label=f"${symbol}$", shrink=0.7, pad=0.02)
 
 
 def _draw_height(axes: Any, above: np.ndarray) -> None:
@@ -94,18 +114,25 @@ def _draw_height(axes: Any, above: np.ndarray) -> None:
     look = ScalarMappable(Normalize(below.min() - 0.5, below.max() + 0.5), colormaps["viridis"].resampled(levels))
     axes.imshow(below.T, origin="lower", cmap=look.cmap, norm=look.norm, interpolation="nearest")
     over = np.argwhere((np.diff(above.astype(int), axis=-1) != 0).sum(axis=-1) > 1)
-    axes.plot(*over.T, ".", color="white", mec="black", mew=0.3, ms=90 / max(15, *above.shape[:2]))
+    axes.plot(*over.T, ".", color="white", mec="black", mew=0.2, ms=60 / max(15, *above.shape[:2]))
     ticks = np.arange(below.min(), below.max() + 1, 1 + levels // 9)
-    axes.figure.colorbar(look, ax=axes, label="spheres below the surface", shrink=0.7, ticks=ticks)
-    axes.set(xlabel="x", ylabel="y")
-    hangs = f"; {len(over):,} columns with overhangs (dots)" if len(over) else ""
-    axes.set_title("(b) height of the surface" + hangs, fontsize=9)
+    axes.figure.colorbar(look, ax=axes, label="spheres below the surface", shrink=0.7, pad=0.02, ticks=ticks)
+    axes.set(xlabel="$x$", ylabel="$y$")
+    hangs = f"; {len(over):,} columns overhang (dots)" if len(over) else ""
+    axes.set_title("(b) height of the surface" + hangs)
 
 
-def _draw_sides(axes: Any, above: np.ndarray, walls: tuple[np.ndarray, ...], slips: tuple[np.ndarray, ...]) -> None:
+def _draw_sides(
+    axes: Any,
+    above: np.ndarray,
+    walls: tuple[np.ndarray, ...],
+    slips: tuple[np.ndarray, ...],
+    site: float,
+    upright: bool = True,
+) -> None:
     """Discs by side, the cut in orange, and over it the slipping contacts in blue."""
-    scale = 12.0 / max(12, *above.shape)
     paint_plane(axes, SIDES[above.astype(int)])
-    draw_walls(axes, walls, colors=ORANGE, lw=max(2.2, 6.0 * scale), capstyle="round", zorder=2)
-    draw_walls(axes, slips, colors=BLUE, lw=max(0.7, 1.8 * scale), zorder=3)
-    box_driven_rows(axes, above.shape)
+    draw_walls(axes, walls, colors=ORANGE, lw=line_on_site(site, 0.3, 1.2, 4.0), capstyle="round", zorder=2)
+    draw_walls(axes, slips, colors=BLUE, lw=line_on_site(site, 0.1, 0.4), zorder=3)
+    if upright:
+        box_driven_rows(axes, above.shape)

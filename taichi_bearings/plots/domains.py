@@ -14,52 +14,61 @@ from matplotlib.figure import Figure
 from taichi_bearings.analysis.domains import KINDS, RigidDomains
 from taichi_bearings.plots.lattice import (
     COLOURS,
+    MOST_LINES,
     box_driven_rows,
     draw_walls,
-    middle_cuts,
+    line_on_site,
     name_cut,
     paint_block,
     paint_plane,
+    site_on_paper,
     walls_between,
 )
+from taichi_bearings.plots.page import AXES, NARROW, PAGE, VIEW, Page, columns_on, grid, middle_planes
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
 ENDS = {"bottom": colormaps[COLOURS](0.0), "top": colormaps[COLOURS](1.0)}
 MARKS = dict(zip(KINDS, "v^Dsdo", strict=True))
-NAMES = "xyz"
+LETTERS = "bcdefghijklmnopqrstuvwxyz"
 
 
 @in_our_style
-def draw_domains(domains: RigidDomains) -> Figure:
-    """2D: discs by domain. 3D: the block from outside and two cuts. Below: sizes of the domains, and how they turn.
+def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
+    """2D: discs by domain. 3D: the block from outside and cuts. Below: sizes of the domains, and how they turn.
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
     colour = colour_of_turn(turn_of(domains))[domains.domain]
-    if domains.domain.ndim == 2:
-        figure = new_figure(12.4, 3.9)
-        plane, sizes, values = figure.subplots(1, 3)
-        _paint(plane, colour, domains.domain, domains)
+    shape = colour.shape[:-1]
+    flat = len(shape) == 2
+    planes = () if flat else page.planes or middle_planes(shape)
+    maps = 1 + len(planes)
+    columns, wide = columns_on(page, maps, NARROW), columns_on(page, 2)
+    width = page.inches("double") / (columns if not flat else wide)
+    rows, tall = -(-maps // columns), float(np.clip(shape[-1] / max(shape[:-1]), 0.4, 2.0))
+    heights = (rows * (0.85 * width * tall + 0.3), (2.7 if wide > 1 else 5.2))
+    figure = new_figure(page.inches("double"), sum(heights), page.dpi)
+    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = parts
+    if flat:
+        plane = above.add_subplot()
+        _paint(plane, colour, domains.domain, domains, site_on_paper(0.85 * width, shape))
         box_driven_rows(plane, domains.domain.shape)
-        plane.set_title("(a) rigid domains", fontsize=9)
+        plane.set_title("(a) rigid domains, their boundaries in black")
     else:
-        figure = new_figure(11.0, 8.4)
-        parts: Any = figure.subfigures(2, 1)
-        above, below = parts
-        block = above.add_subplot(1, 3, 1, projection="3d", computed_zorder=True)
-        paint_block(block, colour)
-        block.set_title("(a) rigid domains from outside", fontsize=9)
-        for place, (axis, index) in enumerate(middle_cuts(colour.shape)):
-            axes = above.add_subplot(1, 3, 2 + place)
-            _paint(axes, np.take(colour, index, axis), np.take(domains.domain, index, axis), domains)
-            name_cut(axes, axis, index, f"({'bc'[place]}) ", ", boundaries in black")
-        sizes, values = below.subplots(1, 2)
-    first = "b" if domains.domain.ndim == 2 else "d"
+        block, *cuts = grid(above, page, maps, NARROW)
+        paint_block(block, colour, page.view or VIEW)
+        block.set_title("(a) rigid domains")
+        for letter, axes, (axis, index) in zip(LETTERS, cuts, planes, strict=False):
+            plane, labels = (np.take(values, index, axis) for values in (colour, domains.domain))
+            _paint(axes, plane, labels, domains, site_on_paper(0.85 * width, labels.shape))
+            name_cut(axes, axis, index, f"({letter}) ")
+    sizes, values = below.subplots(1, 2) if wide > 1 else below.subplots(2, 1)
     _draw_sizes(sizes, domains)
-    sizes.set_title(f"({first}) sizes", fontsize=9)
-    _draw_values(values, domains)
-    values.set_title(f"({chr(ord(first) + 1)}) how they turn, and the key to the colours", fontsize=9)
+    sizes.set_title(f"({LETTERS[maps - 1]}) sizes")
+    _draw_values(values, domains, wide > 1)
+    values.set_title(f"({LETTERS[maps]}) how they turn: the key to the colours")
     return figure
 
 
@@ -83,12 +92,11 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     return colour
 
 
-def _paint(axes: Any, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains) -> None:
+def _paint(axes: Any, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains, site: float) -> None:
     paint_plane(axes, colour)
-    small = max(domain.shape) > 40
-    draw_walls(axes, walls_between(domain), colors="black", lw=0.3 if small else 16 / max(16, *domain.shape))
+    draw_walls(axes, walls_between(domain), colors="black", lw=line_on_site(site, 0.1, 0.25, 1.0))
     partly = np.argwhere(domains.kind[domain] == KINDS.index("partly"))
-    axes.plot(*partly.T, ".", color="black", ms=100 / max(20, *domain.shape), mew=0)
+    axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
 
 def _draw_sizes(axes: Any, domains: RigidDomains) -> None:
@@ -96,23 +104,23 @@ def _draw_sizes(axes: Any, domains: RigidDomains) -> None:
     if len(domains.spin_axes) > 1:
         for component, labels, look in zip(domains.spin_axes, domains.component_domain, ("-", "--"), strict=True):
             size = np.sort(np.bincount(labels.ravel()))[::-1]
-            name = rf"domains of $\Omega_{NAMES[component]}$ alone: {len(size):,}"
-            axes.plot(1 + np.arange(len(size)), size, look, color=GREY, lw=1.0, label=name)
+            name = rf"domains of $\Omega_{AXES[component]}$ alone: {len(size):,}"
+            axes.plot(1 + np.arange(len(size)), size, look, color=GREY, lw=0.9, label=name)
     rank = 1 + np.arange(domains.number)
-    axes.plot(rank, domains.spheres, color="black", lw=1.4, label=f"rigid domains: {domains.number:,}")
+    axes.plot(rank, domains.spheres, color="black", lw=1.2, label=f"rigid domains: {domains.number:,}")
     for sphere, kind in ((0, "bottom"), (-1, "top")):
         n = domains.domain.flat[sphere]
-        axes.plot(rank[n], domains.spheres[n], MARKS[kind], ms=8, color=ENDS[kind])
+        axes.plot(rank[n], domains.spheres[n], MARKS[kind], ms=6, color=ENDS[kind])
     if domains.number > 10:
         axes.set(xscale="log", yscale="log")
     else:
         axes.set_xticks(rank)
         axes.set_ylim(0, 1.1 * domains.spheres[0])
     axes.set(xlabel="rank", ylabel="spheres of the domain")
-    axes.legend(fontsize=8)
+    axes.legend()
 
 
-def _draw_values(axes: Any, domains: RigidDomains) -> None:
+def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
     """Every domain at its turn: two components against each other, or one against the number of spheres."""
     turn, margin = turn_of(domains), 0.04
     along = np.linspace(-margin, 1 + margin, 200)
@@ -127,27 +135,31 @@ def _draw_values(axes: Any, domains: RigidDomains) -> None:
         height = domains.spheres
     image = colour_of_turn(key)
     axes.imshow(image, extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
-    sphere = 8.0 if domains.number < 2000 else 1.5  # area of one, points squared
+    sphere = 4.0 if domains.number < 2000 else 0.5  # area of one, points squared
     spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
     for kind, name in reversed(list(enumerate(KINDS))):
         chosen = domains.kind == kind
         if name in ENDS:
-            look: dict[str, Any] = {"s": 90, "color": ENDS[name], "edgecolors": "white", "clip_on": False, "zorder": 3}
+            look: dict[str, Any] = {"s": 45, "color": ENDS[name], "edgecolors": "white", "clip_on": False, "zorder": 3}
         else:
             look = {
                 "s": sphere * domains.spheres[chosen],
                 "color": "black",
                 "lw": 0,
-                "alpha": 0.7 if sphere > 2 else 0.4,
+                "alpha": 0.7 if sphere > 2 else 0.35,
+                "rasterized": domains.number > MOST_LINES,
             }
         if chosen.any():
             label = f"{name}\n{spheres[name]:,} spheres\ndomains: {int(chosen.sum()):,}"
             axes.scatter(turn[chosen, 0], height[chosen], marker=MARKS[name], label=label, **look)
-    names = [NAMES[component] for component in domains.spin_axes]
+    names = [AXES[component] for component in domains.spin_axes]
     labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
     axes.set(xlabel=labels[0], ylabel=labels[1] if plane else "spheres of the domain")
     axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
-    legend = axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), labelspacing=1.0, title="locked to")
+    where: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    if not beside:
+        where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": 2}
+    legend = axes.legend(labelspacing=0.8, title="locked to", **where)
     for handle in legend.legend_handles:  # of one size, however small the domains are
-        handle.set_sizes([50.0])
+        handle.set_sizes([25.0])
         handle.set_alpha(1.0)

@@ -1,39 +1,80 @@
 """Where the energy of a dynamics came from, where it is and where it went."""
 
+import math
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots.symbols import describe, driving, energy_unit, over
 from taichi_bearings.scene import Solution
 
-ACCOUNTS = {"injected": BLUE, "dissipated": ORANGE, "kinetic": GREEN, "spring": GREY}
+ACCOUNTS = {
+    "injected": (BLUE, "-"),
+    "dissipated": (ORANGE, "-"),
+    "kinetic": (GREEN, "--"),
+    "spring": (GREY, (0, (4, 1, 1, 1))),
+}
+MOST_DECADES = 6  # on each side of zero
+MOST_TICKS = 9
 
 
 @in_our_style
-def draw_energy(solution: Solution, replica: int = 0) -> Figure:
+def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figure:
     """The four accounts, and below them what they leave unexplained, against time.
 
+    An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
     InputError if the run keeps no energy books.
     """
-    history = solution.history
+    history, scene = solution.history, solution.scene
     if "energy_residual" not in history:
         raise InputError("the run keeps no energy books; run a dynamics with --energy")
-    figure = new_figure(5.5, 5.0)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    time = history["time"]
-    for name, colour in ACCOUNTS.items():
-        energy = history[f"{name}_energy"][:, replica]
-        shown = (time > 0) & (energy > 0)
-        if shown.any():
-            top.plot(time[shown], energy[shown], color=colour, lw=1.2, label=name)
-    top.set(xscale="log", yscale="log", ylabel="energy")
-    top.set_title(f"{'x'.join(map(str, solution.scene.lattice.shape))} {solution.scene.law}, {solution.method}")
-    top.legend(fontsize=8)
-    missing = np.abs(history["energy_residual"][:, replica])
-    shown = (time > 0) & (missing > 0)
-    if shown.any():
-        bottom.plot(time[shown], missing[shown], color=GREY, lw=1.2)
-        bottom.set(xscale="log", yscale="log")
-    bottom.set(xlabel="time", ylabel="residual / turnover")
+    width = page.inches("single")
+    figure = new_figure(width, 1.0 * width + 0.2, page.dpi)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
+    unit, symbol = energy_unit(scene)
+    spin, spin_symbol = driving(scene)
+    later = history["time"] > 0
+    time = history["time"][later] * spin
+    accounts = {name: history[f"{name}_energy"][later, replica] / unit for name in ACCOUNTS}
+    for name, (colour, dashes) in ACCOUNTS.items():
+        top.plot(time, accounts[name], color=colour, ls=dashes, lw=1.2, label=name)
+    if later.any():
+        top.set_xscale("log")
+        _scale(top, np.concatenate(list(accounts.values())))
+    top.set(ylabel=over("E", symbol, "energy"))
+    top.set_title(describe(scene, replica, solution.method))
+    figure.legend(*top.get_legend_handles_labels(), ncols=4, loc="outside lower center", columnspacing=1.0)
+    missing = np.abs(history["energy_residual"][later, replica])
+    if (missing > 0).any():
+        bottom.plot(time[missing > 0], missing[missing > 0], color="black", lw=1.0)
+        bottom.set_yscale("log")
+    bottom.set(xlabel=rf"time, ${spin_symbol}\,t$", ylabel="unexplained\nshare")
     return figure
+
+
+def _scale(axes: Any, energy: np.ndarray) -> None:
+    """Logarithmic, or if some energy is negative linear around 0 and logarithmic beyond, with ticks that have room."""
+    size = np.abs(energy[energy != 0])
+    if not len(size):
+        return
+    if (energy >= 0).all():
+        axes.set_yscale("log", nonpositive="mask")
+        return
+    most, least = math.ceil(math.log10(size.max())), math.floor(math.log10(-energy.min())) - 1
+    least = max(least, most - MOST_DECADES)
+    axes.set_yscale("symlog", linthresh=10.0**least, linscale=0.5)
+    below = range(least, math.ceil(math.log10(-energy.min())) + 1)
+    every = 1 + (most - least + len(below)) // MOST_TICKS
+    up, down = list(range(least, most + 1))[::every], list(below)[::every]
+    ticks = [*(-(10.0**k) for k in reversed(down)), 0.0, *(10.0**k for k in up)]
+    names = [*(f"$-10^{{{k}}}$" for k in reversed(down)), "0", *(f"$10^{{{k}}}$" for k in up)]
+    axes.yaxis.set_major_locator(FixedLocator(ticks))
+    axes.yaxis.set_major_formatter(FixedFormatter(names))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.axhline(0.0, color="black", lw=0.6)
+    axes.set_ylim(1.6 * energy.min(), 1.6 * energy.max())

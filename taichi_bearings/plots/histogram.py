@@ -7,10 +7,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
-from taichi_bearings.plots.style import BLUE, in_our_style, label_in_plain_text, new_figure, plain_figure, shades
+from taichi_bearings.plots.style import (
+    BLUE,
+    DOUBLE,
+    in_our_style,
+    label_in_plain_text,
+    new_figure,
+    plain_figure,
+    shades,
+)
+from taichi_bearings.plots.symbols import POWER_UNIT, over
 
-POWER = "power of a contact, P\u2091"
-MATHEMATICS = {"F_n R omega_T": r"$F_n R\,\omega_T$"}
+POWER = "P_{ij}"
+MATHEMATICS = {"F_n R omega_T": POWER_UNIT, "the mean power of a contact of the sample": r"\langle P_{ij} \rangle"}
 
 
 def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = None) -> Figure:
@@ -39,21 +48,22 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
             alpha=0.25,
             linewidth=0,
         )
-        axes.errorbar(centre, count, error, fmt="o", ms=3.5, color=BLUE, elinewidth=0.8)
+        axes.errorbar(centre, count, error, fmt="o", ms=2.5, color=BLUE, elinewidth=0.8)
         axes.set_ylim(0.5, 2 * histogram.count.max())
     else:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
     threshold = f"; threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
     outside = f"({_outside(histogram)}{threshold})"
-    axes.set_title(f"{histogram.slipping:,} slipping contacts{whose}{outside}", fontsize=9)
+    axes.set_title(f"{histogram.slipping:,} slipping contacts{whose}{outside}")
     return figure
 
 
 @in_our_style
 def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
     """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
-    figure = new_figure(7.0, 4.4)
+    rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
+    figure = new_figure(DOUBLE if len(histograms) > 8 else 5.0, 3.0 + 0.15 * rows)
     axes = figure.add_subplot()
     first = next(iter(histograms.values()))
     axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")
@@ -64,7 +74,7 @@ def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
         axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
         axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
-    figure.legend(title=by, loc="outside lower center", fontsize=8, ncols=1 if len(histograms) < 9 else 2)
+    figure.legend(title=by, loc="outside lower center", ncols=1 if len(histograms) < 9 else 2)
     return figure
 
 
@@ -74,8 +84,8 @@ def _centre(histogram: PowerHistogram) -> np.ndarray:
 
 def _label(histogram: PowerHistogram) -> str:
     if histogram.units == ENERGY_PER_TIME:
-        return POWER
-    return f"{POWER}, in units of {MATHEMATICS.get(histogram.units, histogram.units)}"
+        return f"power of a contact, ${POWER}$ (energy / time)"
+    return "power of a contact, " + over(POWER, MATHEMATICS[histogram.units], "")
 
 
 def _outside(histogram: PowerHistogram) -> str:

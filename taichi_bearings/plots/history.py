@@ -3,32 +3,41 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_in_plain_text, plain_figure
+from taichi_bearings.plots.symbols import describe, driving, over, power_unit
 from taichi_bearings.scene import Solution
 
 
 @in_our_style
-def draw_history(solution: Solution) -> Figure:
+def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics)."""
     history, scene = solution.history, solution.scene
-    figure = plain_figure(5.5, 5.0)
+    width = page.inches("single")
+    figure = plain_figure(width, 0.85 * width + 0.4, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
-    along = "time" if "time" in history else "iteration"
-    x = history[along]
-    title = f"{'x'.join(map(str, scene.lattice.shape))} {scene.law}, {solution.method}"
+    spin, spin_symbol = driving(scene)
+    unit, symbol = power_unit(scene)
+    x, name = history["iteration"], "iteration"
+    if "time" in history:
+        x, name = history["time"] * spin, rf"time, ${spin_symbol}\,t$"
     power, bound = history["power"], history["lower_bound"]
     started = x > 0
-    top.plot(x[started], power[started], color=BLUE, lw=1.2)
-    top.plot(x[started], bound[started], color=ORANGE, lw=1.2)
-    top.plot([], [], color=BLUE, label="power P")
-    top.plot([], [], color=ORANGE, label="proven lower bound")
-    top.set(ylabel="power", title=title)
-    top.legend(fontsize=8)
+    top.plot(x[started], power[started] / unit, color=BLUE)
+    top.plot(x[started], bound[started] / unit, "--", color=ORANGE)
+    top.plot([], [], color=BLUE, label="power")
+    top.plot([], [], "--", color=ORANGE, label="proven lower bound")
+    title = describe(scene, 0, solution.method)
+    if scene.replicas > 1:
+        title = title.replace("seed", "seeds") + f" to {scene.seeds[-1]}"
+    top.set(ylabel=over("P", symbol, "energy / time"), title=title)
+    top.legend()
     gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
     shown = started & (gap > 0).any(axis=1)
-    bottom.plot(x[shown], gap[shown], color=GREY, lw=1.2)
+    bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=GREY)
     scale = "log" if shown.any() else "linear"
-    bottom.set(xscale=scale, yscale=scale, xlabel=along, ylabel="relative gap")
+    bottom.set(xscale=scale, yscale=scale, xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
     if scale == "log":
         label_in_plain_text(bottom.xaxis, bottom.yaxis)
+    figure.align_ylabels()
     return figure

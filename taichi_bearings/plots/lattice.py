@@ -1,6 +1,6 @@
 """A lattice on paper: planes of discs, a block from outside, and what is seen through it from the same side.
 
-A plane has its first index to the right and its second one up. Blocks are seen from large x, small y and above.
+A plane has its first index to the right and its second one up. Lines are as wide as a site on paper asks for.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,26 +11,24 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from taichi_bearings.plots.page import AXES, VIEW, View
 from taichi_bearings.plots.style import GREEN
+from taichi_bearings.plots.symbols import larger_spin
 
 COLOURS = "coolwarm"
-MOST_DISCS = 10_000  # beyond, a plane is an image
-ELEVATION, AZIMUTH = 22.0, -55.0  # degrees
+MOST_DISCS = 2_500  # beyond, a plane is an image
+MOST_LINES = 5_000  # beyond, lines are dots in files of vectors too
 
 
-def _view(elevation: float, azimuth: float) -> np.ndarray:
-    """Rows: to the right, up, towards the reader."""
-    (sin_e, sin_a), (cos_e, cos_a) = (f(np.deg2rad([elevation, azimuth])) for f in (np.sin, np.cos))
-    return np.array([
-        [-sin_a, cos_a, 0.0],
-        [-sin_e * cos_a, -sin_e * sin_a, cos_e],
-        [cos_e * cos_a, cos_e * sin_a, sin_e],
-    ])  # fmt: skip
+def site_on_paper(width: float, shape: Sequence[float], height: float = np.inf) -> float:
+    """Points between the centres of two discs, of a plane on so many inches."""
+    return 72 * float(min(width / (shape[0] + 0.4), height / (shape[1] + 0.4)))
 
 
-VIEW = _view(ELEVATION, AZIMUTH)
+def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:
+    """Width of a line that takes a share of a site, in points."""
+    return float(np.clip(share * site, least, most))
 
 
 def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarray:
@@ -40,25 +38,22 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
     return speed
 
 
-def draw_speed_bar(figure: Any, axes: Any, **look: Any) -> None:
+def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
     """The colour bar of spheres coloured by :func:`speed_of`."""
-    figure.colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=axes, label=r"$|\omega| / \omega_{\max}$", **look)
+    label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
+    figure.colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=axes, label=label, **look)
 
 
 def seen(points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of the lattice as the reader has them: to the right, up, nearer."""
-    return points @ VIEW.T
-
-
-def middle_cuts(shape: tuple[int, ...]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """(axis, index) of the two upright planes through the middle of a cubic lattice."""
-    return (1, shape[1] // 2), (0, shape[0] // 2)
+    """Points (..., 3) of the lattice from where it is mostly seen: to the right, up, nearer."""
+    return VIEW.seen(points)
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
-    """Title and axes of the upright plane `index` across `axis`."""
-    axes.set_title(f"{before}cut at {'xy'[axis]} = {index}{after}", fontsize=9)
-    axes.set(xlabel="yx"[axis], ylabel="z")
+    """Title and axes of the plane `index` across `axis`."""
+    axes.set_title(f"{before}${AXES[axis]} = {index}${after}")
+    right, up = (name for name in AXES if name != AXES[axis])
+    axes.set(xlabel=f"${right}$", ylabel=f"${up}$")
 
 
 def contacts_in_plane(contacts: Sequence[np.ndarray], axis: int, index: int) -> tuple[np.ndarray, ...]:
@@ -92,7 +87,7 @@ def frame_plane(axes: Any, shape: tuple[int, ...]) -> None:
 def box_driven_rows(axes: Any, shape: tuple[int, ...]) -> None:
     """Boxes around the imposed rows of a plane."""
     for y in (0, shape[1] - 1):
-        axes.add_patch(Rectangle((-0.55, y - 0.55), shape[0] + 0.1, 1.1, fill=False, lw=1.0))
+        axes.add_patch(Rectangle((-0.55, y - 0.55), shape[0] + 0.1, 1.1, fill=False, lw=0.8 if shape[1] <= 50 else 0.4))
 
 
 def draw_walls(axes: Any, walls: Sequence[np.ndarray], **look: Any) -> LineCollection:
@@ -109,7 +104,8 @@ def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], ends: Callable[..., A
     """One line a contact; ends : of the unit vectors along and across it, from its lower disc."""
     unit = np.eye(2)
     lines = [np.argwhere(chosen)[:, None] + ends(unit[axis], unit[1 - axis]) for axis, chosen in enumerate(contacts)]
-    return axes.add_collection(LineCollection(list(np.concatenate(lines)), **look))
+    every = np.concatenate(lines)
+    return axes.add_collection(LineCollection(list(every), rasterized=len(every) > MOST_LINES, **look))
 
 
 def squares(centre: np.ndarray, axis: int) -> np.ndarray:
@@ -121,40 +117,51 @@ def squares(centre: np.ndarray, axis: int) -> np.ndarray:
     return corners
 
 
-def paint_block(axes: Any, colour: np.ndarray) -> None:
-    """The three sides of a cubic lattice that are seen from outside; axes : 3D. colour : (nx, ny, nz, 4)."""
-    nx, ny, nz = shape = colour.shape[:3]
-    faces, colours = [], []
-    for axis, index in ((0, nx - 1), (1, 0), (2, nz - 1)):
-        on_face = [n if a != axis else 1 for a, n in enumerate(shape)]
-        centre = np.moveaxis(np.indices(on_face), 0, -1).reshape(-1, 3).astype(float)
-        centre[:, axis] = index + (0.5 if index else -0.5)
-        faces.append(squares(centre, axis))
-        colours.append(np.take(colour, index, axis=axis).reshape(-1, 4))
-    surface = Poly3DCollection(
-        list(np.concatenate(faces)), lw=0.2, edgecolors="white", facecolors=np.concatenate(colours)
-    )
-    axes.add_collection3d(surface)
-    axes.set(xlim=(-0.5, nx - 0.5), ylim=(-0.5, ny - 0.5), zlim=(-0.5, nz - 0.5))
-    axes.set_box_aspect((nx, ny, nz), zoom=1.0 if max(shape) < 3 * min(shape) else 0.8)
-    axes.set_axis_off()
-    axes.view_init(elev=ELEVATION, azim=AZIMUTH)
+def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
+    """The spheres of a cubic lattice from outside, the driven planes in boxes; colour : (nx, ny, nz, 4)."""
+    outside = np.zeros(colour.shape[:3], dtype=bool)
+    for axis in range(3):
+        np.moveaxis(outside, axis, 0)[-1 if view.faces(axis) else 0] = True
+    placed = view.seen(np.argwhere(outside))
+    order = np.argsort(placed[:, 2])
+    frame_block(axes, colour.shape[:3], view)
+    paint_spheres(axes, placed[order, :2], colour[outside][order])
+    for z in (0, colour.shape[2] - 1):
+        lid = (z > 0) == view.faces(2)  # the other planes are seen from the side alone
+        edges = view.seen(box_edges(*plane_box(colour.shape[:3], z)))[are_near(view, lid)][..., :2]
+        axes.add_collection(LineCollection(list(edges), colors="black", lw=0.6, zorder=3))
 
 
 def box_edges(low: Any, high: Any) -> np.ndarray:
     """The twelve edges (12, 2, 3) of an upright box."""
     corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], dtype=float)
-    pairs = [(n, n | bit) for n in range(8) for bit in (1, 2, 4) if not n & bit]
-    return corners[pairs]
+    return corners[[(n, n | 1 << axis) for n, axis in EDGES]]
 
 
-def frame_block(axes: Any, shape: tuple[int, ...]) -> None:
+EDGES = [(n, axis) for n in range(8) for axis in range(3) if not n >> axis & 1]
+"""Edges of a box: their first corner, bit a of which says whether it is at the end of axis a, and their axis."""
+
+
+def are_near(view: View, lid: bool) -> np.ndarray:
+    """True for those of the twelve edges of a box that bound a side which faces the reader.
+
+    lid : whether its lid, or its floor where that faces the reader, is open to the view.
+    """
+    sides = range(3 if lid else 2)
+    return np.array([any((n >> a & 1) == view.faces(a) for a in sides if a != axis) for n, axis in EDGES])
+
+
+def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the box around the spheres of one layer."""
+    return np.array([-0.5, -0.5, z - 0.5]), np.array([shape[0] - 0.5, shape[1] - 0.5, z + 0.5])
+
+
+def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
     """Boxes around the driven planes of a cubic lattice, seen from outside, and the limits of the picture."""
-    nx, ny, nz = shape
-    for z, order in ((0, 1), (nz - 1, 1)):
-        edges = seen(box_edges((-0.5, -0.5, z - 0.5), (nx - 0.5, ny - 0.5, z + 0.5)))[..., :2]
-        axes.add_collection(LineCollection(list(edges), colors="black", lw=0.6, zorder=order))
-    corners = seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
+    for z in (0, shape[2] - 1):
+        edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]
+        axes.add_collection(LineCollection(list(edges), colors="black", lw=0.5, zorder=1))
+    corners = view.seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     margin = 0.02 * (high - low).max()
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
@@ -164,7 +171,7 @@ def frame_block(axes: Any, shape: tuple[int, ...]) -> None:
 def draw_path(axes: Any, trace: np.ndarray, longest: int) -> None:
     """A path in green on white, its ends marked; trace : (L, 2). longest : side of the lattice."""
     if len(trace):
-        width = float(np.clip(40.0 / longest, 1.2, 3.0))
+        width = float(np.clip(20.0 / longest, 0.9, 1.8))
         axes.plot(*trace.T, color="white", lw=2 * width, zorder=3, solid_joinstyle="round")
         axes.plot(*trace.T, color=GREEN, lw=width, zorder=4, solid_joinstyle="round", label="path")
         axes.plot(*trace[[0, -1]].T, "o", color=GREEN, mec="white", mew=0.8, ms=3 * width, zorder=4)

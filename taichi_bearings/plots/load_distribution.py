@@ -8,6 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.bottlenecks import Loads
+from taichi_bearings.plots.page import PAGE, Page, columns_on
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
 SHARES = np.geomspace(1e-5, 1.0, 301)
@@ -15,14 +16,15 @@ SHARES = np.geomspace(1e-5, 1.0, 301)
 
 
 @in_our_style
-def draw_load_distribution(samples: Sequence[Loads]) -> Figure:
+def draw_load_distribution(samples: Sequence[Loads], page: Page = PAGE) -> Figure:
     """Part of the links that carry a share or more: of the shortest paths, and of the current.
 
     Links of all samples together, over thin lines for each alone. Samples without a path are counted, not drawn.
     """
-    figure = new_figure(9.0, 4.0)
+    columns = columns_on(page, 2)
+    figure = new_figure(page.inches("double"), 2.8 if columns == 2 else 4.6, page.dpi)
     joined = [loads for loads in samples if loads.current.any()]
-    panels: Any = figure.subplots(1, 2, sharex=True, sharey=True)
+    panels: Any = figure.subplots(*((1, 2) if columns == 2 else (2, 1)), sharex=True, sharey=True)
     for axes, name, colour, parts in (
         (panels[0], "shortest paths", BLUE, [loads.share for loads in joined]),
         (panels[1], "current", ORANGE, [loads.current for loads in joined]),
@@ -32,7 +34,7 @@ def draw_load_distribution(samples: Sequence[Loads]) -> Figure:
     lowest = min((1 / len(loads.share) for loads in joined), default=1e-3)
     panels[0].set(xscale="log", yscale="log", xlim=(SHARES[0], 1.5), ylim=(lowest / 2, 1.3))
     panels[0].set_ylabel("part of the links that carry $s$ or more")
-    figure.suptitle(_count(len(joined), len(samples)), fontsize=10)
+    figure.suptitle(_count(len(joined), len(samples)))
     return figure
 
 
@@ -42,7 +44,7 @@ def _draw(axes: Any, parts: Sequence[np.ndarray], colour: str) -> None:
         return
     alone = [np.column_stack([SHARES, carrying(load)]) for load in parts]
     axes.add_collection(LineCollection(alone, colors=GREY, linewidths=0.6, alpha=0.6, label="a sample alone"))
-    axes.plot(SHARES, carrying(np.concatenate(parts)), color=colour, lw=2.2, label="all links together")
+    axes.plot(SHARES, carrying(np.concatenate(parts)), color=colour, lw=1.6, label="all links together")
     axes.legend(loc="lower left")
 
 

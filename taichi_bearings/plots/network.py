@@ -11,49 +11,59 @@ from matplotlib.figure import Figure
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.plots.lattice import (
     COLOURS,
+    MOST_LINES,
     box_driven_rows,
     draw_path,
     draw_speed_bar,
     frame_block,
     frame_plane,
+    line_on_site,
     paint_block,
     paint_plane,
     paint_spheres,
-    seen,
+    site_on_paper,
     speed_of,
 )
+from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, grid
 from taichi_bearings.plots.style import GREEN, GREY, in_our_style, new_figure
 
-NO_PATH = "they do not join bottom and top"
+NO_PATH = "they do not join the planes"
 REACHED = {"bottom": colormaps[COLOURS](0.05), "top": colormaps[COLOURS](0.95)}
 
 
 @in_our_style
-def draw_network(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
+def draw_network(
+    network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float, page: Page = PAGE
+) -> Figure:
     """3D: the spheres from outside; slipless contacts in grey and one shortest path in green; the spheres of the path
     with their spins. 2D: the last two.
 
+    Of more contacts than can be told apart those on the sides behind the path are drawn: nothing hides it then.
     spin : laboratory frame, N or (*N, 3), 1/time. Where no path joins bottom and top the figure says so, and contacts
     joined to the bottom are blue, those joined to the top red.
     """
     path, speed = network.shortest_path, speed_of(spin, spin_top, spin_bottom)
     drawn = ["spheres"] * (spin.ndim == 4) + ["contacts"] + ["path"] * (len(path) > 0)
-    figure = new_figure(4.6 * len(drawn) + 0.5, 4.6)
-    for number, panel in enumerate(drawn):
+    columns, view = columns_on(page, len(drawn)), page.view or VIEW
+    width = min(page.inches("double") / columns, page.inches("single"))
+    rows = -(-len(drawn) // columns)
+    figure = new_figure(columns * width, rows * (0.9 * width + 0.5) + (0.4 if columns == 1 else 0.0), page.dpi)
+    panels = grid(figure, page, len(drawn))
+    for number, (panel, axes) in enumerate(zip(drawn, panels, strict=True)):
         letter = f"({'abc'[number]}) " if len(drawn) > 1 else ""
-        axes: Any = figure.add_subplot(1, len(drawn), number + 1, projection="3d" if panel == "spheres" else None)
         if panel == "spheres":
-            paint_block(axes, colormaps[COLOURS](speed))
-            axes.set_title(letter + "spheres from outside", fontsize=9)
+            paint_block(axes, colormaps[COLOURS](speed), view)
+            axes.set_title(letter + "from outside")
         elif panel == "contacts":
-            _draw_contacts(axes, network)
+            shown = _draw_contacts(axes, network, view, 0.85 * width)
             joined = f"path of {len(path) - 1}" if len(path) else NO_PATH
-            axes.set_title(f"{letter}{network.ends.shape[1]:,} slipless contacts,\n{joined}", fontsize=9)
+            axes.set_title(f"{letter}{network.ends.shape[1]:,} slipless contacts,\n{joined}{shown}")
         else:
-            _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed)
-            axes.set_title(letter + "the spheres of the path and their spins", fontsize=9)
+            _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
+            axes.set_title(letter + "spheres of the path, their spins")
     if len(drawn) > 1:
-        draw_speed_bar(figure, axes, shrink=0.6)
+        look = {"location": "bottom", "aspect": 30} if columns == 1 else {}
+        draw_speed_bar(figure, panels, spin_top, spin_bottom, shrink=0.6, pad=0.02, **look)
     return figure
 
 
@@ -68,31 +78,42 @@ def contact_colours(network: SliplessNetwork) -> np.ndarray:
     return colour
 
 
-def _draw_contacts(axes: Any, network: SliplessNetwork) -> None:
+def behind(points: np.ndarray, shape: tuple[int, ...], view: View) -> np.ndarray:
+    """True for contacts (E, 2, 3) within the sides of a cubic lattice that are farthest from the reader."""
+    far = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(shape)])
+    inside: np.ndarray = (points == far).all(axis=1).any(axis=1)
+    return inside
+
+
+def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float) -> str:
+    """The contacts and the path on so many inches; returns which contacts are drawn, in words, if not all."""
     shape, path = network.lattice.shape, network.shortest_path
     points = np.stack(np.unravel_index(network.ends, shape), axis=-1).swapaxes(0, 1)
-    colour = contact_colours(network)
+    colour, words = contact_colours(network), ""
     if len(shape) == 2:
         frame_plane(axes, shape)
         box_driven_rows(axes, shape)
-        width = 60.0 / max(30, *shape)
         lines, trace = points, path
+        line = line_on_site(site_on_paper(width, shape, width), 0.12, 0.2)
     else:
-        frame_block(axes, shape)
-        placed = seen(points)
-        nearness = placed[..., 2].mean(axis=1)
-        order = np.argsort(nearness)
+        frame_block(axes, shape, view)
+        if len(points) > MOST_LINES:
+            chosen = behind(points, shape, view)
+            points, colour, words = points[chosen], colour[chosen], "; drawn: the sides behind"
+        placed = view.seen(points)
+        order = np.argsort(placed[..., 2].mean(axis=1))
         lines, colour = placed[order][..., :2], colour[order]
         near = np.linspace(0.0, 1.0, len(order))
-        width = float(np.clip(12.0 / max(shape), 0.15, 1.6))
-        colour[:, 3] = (0.25 + 0.75 * near) * np.clip(12.0 / max(shape), 0.1, 0.9)
-        trace = seen(path)[:, :2]
-    grey = LineCollection(list(lines), colors=colour, lw=width, rasterized=len(lines) > 5000, label="slipless contacts")
-    axes.add_collection(grey)
+        line = line_on_site(72 * width / max(shape) / 1.6, 0.12, 0.3, 1.0)
+        colour[:, 3] = 0.2 + 0.6 * near if not words else 0.7
+        trace = view.seen(path)[:, :2]
+    many = len(lines) > MOST_LINES
+    axes.add_collection(LineCollection(list(lines), colors=colour, lw=line, rasterized=many, label="slipless contacts"))
     draw_path(axes, trace, max(shape))
+    return words
 
 
-def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray) -> None:
+def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
     """The spheres of the path from the back to the front, an arrow of the spin from each centre, and the path's shadow
     on the bottom."""
     path, shape = network.shortest_path, network.lattice.shape
@@ -105,15 +126,15 @@ def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: 
         box_driven_rows(axes, shape)
         for (x, y), value in zip(path, spin[on_path], strict=True):
             turn = "" if value == 0 else "↺" if value > 0 else "↻"
-            axes.text(x, y, turn, ha="center", va="center", fontsize=100 / max(shape))
+            axes.text(x, y, turn, ha="center", va="center", fontsize=max(3.0, 60 / max(shape)))
         return
-    frame_block(axes, shape)
-    shadow = seen(np.column_stack([path[:, :2], np.full(len(path), -0.5)]))
+    frame_block(axes, shape, view)
+    shadow = view.seen(np.column_stack([path[:, :2], np.full(len(path), -0.5)]))
     axes.plot(*shadow[:, :2].T, color=GREEN, alpha=0.4, lw=1.0, zorder=1)
-    placed = seen(path)
+    placed = view.seen(path)
     order = np.argsort(placed[:, 2])
     paint_spheres(axes, placed[order][:, :2], colour[order])
-    arrow = 1.6 * seen(spin[on_path])[order]
+    arrow = 1.6 * view.seen(spin[on_path])[order]
     axes.quiver(
         *placed[order][:, :2].T, *arrow[:, :2].T, angles="xy", scale_units="xy", scale=1, zorder=5, units="xy",
         width=0.02 * np.sqrt(max(shape)), color="black", edgecolor="white", lw=0.3, headwidth=3.5, headlength=4,

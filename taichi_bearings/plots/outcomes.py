@@ -31,7 +31,7 @@ def draw_outcomes(
                 axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
     colours = ListedColormap([*COLOURS.values(), NOTHING])
     axes.imshow(codes, cmap=colours, vmin=-0.5, vmax=len(kinds) + 0.5, aspect="auto")
-    axes.set_xticks(range(len(columns)), columns, fontsize=8, rotation=30 if max(map(len, columns)) > 7 else 0)
+    axes.set_xticks(range(len(columns)), columns, rotation=30 if max(map(len, columns)) > 7 else 0)
     axes.set_yticks(range(len(rows)), rows, fontsize=7)
     axes.set_xticks(np.arange(len(columns) + 1) - 0.5, minor=True)
     axes.set_yticks(np.arange(len(rows) + 1) - 0.5, minor=True)
@@ -42,5 +42,5 @@ def draw_outcomes(
     axes.set_xlabel(title)
     used = [kind for number, kind in enumerate(kinds) if (codes == number).any()]
     handles = [Patch(color=COLOURS[kind], label=kind) for kind in used]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(used), fontsize=8)
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(used))
     return figure

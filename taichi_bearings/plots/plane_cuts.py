@@ -14,18 +14,23 @@ from taichi_bearings.plots.lattice import (
     contacts_in_plane,
     draw_contacts,
     draw_speed_bar,
-    middle_cuts,
+    line_on_site,
+    name_cut,
     paint_plane,
+    site_on_paper,
     speed_of,
 )
+from taichi_bearings.plots.page import PAGE, Page, columns_on, grid, middle_planes
 from taichi_bearings.plots.style import GREEN, in_our_style, new_figure
 
 PLANES = 3
-TOWARDS_READER = (1, -1)  # along x for planes across x, along y for planes across y
+TOWARDS_READER = (1, -1, 1)  # along x for planes across x, against y for those across y, along z for those across z
 
 
 @in_our_style
-def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
+def draw_plane_cuts(
+    network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float, page: Page = PAGE
+) -> Figure:
     """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green.
 
     spin : laboratory frame, N or (*N, 3), 1/time. 3D: the upright planes that together hold most of the path, or the
@@ -34,22 +39,22 @@ def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float,
     """
     speed, path = speed_of(spin, spin_top, spin_bottom), network.shortest_path
     if speed.ndim == 2:
-        figure, (axes,) = _panels([speed.shape])
+        figure, (axes,), width = _panels([speed.shape], page)
         joined = np.stack([path[:-1], path[1:]], axis=1)
-        _draw_plane(axes, speed, network.slipless, joined, np.empty((0, 3), dtype=int))
-        axes.set_title(_title(len(joined), len(joined)), fontsize=9)
+        _draw_plane(axes, speed, network.slipless, joined, np.empty((0, 3), dtype=int), width)
+        axes.set_title(_title(len(joined), len(joined)))
     else:
-        cuts = planes_of(path) if len(path) else middle_cuts(speed.shape)
+        cuts = page.planes or (planes_of(path) if len(path) else middle_planes(speed.shape))
         planes = [np.take(speed, index, axis) for axis, index in cuts]
-        figure, panels = _panels([plane.shape for plane in planes])
+        figure, panels, width = _panels([plane.shape for plane in planes], page)
         for axes, plane, (axis, index) in zip(panels, planes, cuts, strict=True):
             joined, leaves = path_in_plane(path, axis, index)
-            _draw_plane(axes, plane, contacts_in_plane(network.slipless, axis, index), joined, leaves)
-            axes.set_title(f"{'xy'[axis]} = {index}: " + _title(len(joined), len(path) - 1), fontsize=9)
-            axes.set(xlabel="yx"[axis], ylabel="z")
+            _draw_plane(axes, plane, contacts_in_plane(network.slipless, axis, index), joined, leaves, width, axis < 2)
+            name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
         if len(path):
-            figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=8)
-    draw_speed_bar(figure, figure.axes, shrink=0.8)
+            figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
+    below = {"location": "bottom", "aspect": 30} if columns_on(page, len(figure.axes)) < 2 < speed.ndim else {}
+    draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, shrink=0.8, pad=0.02, **below)
     return figure
 
 
@@ -93,27 +98,36 @@ def _title(held: int, length: int) -> str:
     return f"{held} of {length} contacts of the path" if length > 0 else "no path joins bottom and top"
 
 
-def _panels(shapes: list[tuple[int, ...]]) -> tuple[Figure, Any]:
-    tall = max(shape[1] / shape[0] for shape in shapes)
-    figure = new_figure(3.6 * len(shapes) + 1.0, 0.8 + float(np.clip(3.3 * tall, 2.0, 7.0)))
-    return figure, figure.subplots(1, len(shapes), squeeze=False)[0]
+def _panels(shapes: list[tuple[int, ...]], page: Page) -> tuple[Figure, list[Any], float]:
+    """A figure, its panels, and how many inches wide a plane in them is."""
+    tall = float(np.clip(max(shape[1] / shape[0] for shape in shapes), 0.4, 2.0))
+    columns = columns_on(page, len(shapes))
+    width = min(page.inches("double") / columns, page.inches("single"))
+    rows = -(-len(shapes) // columns)
+    figure = new_figure(columns * width, rows * (0.85 * width * tall + 0.4) + 0.25, page.dpi)
+    return figure, grid(figure, page, len(shapes)), 0.8 * width
 
 
 def _draw_plane(
-    axes: Any, speed: np.ndarray, slipless: tuple[np.ndarray, ...], joined: np.ndarray, leaves: np.ndarray
+    axes: Any,
+    speed: np.ndarray,
+    slipless: tuple[np.ndarray, ...],
+    joined: np.ndarray,
+    leaves: np.ndarray,
+    width: float,
+    upright: bool = True,
 ) -> None:
-    scale = 10.0 / max(10, *speed.shape)
+    site = site_on_paper(width, speed.shape)
     paint_plane(axes, colormaps[COLOURS](speed))
-    draw_contacts(axes, slipless, colors="0.35", lw=max(0.5, 2.2 * scale), zorder=2)
-    for colour, width in (("white", 7.0), (GREEN, 4.2)):
-        axes.add_collection(
-            LineCollection(list(joined), colors=colour, lw=max(0.5 * width, width * scale), zorder=3, capstyle="round")
-        )
-    size = 13.0 * scale**0.7
-    axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=max(0.7, 2 * scale), zorder=4)
+    draw_contacts(axes, slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
+    for colour, share in (("white", 0.5), (GREEN, 0.3)):
+        line = line_on_site(site, share, 4 * share, 12 * share)
+        axes.add_collection(LineCollection(list(joined), colors=colour, lw=line, zorder=3, capstyle="round"))
+    size = float(np.clip(0.75 * site, 3.0, 9.0))
+    axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)
     for side, mark in ((1, "o"), (-1, "x")):
         chosen = leaves[leaves[:, 2] == side]
-        axes.plot(
-            *chosen[:, :2].T, mark, color=GREEN, ms=size * (0.3 if side > 0 else 0.5), mew=max(0.7, 2 * scale), zorder=5
-        )
-    box_driven_rows(axes, speed.shape)
+        ms = size * (0.3 if side > 0 else 0.5)
+        axes.plot(*chosen[:, :2].T, mark, color=GREEN, ms=ms, mew=0.12 * size, zorder=5)
+    if upright:
+        box_driven_rows(axes, speed.shape)

@@ -4,54 +4,119 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import contacts_in_plane, draw_contacts, frame_plane, middle_cuts, name_cut
-from taichi_bearings.plots.style import GREY, in_our_style, new_figure
+from taichi_bearings.plots.lattice import (
+    MOST_LINES,
+    contacts_in_plane,
+    draw_contacts,
+    frame_plane,
+    line_on_site,
+    name_cut,
+    site_on_paper,
+)
+from taichi_bearings.plots.page import PAGE, Page, columns_on, grid, middle_planes
+from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots.symbols import describe, over, power_unit
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
 
+COLOURS = "viridis_r"  # what dissipates most stands out on paper
+IDLE = "0.75"
+FAINTEST = 0.02  # share of the contacts that are below the range of the colours
+Arrays = Sequence[np.ndarray]
+
 
 @in_our_style
-def draw_power(solution: Solution, replica: int = 0) -> Figure:
-    """2D: all contacts. 3D: the contacts in two cuts through the middle, and the power of each layer of the height."""
-    shape = solution.scene.lattice.shape
-    power = [p[replica] for p in solution.power_per_contact]
+def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figure:
+    """2D: all contacts. 3D: the contacts in two cuts, and the power of each layer of the height.
+
+    Where more contacts slip than lines can show, each sphere has the colour of the power of its contacts, half of each.
+    """
+    scene = solution.scene
+    shape = scene.lattice.shape
+    unit, symbol = power_unit(scene)
     state = [s[replica] for s in solution.state]
-    slipping = np.concatenate([p[s == ContactState.SLIPPING] for p, s in zip(power, state, strict=True)])
-    slipping = slipping[slipping > 0]
-    norm = LogNorm(slipping.min(), slipping.max()) if len(slipping) else LogNorm(1e-1, 1)
+    power = [
+        np.where(s == ContactState.SLIPPING, p[replica] / unit, 0.0)
+        for p, s in zip(solution.power_per_contact, state, strict=True)
+    ]
+    lines = sum(int((p > 0).sum()) for p in power) <= MOST_LINES or len(shape) == 3
+    label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
+    title = describe(scene, replica)
     if len(shape) == 2:
-        figure = new_figure(5.6, 4.9)
-        axes = figure.add_subplot()
-        drawn = _draw_plane(axes, power, state, shape, norm)
-        figure.colorbar(drawn, ax=axes, label="power of a slipping contact", shrink=0.8)
+        shown = power if lines else [_at_spheres(power, shape)]
+        norm = _norm(shown)
+        width = page.inches("single")
+        height = (width - 0.8) * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
+        figure = new_figure(width, height + 0.3, page.dpi)
+        axes = figure.add_subplot(title=title)
+        if lines:
+            _draw_plane(axes, power, shape, norm, site_on_paper(width - 0.8, shape, height))
+        else:
+            axes.imshow(
+                np.where(shown[0] > 0, shown[0], np.nan).T,
+                origin="lower",
+                cmap=COLOURS,
+                norm=norm,
+                interpolation="nearest",
+            )
+            frame_plane(axes, shape)
+        figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, label=label, shrink=0.9, pad=0.02, extend="min")
         return figure
-    nz = shape[-1]
-    figure = new_figure(11.5, 3.9)
-    *cuts, axes = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
-    for cut, (axis, index) in zip(cuts, middle_cuts(shape), strict=True):
-        powers, states = (contacts_in_plane(values, axis, index) for values in (power, state))
-        drawn = _draw_plane(cut, powers, states, (shape[1 - axis], nz), norm)
-        name_cut(cut, axis, index)
-    figure.colorbar(drawn, ax=cuts, label="power of a slipping contact", shrink=0.8, location="left")
-    layers = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
-    axes.step(layers, np.arange(nz), where="mid", label="contacts in the layer")
-    axes.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", label="contacts to the next layer")
-    axes.set(xlabel="power", ylabel="height")
-    axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    figure = _draw_cuts(power, shape, _norm(power), label, page)
+    figure.axes[len(page.planes) or 2].set_xlabel(over("P_z", symbol, "energy / time"))
+    figure.suptitle(title)
     return figure
 
 
-def _draw_plane(
-    axes: Any, power: Sequence[np.ndarray], state: Sequence[np.ndarray], shape: tuple[int, ...], norm: LogNorm
-) -> Any:
-    """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey."""
-    slips = [(s == ContactState.SLIPPING) & (p > 0) for p, s in zip(power, state, strict=True)]
-    width = float(np.clip(60.0 / max(shape), 0.3, 3.0))
-    draw_contacts(axes, [~chosen for chosen in slips], colors=GREY, lw=0.25 * width)
-    drawn = draw_contacts(axes, slips, cmap="viridis", norm=norm, lw=width)
-    drawn.set_array(np.concatenate([p[chosen] for p, chosen in zip(power, slips, strict=True)]))
+def _norm(powers: Arrays) -> LogNorm:
+    every = np.concatenate([values.ravel() for values in powers])
+    slipping = every[every > 0]
+    if not len(slipping):
+        return LogNorm(1e-1, 1)
+    return LogNorm(float(np.quantile(slipping, FAINTEST)), float(slipping.max()))
+
+
+def _at_spheres(power: Arrays, shape: tuple[int, ...]) -> np.ndarray:
+    """Half the power of all contacts of each sphere."""
+    found = np.zeros(shape)
+    for axis, values in enumerate(power):
+        for part in (slice(None, -1), slice(1, None)):
+            np.moveaxis(found, axis, 0)[part] += np.moveaxis(values, axis, 0) / 2
+    return found
+
+
+def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str, page: Page) -> Figure:
+    """Planes of a cubic lattice, and the power of the contacts in each layer and to the next one."""
+    planes, nz = page.planes or middle_planes(shape), shape[-1]
+    columns = columns_on(page, 1 + len(planes))
+    width, rows = page.inches("double") / columns, -(-(1 + len(planes)) // columns)
+    tall = float(np.clip(nz / max(shape[:2]), 0.5, 2.0))
+    figure = new_figure(columns * width, rows * (0.85 * width * tall + 0.35) + 0.2, page.dpi)
+    *cuts, layers = grid(figure, page, 1 + len(planes))
+    for cut, (axis, index) in zip(cuts, planes, strict=True):
+        size = tuple(n for a, n in enumerate(shape) if a != axis)
+        _draw_plane(cut, contacts_in_plane(power, axis, index), size, norm, site_on_paper(0.8 * width, size))
+        name_cut(cut, axis, index)
+    look = {"location": "left"} if columns > 1 else {"location": "bottom", "aspect": 30}
+    figure.colorbar(ScalarMappable(norm, COLOURS), ax=cuts, label=label, shrink=0.8, pad=0.02, extend="min", **look)
+    inside = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
+    layers.step(inside, np.arange(nz), where="mid", color=BLUE, label="within a layer")
+    layers.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", color=ORANGE, label="to the next")
+    layers.set(ylabel="height $z$", xlim=(0, None), ylim=(-0.5, nz - 0.5))
+    layers.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, columnspacing=1.0)
+    return figure
+
+
+def _draw_plane(axes: Any, power: Arrays, shape: tuple[int, ...], norm: LogNorm, site: float) -> None:
+    """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey if there is room."""
+    if site > 3:
+        draw_contacts(axes, [values == 0 for values in power], colors=IDLE, lw=line_on_site(site, 0.06, 0.25))
+    drawn = draw_contacts(
+        axes, [values > 0 for values in power], cmap=COLOURS, norm=norm, lw=line_on_site(site, 0.3, 0.8, 3.0)
+    )
+    drawn.set_array(np.concatenate([values[values > 0] for values in power]))
     frame_plane(axes, shape)
-    return drawn

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
 from taichi_bearings.plots.lattice import COLOURS, box_edges, lit_sphere
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 HUES = ((BLUE, "#0b2545"), (ORANGE, "#6b2d00"))  # of a start: with springs, rigid
 DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
@@ -44,7 +44,7 @@ def draw_relaxation(starts: Sequence[Relaxation], least_power: float, cut_power:
     P_0 is the initial power of the first start; least_power is the certified minimum. An inset enlarges the end of
     both starts around the power of the minimum cut. The spins are those of the dynamics with springs.
     """
-    figure = new_figure(9.6, 5.6)
+    figure = new_figure(DOUBLE, 4.6)
     parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)
     _draw_curves(parts[0], starts, least_power, cut_power)
     _draw_snapshots(parts[1], starts)
@@ -57,8 +57,8 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
     initial = starts[0].power[0]
     for start, (colour, dark) in zip(starts, HUES, strict=False):
         for time, power, look, dynamics in (
-            (start.time, start.power, {"color": colour, "lw": 1.8}, "Cundall-Strack"),
-            (start.rigid_time, start.rigid_power, {"color": dark, "lw": 1.1, "ls": (0, (4, 1.5))}, "rigid"),
+            (start.time, start.power, {"color": colour, "lw": 1.3}, "Cundall-Strack"),
+            (start.rigid_time, start.rigid_power, {"color": dark, "lw": 0.8, "ls": (0, (4, 1.5))}, "rigid"),
         ):
             later, excess = time > 0, power / least_power - 1
             for axes in (top, inset):
@@ -72,11 +72,11 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
     if cut > least:
         bottom.axhline(cut / least - 1, color=GREEN, ls="-.", lw=1.2)
     columns = [*top.lines[0::2], *top.lines[1::2]]
-    figure.legend(handles=columns, fontsize=8, loc="outside upper center", ncols=2, columnspacing=1.2)
+    figure.legend(handles=columns, loc="outside upper center", ncols=2, columnspacing=1.2)
     last = max(float(start.time[-1]) for start in starts)
     high = max(cut, 1.02 * least)
     inset.set(xscale="log", xlim=(last / 1e3, last), ylim=(1.2 * least - 0.2 * high, 2 * high - least))
-    inset.tick_params(labelsize=7.5)
+    inset.tick_params(labelsize=7)
     first = min(float(start.time[start.time > 0][0]) for start in starts)
     top.set(xscale="log", xlim=(first / 2, 2 * last), ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
     bottom.set(xscale="log", yscale="log", xlabel=r"time, $\omega_T\, t$", ylabel=r"$P\,/\,P_{\min} - 1$")
@@ -90,13 +90,12 @@ def _draw_snapshots(figure: Any, starts: Sequence[Relaxation]) -> None:
     for row, start in enumerate(starts):
         for axes, spin, when in zip(grid[row], (start.first, start.last), ("= 0", r"\to \infty"), strict=True):
             _draw_spheres(axes, spin)
-            axes.set_title(f"{start.name}, $t {when}$", fontsize=9.5, pad=2)
+            axes.set_title(f"{start.name}, $t {when}$", pad=2)
     grid[0, 0].text(-0.02, 1.1, "(c)", transform=grid[0, 0].transAxes, va="top")
     scale = ScalarMappable(Normalize(0, 1), COLOURS)
     bar = figure.colorbar(scale, ax=grid, location="bottom", shrink=0.6, aspect=30, pad=0.02, extend="max")
     bar.set_label(
         r"$|\omega|\,/\,\omega_T$; arrows: $(-1)^{x+y+z}\,\omega$" + "\n(without the mean of each layer about $z$)",
-        fontsize=9,
     )
 
 
@@ -123,7 +122,7 @@ def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
             tail, head = (x, y) - across, (x, y) + across
             axes.add_patch(
                 FancyArrowPatch(
-                    tail, head, arrowstyle="-|>", mutation_scale=7, lw=1.1, color="black", shrinkA=0, shrinkB=0,
+                    tail, head, arrowstyle="-|>", mutation_scale=5, lw=0.8, color="black", shrinkA=0, shrinkB=0,
                     zorder=3 + 2 * order,
                 )
             )  # fmt: skip

@@ -1,32 +1,44 @@
 """A number of the samples of a scan against a parameter."""
 
+import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from taichi_bearings.analysis.fit import Fit
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, in_our_style, new_figure, shades
+from taichi_bearings.words import with_error
 
 MARKERS = "osD^vP*X"
 MOST_TICKS = 8  # values of a logarithmic axis that are named one by one
+EXACT = 1e-9  # error of a slope that is not written
+LETTERS = 15  # an inch, of a title
 
 
 @dataclass(frozen=True)
 class Curve:
-    """x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none."""
+    """x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none. fit : a line."""
 
     label: str
     x: np.ndarray
     y: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    fit: Fit | None = None
 
 
 @dataclass(frozen=True)
 class Look:
-    """log : the axes that are logarithmic, of "x", "y", "xy". ticks : names at x = 0, 1, ... if x has no numbers."""
+    """log : the axes that are logarithmic, of "x", "y", "xy". ticks : names at x = 0, 1, ... if x has no numbers.
+
+    symbol : of x, as mathematics.
+    """
 
     x_label: str
     y_label: str
@@ -34,22 +46,35 @@ class Look:
     legend: str = ""
     log: str = ""
     ticks: Sequence[str] = ()
+    symbol: str = "x"
 
 
 @in_our_style
-def draw_scan(curves: Sequence[Curve], look: Look) -> Figure:
-    """Points with bars, joined along each curve."""
-    figure = new_figure(6.4, 4.2)
+def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
+    """Points with bars, joined along each curve, or with a broken line where one is fitted."""
+    width = page.inches("single")
+    entries = len(curves) * (1 + any(curve.fit for curve in curves)) if len(curves) > 1 or curves[0].fit else 0
+    across = max(1, min(entries, int(width / (2.4 if any(curve.fit for curve in curves) else 1.1))))
+    rows = -(-entries // across) + (entries > 0)
+    title = [line for part in look.title.split("\n") for line in textwrap.wrap(part, int(LETTERS * width))]
+    figure = new_figure(width, 0.68 * min(width, 5.0) + 0.15 * (rows + len(title)), page.dpi)
     axes = figure.add_subplot()
     for name in look.log:
         axes.set(**{f"{name}scale": "log"})
+    handles: list[Any] = []
     colours = shades(len(curves)) if len(curves) > 1 else [BLUE]
     for number, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
         bars = np.nan_to_num([curve.y - curve.low, curve.high - curve.y])
-        axes.errorbar(
-            curve.x, curve.y, bars, color=colour, label=curve.label, lw=1.0, elinewidth=0.9, capsize=2,
-            fmt=f"{MARKERS[number % len(MARKERS)]}-", ms=4, mfc="none" if number % 2 else colour,
+        style = "none" if curve.fit else "-"
+        points = axes.errorbar(
+            curve.x, curve.y, bars, color=colour, label=curve.label or "samples", ls=style, lw=0.9, elinewidth=0.8,
+            capsize=1.5, fmt=MARKERS[number % len(MARKERS)], ms=3.5, mfc="none" if number % 2 else colour,
         )  # fmt: skip
+        handles.append(points)
+        if curve.fit:
+            along = np.geomspace if "x" in look.log else np.linspace
+            x = along(curve.fit.low, curve.fit.high, 200)
+            handles += axes.plot(x, curve.fit(x), "--", color=colour, lw=0.9, label=formula(curve.fit, look.symbol))
     axes.set(xlabel=look.x_label, ylabel=look.y_label)
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
@@ -57,7 +82,20 @@ def draw_scan(curves: Sequence[Curve], look: Look) -> Figure:
     elif "x" in look.log and len(values) <= MOST_TICKS:
         axes.set_xticks(values, [f"{value:g}" for value in values])
         axes.xaxis.set_minor_locator(NullLocator())
-    if len(curves) > 1:
-        figure.legend(title=look.legend, loc="outside right upper", fontsize=8, title_fontsize=8)
-    axes.set_title(look.title, fontsize=9)
+    if entries:
+        figure.legend(handles=handles, title=look.legend or None, loc="outside lower center", ncols=across)
+    figure.suptitle("\n".join(title))
     return figure
+
+
+def formula(found: Fit, symbol: str) -> str:
+    """What a line is, with its slope, the error of that and its range, as mathematics."""
+    is_guide = math.isnan(found.error)
+    slope = (
+        f"{found.slope:g}"
+        if is_guide or found.error < EXACT
+        else with_error(found.slope, found.error).replace("+-", r"\pm")
+    )
+    shape = {"power": rf"{{{symbol}}}^s", "exponential": rf"e^{{s\,{symbol}}}", "log": rf"a + s\,\ln {symbol}"}
+    fitted = " (guide)" if is_guide else rf", ${found.low:g} \leq {symbol} \leq {found.high:g}$"
+    return rf"${shape[found.kind]}$, $s = {slope}${fitted}"

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
-THRESHOLD = r"slip threshold / $R |\Delta\Omega|$"
+THRESHOLD = r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$"
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping
     columns : numbers of the samples by name (paper.network.Sample). by_threshold : side -> numbers (samples,
     thresholds + 1) by name (analysis.thresholds.View), the last ones by certified contact states.
     """
-    figure = new_figure(10.5, 6.2)
+    figure = new_figure(DOUBLE, 4.9)
     axes: Any = figure.subplots(2, 3)
     _against_side(axes[0, 0], columns, {"power_over_cut": (BLUE, r"$P_\mathrm{min} / P_\mathrm{cut}$")}, dots=True)
     axes[0, 0].axhline(1.0, color=GREY, lw=0.8)
@@ -58,7 +58,7 @@ def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping
     }
     _against_side(axes[1, 0], columns, numbers)
     axes[1, 0].set(yscale="symlog", ylim=(0, 2000), ylabel="number")
-    axes[1, 0].legend(fontsize=8, loc="upper left")
+    axes[1, 0].legend(loc="upper left")
     _against_side(axes[1, 1], columns, {"largest_intermediate": (BLUE, "largest intermediate domain")})
     axes[1, 1].set(ylim=(0, None), ylabel="spheres")
     side = max(by_threshold)
@@ -71,8 +71,8 @@ def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping
         axes[1, 2].loglog(THRESHOLDS, values[:-1], "o-", color=colour, ms=3.5, label=label)
         axes[1, 2].axhline(values[-1], color=colour, lw=0.8, ls="--")
     axes[1, 2].set(xlabel=THRESHOLD, ylabel="number")
-    axes[1, 2].set_title(f"{side}³ as thresholds see it; dashed: certified", fontsize=9)
-    axes[1, 2].legend(fontsize=8)
+    axes[1, 2].set_title(f"{side}³ as thresholds see it; dashed: certified")
+    axes[1, 2].legend()
     return figure
 
 
@@ -87,7 +87,7 @@ def _spanning(axes: Any, by_threshold: Mapping[int, Mapping[str, np.ndarray]]) -
     axes.errorbar(sides, spans[:, -1], error, fmt="o-", color=GREEN, ms=4, lw=1.4, capsize=2, label="certified states")
     _size_axis(axes, sides)
     axes.set(ylabel="samples that span", ylim=(-0.03, 1.04))
-    axes.legend(fontsize=8, loc="upper left")
+    axes.legend(loc="upper left")
 
 
 def _against_side(
@@ -102,10 +102,10 @@ def _against_side(
             column.side, column.mean, column.standard_error, fmt="o-", color=colour, ms=4, lw=1, capsize=2, label=label
         )
     _size_axis(axes, column.side)
-    axes.legend(fontsize=8)
+    axes.legend()
 
 
 def _size_axis(axes: Any, sides: Sequence[int] | np.ndarray) -> None:
-    axes.set(xscale="log", xlabel="side of the cube, L")
+    axes.set(xscale="log", xlabel="side of the cube, $L$")
     axes.set_xticks(sides, [str(side) for side in sides])
     axes.minorticks_off()

@@ -13,54 +13,81 @@ from taichi_bearings.plots.lattice import (
     contacts_in_plane,
     draw_speed_bar,
     draw_walls,
-    middle_cuts,
+    line_on_site,
     name_cut,
     paint_block,
     paint_plane,
+    site_on_paper,
     speed_of,
 )
+from taichi_bearings.plots.page import NARROW, PAGE, VIEW, Page, columns_on, grid, middle_planes
 from taichi_bearings.plots.style import in_our_style, new_figure
+from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 
+MOST_SLIPS = 0.9  # share of the contacts: where more slip, lines would hide the spins and say nothing
+BAR = 0.75  # inches of a colour bar with its label
+
 
 @in_our_style
-def draw_spins(scene: Scene, spin: np.ndarray, state: Sequence[np.ndarray]) -> Figure:
-    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts).
+def draw_spins(
+    scene: Scene, spin: np.ndarray, state: Sequence[np.ndarray], page: Page = PAGE, title: str = "", note: str = ""
+) -> Figure:
+    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts), unless nearly all slip.
 
     spin : laboratory frame, (*N) or (*N, 3). state : of the contacts, one array (*contacts) an axis.
+    note : what black lines mean.
     """
     speed = speed_of(spin, scene.spin_top, scene.spin_bottom)
     colour = colormaps[COLOURS](speed)
     slips = tuple(values == ContactState.SLIPPING for values in state)
-    return _draw_discs(colour, slips) if speed.ndim == 2 else _draw_spheres(colour, slips)
-
-
-def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...]) -> Figure:
-    nx, ny = colour.shape[:2]
-    figure = new_figure(5.6, 5.6 * min(2.0, max(0.5, ny / nx)) * 0.85)
-    axes = figure.add_subplot()
-    _paint(axes, colour, slips)
-    box_driven_rows(axes, (nx, ny))
-    draw_speed_bar(figure, axes, shrink=0.8)
+    slipping = sum(int(values.sum()) for values in slips)
+    movable = sum(int((values != ContactState.DRIVEN).sum()) for values in state)
+    note = note or "slipping contacts in black"
+    if slipping > MOST_SLIPS * movable:
+        note = f"{slipping:,} of {movable:,} contacts slip"
+        slips = tuple(np.zeros_like(values) for values in slips)
+    figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)
+    figure.suptitle(f"{title or describe(scene)}\n{note}")
+    axes = figure.axes
+    below = speed.ndim == 3 and columns_on(page, len(axes), NARROW) < 3
+    look = {"location": "bottom", "aspect": 30} if below else {}
+    draw_speed_bar(figure, axes, scene.spin_top, scene.spin_bottom, shrink=0.8, pad=0.02, **look)
     return figure
 
 
-def _paint(axes: Any, colour: np.ndarray, slips: tuple[np.ndarray, ...]) -> None:
+def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:
+    nx, ny = colour.shape[:2]
+    width = page.inches("single")
+    height = (width - BAR) * min(2.0, max(0.4, ny / nx))
+    figure = new_figure(width, height + 0.45, page.dpi)
+    axes = figure.add_subplot()
+    _paint(axes, colour, slips, site_on_paper(width - BAR, (nx, ny), height))
+    box_driven_rows(axes, (nx, ny))
+    return figure
+
+
+def _paint(axes: Any, colour: np.ndarray, slips: tuple[np.ndarray, ...], site: float) -> None:
     """Discs of one plane and the slipping contacts between them."""
     paint_plane(axes, colour)
-    draw_walls(axes, slips, colors="black", lw=1.0 if len(colour) <= 40 else 0.4)
+    draw_walls(axes, slips, colors="black", lw=line_on_site(site, 0.15))
 
 
-def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...]) -> Figure:
-    """The block of spheres from outside, and two cuts through its middle with the slipping contacts."""
-    figure = new_figure(11.0, 4.2)
-    block = figure.add_subplot(1, 3, 1, projection="3d", computed_zorder=True)
-    paint_block(block, colour)
-    block.set_title("|spin| on three sides", fontsize=9)
-    for place, (axis, index) in enumerate(middle_cuts(colour.shape)):
-        axes = figure.add_subplot(1, 3, 2 + place)
-        _paint(axes, np.take(colour, index, axis), contacts_in_plane(slips, axis, index))
-        name_cut(axes, axis, index, after=", slipping contacts in black")
-    draw_speed_bar(figure, figure.axes, shrink=0.7)
+def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:
+    """The block of spheres from outside, and cuts with the slipping contacts."""
+    shape = colour.shape[:3]
+    planes = page.planes or middle_planes(shape)
+    columns = columns_on(page, 1 + len(planes), NARROW)
+    width = page.inches("double") / columns
+    rows = -(-(1 + len(planes)) // columns)
+    tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
+    figure = new_figure(columns * width, rows * (0.85 * width * tall + 0.25) + 0.4, page.dpi)
+    block, *cuts = grid(figure, page, 1 + len(planes), NARROW)
+    paint_block(block, colour, page.view or VIEW)
+    block.set_title("from outside")
+    for axes, (axis, index) in zip(cuts, planes, strict=True):
+        plane = np.take(colour, index, axis)
+        _paint(axes, plane, contacts_in_plane(slips, axis, index), site_on_paper(0.85 * width, plane.shape[:2]))
+        name_cut(axes, axis, index)
     return figure

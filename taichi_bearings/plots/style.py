@@ -12,15 +12,37 @@ from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.plots.page import PAGE
 
 RC: dict[Any, Any] = {
-    "font.size": 10,
+    "font.size": 8,  # points on paper; nothing is smaller than 7 but indices
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "figure.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.title_fontsize": 7,
+    "axes.titlepad": 4,
+    "axes.labelpad": 2,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.linewidth": 0.8,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 1.0,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "xtick.minor.size": 1.6,
+    "ytick.minor.size": 1.6,
     "legend.frameon": False,
-    "figure.dpi": 150,
-    "savefig.dpi": 150,
+    "legend.handlelength": 1.6,
+    "savefig.dpi": "figure",
+    "pdf.fonttype": 42,  # letters stay letters, in a font that is embedded
+    "ps.fonttype": 42,
+    "svg.fonttype": "none",
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
 in_our_style = rc_context(RC)  # decorates what makes a figure
@@ -32,16 +54,26 @@ class NotebookFigure(Figure):
     def _repr_png_(self) -> bytes:
         return _png(self)
 
+    @in_our_style
+    def savefig(self, *args: Any, **look: Any) -> None:
+        """As of any figure, with letters as letters."""
+        super().savefig(*args, **look)
 
-def new_figure(width: float = 5.5, height: float = 4.0) -> Figure:
-    """An empty figure, width and height in inches, laid out so that nothing overlaps."""
-    return NotebookFigure(figsize=(width, height), layout="constrained")
+
+DOUBLE, SINGLE = PAGE.inches("double"), PAGE.inches("single")
 
 
-def plain_figure(width: float = 5.5, height: float = 4.0) -> Figure:
+def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
+    """An empty figure, width and height in inches on paper, laid out so that nothing overlaps."""
+    figure = NotebookFigure(figsize=(width, height), dpi=dpi, layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr, call-arg]
+    return figure
+
+
+def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
     """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
-    figure = NotebookFigure(figsize=(width, height))
-    figure.subplots_adjust(left=0.78 / width, right=1 - 0.15 / width, bottom=0.55 / height, top=1 - 0.5 / height)
+    figure = NotebookFigure(figsize=(width, height), dpi=dpi)
+    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.36 / height)
     return figure
 
 
@@ -71,6 +103,7 @@ def shades(number: int) -> list[Any]:
     return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
 
 
+MOST_VECTOR = 2**20  # bytes of a PDF that is written where no file is named
 ENDINGS = (".png", ".pdf", ".svg")
 
 
@@ -87,12 +120,24 @@ def _png(figure: Figure) -> bytes:
     return drawn.getvalue()
 
 
+def save_small(figure: Figure, stem: Path) -> Path:
+    """Write `stem`.pdf, or `stem`.png where the former had more than MOST_VECTOR bytes; returns which."""
+    drawn = _vectors(figure, "pdf")
+    path = stem.with_name(f"{stem.name}.{'pdf' if len(drawn) <= MOST_VECTOR else 'png'}")
+    replace_file(path, drawn if path.suffix == ".pdf" else _png(figure))
+    return path
+
+
 @in_our_style
+def _vectors(figure: Figure, kind: str) -> memoryview:
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=kind)
+    return drawn.getbuffer()
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
     if path.suffix == ".png":
         replace_file(path, _png(figure))
         return
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format=path.suffix[1:])
-    replace_file(path, drawn.getbuffer())
+    replace_file(path, _vectors(figure, path.suffix[1:]))

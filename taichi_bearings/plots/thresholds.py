@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 PANELS = (
@@ -23,26 +24,27 @@ PANELS = (
 
 
 @in_our_style
-def draw_thresholds(views: Sequence[View], by_states: View) -> Figure:
+def draw_thresholds(views: Sequence[View], by_states: View, page: Page = PAGE) -> Figure:
     """Each number against the slip threshold, with its value by the contact states as a broken line.
 
     views : one for each of THRESHOLDS.
     """
-    figure = new_figure(4.8, 6.4)
+    width = page.inches("single")
+    figure = new_figure(width, 1.4 * width, page.dpi)
     panels: Any = figure.subplots(len(PANELS), 1, sharex=True)
     for axes, (name, curves) in zip(panels, PANELS, strict=True):
         for key, label, colour, mark in curves:
             values = [getattr(view, key) for view in views]
-            look: dict[str, Any] = {"ms": 6, "mfc": "white"} if mark == "o" else {"ms": 3}
+            look: dict[str, Any] = {"ms": 4.5, "mfc": "white"} if mark == "o" else {"ms": 2.5}
             axes.plot(THRESHOLDS, values, mark + "-", lw=1.2, color=colour, label=label, **look)
             axes.axhline(getattr(by_states, key), color=colour, ls=(0, (4, 2)), lw=1.0)
         axes.plot([], [], color=GREY, ls=(0, (4, 2)), lw=1.0, label="contact states")
         axes.set(xscale="log", ylabel=name)
-        axes.legend(fontsize=8)
+        axes.legend()
     panels[0].yaxis.set_major_formatter("{x:,.0f}")
     numbers = np.array([(view.domains, view.largest_intermediate) for view in views])
     if numbers.max() > 20:
         panels[1].set_yscale("log" if numbers.min() > 0 else "symlog")
     panels[2].set_ylim(-0.05, 1.05)
-    panels[2].set_xlabel(r"slip threshold, $|v|\,/\,(R\,|\Delta\Omega|)$")
+    panels[2].set_xlabel(r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$")
     return figure

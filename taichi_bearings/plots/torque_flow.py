@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.torque_flow import ForceDistribution, FrictionLoad, PlaneFlow
-from taichi_bearings.plots.lattice import draw_contacts, frame_plane
+from taichi_bearings.plots.lattice import draw_contacts, frame_plane, site_on_paper
+from taichi_bearings.plots.page import AXES, PAGE, Page, columns_on, grid
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
@@ -17,17 +18,21 @@ COLOURS = (
     (ContactState.UNDECIDED, GREY, "undecided"),
 )
 WIDEST = 0.45  # of the lattice spacing: width of the contact that carries most
-AXES = "xyz"
+DARK_ORANGE = "#a34e14"  # for letters
 
 
 @in_our_style
-def draw_torque_flow(load: FrictionLoad, distribution: ForceDistribution, plane: PlaneFlow) -> Figure:
+def draw_torque_flow(
+    load: FrictionLoad, distribution: ForceDistribution, plane: PlaneFlow, page: Page = PAGE
+) -> Figure:
     """Three panels: saturation of the slipless contacts, P(f / <f>), and the current of torque in a plane."""
-    figure = new_figure(13.0, 4.3)
-    saturation, forces, current = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.15))
+    columns = columns_on(page, 3)
+    width = page.inches("double") / columns
+    figure = new_figure(columns * width, -(-3 // columns) * 1.2 * width, page.dpi)
+    saturation, forces, current = grid(figure, page, 3)
     _draw_saturation(saturation, load)
     _draw_distribution(forces, distribution)
-    _draw_current(current, plane)
+    _draw_current(current, plane, 0.9 * width)
     return figure
 
 
@@ -36,18 +41,18 @@ def _draw_saturation(axes: Any, load: FrictionLoad) -> None:
     density = load.slipless / (number * np.diff(load.edges))
     axes.bar(load.edges[:-1], density, np.diff(load.edges), align="edge", color=BLUE, alpha=0.35, linewidth=0)
     axes.step(load.edges, np.append(density, density[-1]), where="post", color=BLUE, lw=1)
-    axes.axvline(1.0, color=ORANGE, lw=2)
+    axes.axvline(1.0, color=ORANGE, lw=1.5)
     axes.annotate(
         f"{load.slipping.sum():,} slipping\ncontacts at 1",
         (1.0, 0.96), (-6, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
-        ha="right", va="top", color=ORANGE, fontsize=9,
+        ha="right", va="top", color=DARK_ORANGE, fontsize=7,
     )  # fmt: skip
     axes.set(
         xlim=(0, 1.02), ylim=(0, 1.25 * max(float(density.max(initial=0.0)), 1e-9)),
-        xlabel=r"saturation $|f| / \mu F_n$", ylabel="probability density, slipless",
+        xlabel=r"saturation, $|f|\,/\,\mu F_n$", ylabel="probability density, slipless",
     )  # fmt: skip
     mean = f", mean {load.mean:.2f}" if len(load.saturation) else ""
-    axes.set_title(f"{len(load.saturation):,} slipless contacts{mean}", fontsize=9)
+    axes.set_title(f"{len(load.saturation):,} slipless contacts{mean}")
 
 
 def _draw_distribution(axes: Any, distribution: ForceDistribution) -> None:
@@ -60,15 +65,15 @@ def _draw_distribution(axes: Any, distribution: ForceDistribution) -> None:
         filled = density > 0
         if filled.any():
             axes.plot(middle[filled], density[filled], color=colour, marker=marker, ms=3, lw=1, label=label)
-    axes.set(yscale="log", xlabel=r"size of the force over its mean, $f / \langle f \rangle$")
-    axes.set(ylabel=r"probability density $P(f / \langle f \rangle)$")
+    axes.set(yscale="log", xlabel=r"force over its mean, $f\,/\,\langle f \rangle$")
+    axes.set(ylabel=r"probability density")
     axes.set_xlim(left=0)
     if axes.lines:
-        axes.legend(fontsize=9)
-    axes.set_title("each with its own mean", fontsize=9)
+        axes.legend()
+    axes.set_title("each with its own mean")
 
 
-def _draw_current(axes: Any, plane: PlaneFlow) -> None:
+def _draw_current(axes: Any, plane: PlaneFlow, width: float) -> None:
     """Contacts as lines between the centres of their spheres, as wide as they carry torque."""
     columns, layers = plane.upright.shape[0], plane.upright.shape[1] + 1
     torque, states = (plane.sideways, plane.upright), (plane.sideways_state, plane.upright_state)
@@ -76,15 +81,15 @@ def _draw_current(axes: Any, plane: PlaneFlow) -> None:
     sizes = np.abs(np.concatenate([values.ravel() for values in torque]))
     largest = float(sizes[state != ContactState.DRIVEN].max(initial=0.0)) or 1.0
     frame_plane(axes, (columns, layers))
-    point = 200.0 / max(columns, layers)  # about the lattice spacing in points
+    site = site_on_paper(width, (columns, layers), width)
     for which, colour, _ in COLOURS:
-        width = WIDEST * point * sizes[state == which] / largest
-        draw_contacts(axes, [values == which for values in states], colors=colour, linewidths=width, capstyle="round")
+        lines = WIDEST * site * sizes[state == which] / largest
+        draw_contacts(axes, [values == which for values in states], colors=colour, linewidths=lines, capstyle="round")
     for layer in (0, layers - 1):
-        axes.plot([-0.5, columns - 0.5], [layer, layer], color="black", lw=2.5, solid_capstyle="butt")
-    place = "" if plane.normal is None else f", plane {AXES[plane.normal]} = {plane.index}"
-    axes.set_title(f"torque about {AXES[plane.component]} through each contact{place}", fontsize=9)
+        axes.plot([-0.5, columns - 0.5], [layer, layer], color="black", lw=1.5, solid_capstyle="butt")
+    place = "" if plane.normal is None else f", plane ${AXES[plane.normal]} = {plane.index}$"
+    axes.set_title(f"torque about ${AXES[plane.component]}${place}")
     shown = [(colour, label) for which, colour, label in COLOURS if (state == which).any()]
     handles = [Line2D([], [], color=colour, lw=3, label=label) for colour, label in shown]
-    handles.append(Line2D([], [], color="black", lw=2.5, label="driven plane"))
-    axes.legend(handles=handles, fontsize=9, ncols=2, loc="upper center", bbox_to_anchor=(0.5, 0.0))
+    handles.append(Line2D([], [], color="black", lw=1.5, label="driven plane"))
+    axes.legend(handles=handles, ncols=2, loc="upper center", bbox_to_anchor=(0.5, 0.0))

@@ -17,6 +17,8 @@ from taichi_bearings.version import VERSION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taichi_bearings.plots.page import Page
+
 
 class Analysis:
     """What the contacts of a solved run form: minimum cut, slipless network, rigid domains, bottlenecks, forces.
@@ -85,13 +87,17 @@ class Analysis:
 
         return [*FIGURES, *(FIGURES_OF_ALL if len(self.arrays) > 1 else ())]
 
-    def plot(self, kind: str) -> "Figure | None":
-        """One of `figures`, as a matplotlib Figure; None if there is nothing to show."""
+    def plot(self, kind: str, page: "Page | None" = None) -> "Figure | None":
+        """One of `figures`, as a matplotlib Figure; None if there is nothing to show. page : how it is printed."""
+        from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 
         if kind not in self.figures:
             raise InputError(f"the figure is {kind!r}; allowed are {', '.join(self.figures)}")
-        return FIGURES_OF_ALL[kind](self._loads) if kind in FIGURES_OF_ALL else FIGURES[kind](self.structure)
+        page = page or PAGE
+        return (
+            FIGURES_OF_ALL[kind](self._loads, page) if kind in FIGURES_OF_ALL else FIGURES[kind](self.structure, page)
+        )
 
 
 def _report(

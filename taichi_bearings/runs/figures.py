@@ -6,6 +6,7 @@ from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.history import draw_history
+from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.runs.snapshot import draw_snapshot
@@ -13,14 +14,22 @@ from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.scene import Solution
 
 KINDS = ("spins", "power", "history", "energy", *FIGURES, *FIGURES_OF_ALL)
+WITH_PLANES = ("spins", "power", "domains", "plane_cuts", "cut_surface", "torque_flow")
+WITH_VIEW = ("spins", "domains", "network", "cut_surface", "bottlenecks")
 
 
 def draw_figure(
-    kind: str, solution: Solution, sample: int = 0, time: float | None = None, slip_threshold: float | None = None
+    kind: str,
+    solution: Solution,
+    sample: int = 0,
+    time: float | None = None,
+    slip_threshold: float | None = None,
+    page: Page = PAGE,
 ) -> Figure:
     """The figure called `kind`; InputError if there is none, or nothing for it to show.
 
     time : of the snapshot whose spins are drawn; slip_threshold : that the run was asked for, if it was.
+    page : how it is printed.
     """
     if kind not in KINDS:
         raise InputError(f"the figure is {kind!r}; allowed are {', '.join(KINDS)}")
@@ -28,23 +37,36 @@ def draw_figure(
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < solution.scene.replicas:
         raise InputError(f"replica is {sample}; the run has {solution.scene.replicas}, counted from 0")
+    _check_page(kind, solution.scene.lattice.shape, page)
     if kind == "spins":
         if time is not None:
-            return draw_snapshot(solution, sample, time, slip_threshold)
-        return draw_spins(solution.scene, solution.spin[sample], [state[sample] for state in solution.state])
+            return draw_snapshot(solution, sample, time, slip_threshold, page)
+        one = solution.sample(sample)
+        return draw_spins(one.scene, one.spin[0], [state[0] for state in one.state], page)
     if kind == "power":
-        return draw_power(solution, sample)
+        return draw_power(solution, sample, page)
     if kind == "history":
-        return draw_history(solution)
-    return draw_energy(solution, sample) if kind == "energy" else _draw_structure(kind, solution, sample)
+        return draw_history(solution, page)
+    return draw_energy(solution, sample, page) if kind == "energy" else _draw_structure(kind, solution, sample, page)
 
 
-def _draw_structure(kind: str, solution: Solution, sample: int) -> Figure:
+def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
+    """InputError for a plane or a view that the figure does not have."""
+    if page.planes and kind not in WITH_PLANES:
+        raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
+    if page.view and kind not in WITH_VIEW:
+        raise InputError(f"view is given, but {kind} shows nothing in 3D; these do: {', '.join(WITH_VIEW)}")
+    if page.view and len(shape) == 2:
+        raise InputError("view is given, but the lattice is flat; only cubic ones are turned")
+    check_planes(page.planes, shape)
+
+
+def _draw_structure(kind: str, solution: Solution, sample: int, page: Page) -> Figure:
     """One figure of the structure of a sample, or of all samples; InputError if there is nothing to show."""
     if kind in FIGURES_OF_ALL:
         loads = [structure_of(solution, number).bottlenecks.loads for number in range(solution.scene.replicas)]
-        return FIGURES_OF_ALL[kind](loads)
-    figure = FIGURES[kind](structure_of(solution, sample))
+        return FIGURES_OF_ALL[kind](loads, page)
+    figure = FIGURES[kind](structure_of(solution, sample), page)
     if figure is None:
         raise InputError(f"the run has nothing for {kind} to show: it holds no friction forces of the Coulomb law")
     return figure

@@ -440,7 +440,11 @@ def _drawn() -> list[str]:
     from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 
     figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
-    return [*(f"{name}.png" for name in figures), "power_histogram.csv", "power_histogram.h5"]
+    return [
+        *(f"{name}.{ending}" for name in figures for ending in ("png", "pdf")),
+        "power_histogram.csv",
+        "power_histogram.h5",
+    ]
 
 
 def write_run(folder: Path, found: Run) -> None:

@@ -4,14 +4,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.spins import draw_spins
+from taichi_bearings.plots.symbols import describe, driving
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
 
 ELASTIC = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 
 
-def draw_snapshot(solution: Solution, replica: int, time: float, slip_threshold: float | None = None) -> Figure:
+def draw_snapshot(
+    solution: Solution, replica: int, time: float, slip_threshold: float | None = None, page: Page = PAGE
+) -> Figure:
     """The snapshot nearest to a simulated time, which the title names, and the contacts that slip in it.
 
     Friction is not kept with a snapshot: a contact slips if it does so faster than the slip threshold of the run.
@@ -37,6 +41,9 @@ def draw_snapshot(solution: Solution, replica: int, time: float, slip_threshold:
         np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, speed[0] > threshold)
         for axis, speed in enumerate(speeds)
     ]
-    figure = draw_spins(scene, spin, state)
-    figure.suptitle(f"t = {kept[nearest]:.6g}; black: contacts that slip faster than {threshold:.1e}", fontsize=9)
-    return figure
+    unit, symbol = driving(scene)
+    when = f"$t = {kept[nearest]:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * kept[nearest]:.6g}$")
+    note = f"black: contacts that slip faster than {threshold:.1e}"
+    if scene.jump:
+        note += rf" $= {threshold / (scene.lattice.radius * scene.jump):.1g}\,R\,|\Delta\omega|$"
+    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", note)

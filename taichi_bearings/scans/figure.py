@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
+from taichi_bearings.analysis.fit import KINDS, Fit, fit, read_fit
 from taichi_bearings.analysis.statistics import (
     LEAST,
     QUANTILES,
@@ -20,11 +21,14 @@ from taichi_bearings.analysis.statistics import (
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
 from taichi_bearings.files.whole_file import refuse_standing, write_csv
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import refuse_ending, save
+from taichi_bearings.plots.symbols import SYMBOLS, column_label
 from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
 from taichi_bearings.scans.systems import disorder_of, mixture, numbered
 from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
+from taichi_bearings.words import with_error
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
@@ -32,6 +36,7 @@ BARS = {  # name -> what the title says of points and bars
     "bootstrap": "means with 95 % intervals",
 }
 SIZE = "L"
+TWO_SIDED = 1.96  # standard errors on each side of a 95 % interval
 MOST_CURVES = 24
 Plotted = tuple[float, float, float, float]
 
@@ -44,6 +49,8 @@ class Request:
     where : conditions KEY=VALUE on the samples. bars : a key of BARS; default standard-error, for A/B bootstrap.
     collapse : exponents (a, b), to plot y L^-a against x L^b with a curve for each L. log : "", "x", "y" or "xy".
 
+    fit : a line through the points of each curve as `analysis.fit.read_fit` reads it; fit_range : of x, for these.
+
     L, where the scan has no column of that name, is the height of the lattice: the last number of its shape.
     """
 
@@ -54,6 +61,8 @@ class Request:
     bars: str | None = None
     collapse: tuple[float, float] | None = None
     log: str = ""
+    fit: str | None = None
+    fit_range: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -98,15 +107,17 @@ def plot_scan(
     out: Path | None = None,
     force: bool = False,
     tell: Callable[[str], None] = lambda _: None,
+    page: Page = PAGE,
 ) -> list[Path]:
     """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
 
-    out : PNG, PDF or SVG; default: into the directory of the scan, where an earlier one is replaced.
-    tell : hears how many of how many samples are in the figure, and in each curve that lacks some.
+    out : PNG, PDF or SVG; default: a PDF into the directory of the scan, where an earlier one is replaced.
+    tell : hears how many of how many samples are in the figure, and in each curve that lacks some; and of each fit.
+    page : how it is printed.
     Raises InputError or FileError before anything is written.
     """
     scan = open_scan(path)
-    figure = out or scan.path.parent / f"{request.stem}.png"
+    figure = out or scan.path.parent / f"{request.stem}.pdf"
     refuse_ending(figure)
     table = figure.with_suffix(".csv")
     refuse_standing((figure, table), force or out is None)
@@ -114,7 +125,11 @@ def plot_scan(
     points = points_of(columns, request)
     for line in accounts_of(columns, request):
         tell(line)
-    save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request)), figure)
+    curves = curves_of(points, request)
+    save(draw_scan(curves, look_of(scan, columns, points, request), page), figure)
+    for curve in curves:
+        if curve.fit:
+            tell(f"{curve.label}: {_in_words(curve.fit)}" if curve.label else _in_words(curve.fit))
     names, rows = rows_of(points, request)
     write_csv(table, names, rows)
     return [figure, table]
@@ -275,8 +290,29 @@ def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
         drawn = np.array([point.plot for point in own if point.number]).reshape(-1, 4)
         label = ", ".join(map(str, part))
         asked = sum(point.census.asked for point in own)
-        curves.append(Curve(label if len(drawn) else f"{label}: none of {asked:,} samples", *drawn.T))
+        name = label if len(drawn) else f"{label}: none of {asked:,} samples"
+        x, y, low, high = drawn.T
+        curves.append(Curve(name, x, y, low, high, _fitted(drawn, request) if len(drawn) else None))
+    if request.fit and any(isinstance(point.x, str) for point in points):
+        raise InputError(f"fit is {request.fit!r}, but {request.x} has texts; a fit needs numbers")
     return curves
+
+
+def _fitted(drawn: np.ndarray, request: Request) -> Fit | None:
+    """The line through the points (P, 4) of a curve, if one is asked for; quartiles are no errors and weigh nothing."""
+    if request.fit is None:
+        return None
+    kind, slope = read_fit(request.fit)
+    low, high = request.fit_range
+    x, y, least, most = drawn[(drawn[:, 0] >= low) & (drawn[:, 0] <= high)].T
+    errors = {"standard-error": (most - least) / 2, "bootstrap": (most - least) / 2 / TWO_SIDED}
+    return fit(kind, x, y, errors.get(request.bars_shown), slope)
+
+
+def _in_words(found: Fit) -> str:
+    value = f"{found.slope:g}, a guide" if math.isnan(found.error) else with_error(found.slope, found.error)
+    scatter = "" if math.isnan(found.chi_square) else f", chi-square {found.chi_square:.2g} per degree of freedom"
+    return f"{found.kind}: {KINDS[found.kind].slope} {value}, from {found.low:g} to {found.high:g}{scatter}"
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequence[Point], request: Request) -> Look:
@@ -293,17 +329,14 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
     numbers = all(isinstance(point.x, (int, float)) for point in points)
     return Look(
-        x_label=_scaled(request.x, b),
-        y_label=_scaled(request.y, -a),
+        x_label=column_label(request.x, b),
+        y_label=column_label(request.y, -a),
         title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}",
         legend=", ".join(request.parts),
         log=request.log,
+        symbol="x" if request.collapse else SYMBOLS.get(request.x, ("x", ""))[0],
         ticks=() if numbers else list(dict.fromkeys(point.x for point in sorted(points, key=lambda p: p.plot[0]))),
     )
-
-
-def _scaled(name: str, exponent: float) -> str:
-    return name if exponent == 0 else f"{name} · $L^{{{exponent:g}}}$"
 
 
 def rows_of(points: Sequence[Point], request: Request) -> tuple[list[str], list[list[Any]]]:

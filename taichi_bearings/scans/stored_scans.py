@@ -67,7 +67,8 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
     except FileError:
         pass  # no scan.h5, or one that says nothing
     tables = [table for table in folder.glob("*_against_*.csv") if _is_of_a_figure(table)]
-    return [file for table in tables for file in (table.with_suffix(".png"), table) if file.is_file()]
+    endings = (".pdf", ".png", ".csv")
+    return [file for table in tables for file in map(table.with_suffix, endings) if file.is_file()]
 
 
 def _is_of_a_figure(table: Path) -> bool:

@@ -376,7 +376,7 @@ def test_energy_books_are_drawn_and_missed_where_there_are_none(tmp_path, finish
     assert done.returncode == 0, done.stderr
     done = bearings("plot", "energy", tmp_path / "run", "--replica", "1")
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "run" / "energy.png").stat().st_size > 10_000
+    assert (tmp_path / "run" / "energy.pdf").stat().st_size > 10_000
     with h5py.File(tmp_path / "run" / "run.h5") as file:
         assert file["snapshots/spin"].shape == (2, 2, 3, 3, 4, 3)
         np.testing.assert_allclose(file["snapshots/time"][()], [[0, 0.005]] * 2, rtol=1e-12)

@@ -126,7 +126,7 @@ def test_what_a_folder_holds_removes_nothing_outside_of_it(stranger, tmp_path):
     assert (tmp_path / "elsewhere" / "file").exists()
 
 
-@pytest.mark.parametrize("name", ["run.h5", "domains.png", "spins.png", ".in-use"])
+@pytest.mark.parametrize("name", ["run.h5", "domains.png", "spins.pdf", ".in-use"])
 def test_nothing_is_written_through_a_link_out_of_a_run(stranger, tmp_path, name):
     mine = tmp_path / "mine"
     mine.write_bytes((stranger / "run.h5").read_bytes())
@@ -134,7 +134,7 @@ def test_nothing_is_written_through_a_link_out_of_a_run(stranger, tmp_path, name
     (stranger / name).symlink_to(mine)
     before, answer = (
         mine.read_bytes(),
-        answer_to(*(["plot", "spins"] if name == "spins.png" else ["analyse"]), stranger),
+        answer_to(*(["plot", "spins"] if name == "spins.pdf" else ["analyse"]), stranger),
     )
     assert "link out of its folder" in answer.errors or name == "domains.png"  # a figure that is drawn anew goes first
     assert mine.read_bytes() == before

@@ -105,7 +105,7 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
         plot_scan(scan.path, request, tmp_path / "figure.png")
     plot_scan(scan.path, request, tmp_path / "figure.png", force=True)
     own = plot_scan(scan.path, Request("power/slipping", "L", by=("spin_bottom",)))
-    assert own[0] == scan.path.parent / "power_over_slipping_against_L_by_spin_bottom.png"
+    assert own[0] == scan.path.parent / "power_over_slipping_against_L_by_spin_bottom.pdf"
     assert plot_scan(scan.path, Request("power/slipping", "L", by=("spin_bottom",))) == own
 
 

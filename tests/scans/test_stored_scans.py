@@ -60,7 +60,7 @@ def test_a_killed_scan_opens_with_what_it_has(folder):
     assert "# law viscous: slip_threshold " in text
     assert "samples 2 of 6 (4 not computed yet)" in text
     assert {file.name for file in folder.iterdir()} == {
-        "samples.jsonl", "scan.toml", "power_against_law.png", "power_against_law.csv",
+        "samples.jsonl", "scan.toml", "power_against_law.pdf", "power_against_law.csv",
     }  # fmt: skip
 
 

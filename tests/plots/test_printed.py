@@ -1,0 +1,236 @@
+"""Figures as a journal prints them: of the size that was asked for, nothing clipped, letters legible and letters."""
+
+import io
+import itertools
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.text import Text
+
+import taichi_bearings as tb
+from taichi_bearings.analysis.fit import Fit, fit, read_fit
+from taichi_bearings.errors import InputError
+from taichi_bearings.plots.energy import draw_energy
+from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
+from taichi_bearings.plots.network import behind, draw_network
+from taichi_bearings.plots.page import Page, View, read_dpi, read_plane, read_view, read_width
+from taichi_bearings.plots.power import draw_power
+from taichi_bearings.plots.scan import Curve, Look, draw_scan, formula
+from taichi_bearings.plots.spins import draw_spins
+from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
+from taichi_bearings.plots.symbols import column_label
+from taichi_bearings.runs.figures import KINDS, draw_figure
+from taichi_bearings.scene import Solution
+from tests.plots.test_structure_figures import Case
+from tests.scenes import make_scene
+
+INCH = 2.54
+
+
+@pytest.fixture(scope="module")
+def solved() -> Solution:
+    found = tb.solve(tb.Scene.random((4, 3, 5), seed=1, spin_bottom=0.1), "interior-point", threads=1)._run.solution
+    books = {f"{name}_energy": np.array([[sign], [2.0], [30.0]]) for name, sign in BOOKS.items()}
+    history = {"iteration": np.arange(3), "time": np.array([1e-3, 1e-1, 1.0]), **books}
+    residual = {"energy_residual": np.array([[1e-9], [-1e-8], [1e-9]])}
+    powers = {name: np.repeat(found.history[name][-1:], 3, axis=0) for name in ("power", "lower_bound")}
+    return replace(found, history=history | residual | powers)
+
+
+BOOKS = {"injected": 0.01, "dissipated": -0.02, "kinetic": 0.3, "spring": 0.1}
+
+
+def beyond(figure):
+    """Inches by which what is drawn reaches beyond the paper."""
+    figure.draw_without_rendering()
+    box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+    return max(-box.x0, -box.y0, box.x1 - width, box.y1 - height)
+
+
+def drawn(axes, kind=LineCollection):
+    return [c for c in axes.collections if type(c) is kind]
+
+
+@pytest.mark.parametrize("width", ["single", "double"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_figure_is_as_wide_as_asked_with_nothing_clipped_and_legible(kind, width, solved):
+    wide = read_width(width)
+    figure = draw_figure(kind, solved, page=Page(width=wide))
+    assert figure.get_figwidth() * INCH <= wide * (1 + 1e-9)
+    assert figure.get_figwidth() * INCH > 0.6 * wide
+    assert beyond(figure) < 0.01
+    written = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    assert min(text.get_fontsize() for text in written) >= 7
+
+
+def test_letters_are_embedded_as_letters(solved, tmp_path):
+    figure = draw_figure("history", solved)
+    save(figure, tmp_path / "a.pdf")
+    pdf = (tmp_path / "a.pdf").read_bytes()
+    assert b"/FontFile2" in pdf
+    assert b"/Type3" not in pdf
+    save(figure, tmp_path / "a.svg")
+    assert re.search(r"<text[^>]*>.*proven lower bound", (tmp_path / "a.svg").read_text(), re.DOTALL)
+    own = io.BytesIO()
+    figure.savefig(own, format="pdf")  # from a notebook, outside of our files
+    assert b"/Type3" not in own.getvalue()
+
+
+def test_without_a_name_a_figure_is_vectors_unless_they_are_many(solved, tmp_path, monkeypatch):
+    figure = draw_figure("history", solved)
+    assert save_small(figure, tmp_path / "a") == tmp_path / "a.pdf"
+    assert (tmp_path / "a.pdf").stat().st_size <= MOST_VECTOR
+    monkeypatch.setattr("taichi_bearings.plots.style.MOST_VECTOR", 1000)
+    assert save_small(figure, tmp_path / "b") == tmp_path / "b.png"
+    assert not (tmp_path / "b.pdf").exists()
+
+
+def test_negative_energy_is_seen_on_an_axis_whose_labels_have_room(solved):
+    axes = draw_energy(solved).axes[0]
+    (line,) = [line for line in axes.lines if line.get_label() == "dissipated"]
+    assert line.get_ydata()[0] == pytest.approx(-0.02 / (50 * 0.5))
+    axes.figure.draw_without_rendering()
+    low, high = axes.get_ylim()
+    assert low < line.get_ydata()[0] < 0 < line.get_ydata()[-1] < high
+    boxes = sorted((t.get_window_extent() for t in axes.get_yticklabels()), key=lambda box: box.y0)
+    assert len(boxes) > 4
+    assert all(a.y1 < b.y0 for a, b in itertools.pairwise(boxes))
+    places = axes.transData.transform([(1.0, tick) for tick in axes.get_yticks()])[:, 1]
+    assert np.diff(np.sort(places)).min() > 0
+    positive = replace(solved, history=solved.history | {"dissipated_energy": np.full((3, 1), 0.5)})
+    assert draw_energy(positive).axes[0].get_yscale() == "log"
+
+
+def test_the_planes_and_the_view_that_were_asked_for_are_shown(solved):
+    page = Page(planes=(read_plane("z=2"), read_plane("x=0")), view=read_view("-30,40"))
+    axes = draw_figure("spins", solved, page=page).axes
+    assert [a.get_title() for a in axes[1:3]] == ["$z = 2$", "$x = 0$"]
+    assert (axes[1].get_xlabel(), axes[1].get_ylabel()) == ("$x$", "$y$")
+    (discs,) = [c for c in axes[1].collections if type(c) is not LineCollection]
+    assert len(discs.get_facecolors()) == 4 * 3
+    seen = [draw_figure("network", solved, page=Page(view=view)).axes[1] for view in (None, View(60.0, 10.0))]
+    first, other = ([line for c in drawn(a) for line in c.get_segments()] for a in seen)
+    assert len(first) == len(other)
+    assert not np.allclose(first, other)
+
+
+@pytest.mark.parametrize(
+    ("kind", "page", "sentence"),
+    [
+        ("spins", Page(planes=((0, 4),)), "from 0 to 3"),
+        ("history", Page(planes=((0, 1),)), "shows no planes"),
+        ("power", Page(view=View()), "nothing in 3D"),
+        ("torque_flow", Page(planes=((2, 1),)), "across a component"),
+        ("spins", Page(planes=((0, 1),) * 13), "at most 12"),
+    ],
+)
+def test_planes_and_views_that_are_not_there_are_refused(kind, page, sentence, solved):
+    with pytest.raises(InputError, match=sentence):
+        draw_figure(kind, solved, page=page)
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (read_width, "wide"), (read_width, "1"), (read_width, "nan"), (read_dpi, "1e9"), (read_dpi, "0.5"),
+        (read_plane, "5"), (read_plane, "w=1"), (read_plane, "x=-1"), (read_view, "1"), (read_view, "91,0"),
+        (read_view, "nan,0"), (read_fit, "square"), (read_fit, "power:x"), (read_fit, "power:inf"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_printed_is_refused_in_a_sentence(read, text):
+    with pytest.raises(InputError, match=re.escape(repr(text))):
+        read(text)
+
+
+def test_lines_on_large_lattices_leave_the_spins_to_be_seen():
+    scene = make_scene((200, 100), law="viscous")
+    spin = np.zeros(scene.lattice.shape)
+    slips = [np.ones(scene.lattice.contact_shape(axis), dtype=np.int8) for axis in range(2)]
+    figure = draw_spins(scene, spin, slips)
+    assert not any(c.get_segments() for c in drawn(figure.axes[0]))
+    assert "contacts slip" in figure.get_suptitle()
+    slips[1][:, 50:] = 0
+    slips[0][:] = 0
+    site = site_on_paper(figure.get_figwidth(), scene.lattice.shape)
+    (walls,) = [c for c in drawn(draw_spins(scene, spin, slips).axes[0]) if c.get_segments()]
+    assert walls.get_linewidth()[0] < site
+    assert walls.get_rasterized() == (len(walls.get_segments()) > MOST_LINES)
+    assert line_on_site(20, 0.15) > line_on_site(5, 0.15)
+
+
+def test_of_a_dense_network_the_contacts_behind_the_path_are_drawn():
+    case = Case((20, 20, 20), levels=(0.0, 1.0))
+    assert case.network.ends.shape[1] > MOST_LINES
+    axes = draw_network(case.network, case.spin, *case.driving).axes[1]
+    assert "behind" in axes.get_title()
+    (grey,) = [c for c in axes.collections if c.get_label() == "slipless contacts"]
+    points = np.stack(np.unravel_index(case.network.ends, (20,) * 3), axis=-1).swapaxes(0, 1)
+    on_side = behind(points, (20,) * 3, View())
+    assert len(grey.get_segments()) == on_side.sum()
+    far = (points[on_side][:, :, 0] == 0) | (points[on_side][:, :, 1] == 19) | (points[on_side][:, :, 2] == 0)
+    assert far.any(axis=1).all()  # seen from large x, small y and above
+
+
+def test_power_is_in_units_on_its_axis(solved):
+    figure = draw_power(solved)
+    labels = [a.get_ylabel() for a in figure.axes]
+    assert r"$P_{ij}\,/\,(F_n R\,\omega_T)$" in labels
+    lines = [c.get_array() for a in figure.axes[:2] for c in drawn(a) if c.get_array() is not None]
+    unit = 50.0 * 0.5 * 1.0
+    assert np.concatenate(lines).max() <= max(p.max() for p in solved.power_per_contact) / unit * (1 + 1e-12)
+    assert column_label("power/power_minimum_cut") == r"$\langle P \rangle\,/\,\langle P_\mathrm{cut} \rangle$"
+    assert column_label("largest_spread") == "largest_spread"
+
+
+X = np.array([2.0, 4.0, 8.0, 16.0, 32.0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "y", "slope"),
+    [("power", 3 * X**1.5, 1.5), ("exponential", 2 * np.exp(-0.3 * X), -0.3), ("log", 1 - 2 * np.log(X), -2.0)],
+)
+def test_fits_find_what_is_there(kind, y, slope):
+    found = fit(kind, X, y)
+    assert found.slope == pytest.approx(slope)
+    assert found.error == pytest.approx(0, abs=1e-7)
+    assert found(X) == pytest.approx(y)
+    assert (found.low, found.high) == (2, 32)
+
+
+def test_the_error_of_an_exponent_is_that_of_repeated_draws():
+    draw, sigma = np.random.default_rng(9), 0.05 * X**1.5
+    fits = [fit("power", X, X**1.5 + draw.normal(0, sigma), sigma) for _ in range(400)]
+    spread = np.std([found.slope for found in fits])
+    typical = np.median([found.error for found in fits])  # enlarged where chi-square per degree of freedom is above 1
+    assert spread == pytest.approx(typical, rel=0.25)
+    assert np.mean([found.slope for found in fits]) == pytest.approx(1.5, abs=4 * spread / 20)
+    weighed = fit("power", X, X**1.5 * np.array([1, 1, 1, 1, 2]), np.array([1, 1, 1, 1, 1e6]) * 1e-3)
+    assert weighed.slope == pytest.approx(1.5, abs=1e-3)  # a point without weight moves nothing
+
+
+def test_guides_keep_their_slope_and_bad_data_are_refused():
+    guide = fit("power", X, 3 * X**1.5, slope=1.0)
+    assert guide.slope == 1.0
+    assert "guide" in formula(guide, "L")
+    assert r"s = 1.50 \pm 0.10" in formula(Fit("power", 0.0, 1.5, 0.1, 2, 32), "L")
+    assert r"2 \leq L \leq 32" in formula(Fit("power", 0.0, 1.5, 0.1, 2, 32), "L")
+    for kind, x, y in (("power", X, X - 2), ("power", X - 2, X), ("exponential", X, -X), ("log", X - 2, X)):
+        with pytest.raises(InputError, match="above 0"):
+            fit(kind, x, y)
+    with pytest.raises(InputError, match="needs 3"):
+        fit("power", X[:2], X[:2])
+
+
+def test_a_fitted_line_is_drawn_over_its_range_and_named():
+    found = fit("power", X[1:4], X[1:4] ** 2)
+    curves = [Curve("a", X, X**2, X**2, X**2, found), Curve("b", X, X, X, X, replace(found, kind="log"))]
+    figure = draw_scan(curves, Look("x", "y", log="xy", symbol="L"))
+    line = figure.axes[0].lines[-2] if figure.axes[0].lines[-1].get_linestyle() != "--" else figure.axes[0].lines[-1]
+    assert line.get_xdata()[[0, -1]].tolist() == pytest.approx([4, 16])
+    names = [text.get_text() for text in figure.legends[0].texts]
+    assert names[0] == "a"
+    assert names[1].startswith("${L}^s$")
+    assert beyond(figure) < 0.01
