@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.suggestions import Group
 
 
-@click.group()
+@click.group(cls=Group)
 def command() -> None:
     """Measure speed and accuracy."""
 

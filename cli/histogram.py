@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.suggestions import Choice
 
 
 @click.command()
@@ -14,7 +15,7 @@ from taichi_bearings_cli.options import json_option
     help="Width of the bins; with a scan 1, 2, 4, 5, 10 or 20.",
 )  # fmt: skip
 @click.option(
-    "--normalise", type=click.Choice(["none", "unit", "mean"]), default="none", show_default=True,
+    "--normalise", type=Choice(["none", "unit", "mean"]), default="none", show_default=True,
     help="Count power in F_n R omega_T (unit), or in the mean power of the contacts of each sample (mean).",
 )  # fmt: skip
 @click.option(

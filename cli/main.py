@@ -8,6 +8,7 @@ import os
 import sys
 
 import click
+from taichi_bearings_cli.suggestions import Group
 
 from taichi_bearings import interrupts
 from taichi_bearings.errors import BearingsError
@@ -19,6 +20,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "analyse": "Minimum cut, slipless network, rigid domains, bottlenecks and forces of a run.",
     "histogram": "Distribution of the power per contact of runs and scans.",
     "plot": "One figure from a run or a scan.",
+    "list": "Runs and scans in a folder, with what they hold.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed, as ratios within one run.",
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
@@ -26,7 +28,7 @@ COMMANDS = {  # name -> (module, one line for --help)
 }
 
 
-class LazyGroup(click.Group):
+class LazyGroup(Group):
     """Lists the commands without importing them, so that --help answers at once."""
 
     def list_commands(self, context: click.Context) -> list[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from taichi_bearings_cli.suggestions import Choice
 
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
@@ -17,7 +18,7 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 
 
 @click.command()
-@click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
+@click.argument("kind", type=Choice(KINDS), metavar="KIND")
 @click.argument("run", metavar="RUN")
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
 @click.option(
@@ -28,14 +29,14 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 @click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
 @click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
 @click.option(
-    "--bars", type=click.Choice(["standard-error", "quartiles", "bootstrap"]), default=None,
+    "--bars", type=Choice(["standard-error", "quartiles", "bootstrap"]), default=None,
     help="scan: mean and standard error, median and quartiles, or mean and 95 % interval. "
     "[default: standard-error; for a ratio bootstrap]",
 )  # fmt: skip
 @click.option(
     "--collapse", metavar="A,B", default=None, help="scan: y L^-A against x L^B, a curve for each size L (the height)."
 )
-@click.option("--log", type=click.Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
+@click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
 @click.option(
     "--fit", metavar="KIND[:SLOPE]", default=None,
     help="scan: a line through each curve: power, exponential or log; with a slope a guide, as power:1.5.",

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.suggestions import Choice
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.words import counted
@@ -25,7 +26,7 @@ from taichi_bearings.words import counted
     help="Solve on the workers of the Dask scheduler there, such as tcp://node:8786.",
 )  # fmt: skip
 @click.option(
-    "--cluster", type=click.Choice(["slurm", "pbs", "sge", "lsf", "local"]), default=None,
+    "--cluster", type=Choice(["slurm", "pbs", "sge", "lsf", "local"]), default=None,
     help="Start Dask workers, --workers of them, as jobs in a queue or on this machine, and solve there.",
 )  # fmt: skip
 @click.option(

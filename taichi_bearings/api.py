@@ -28,6 +28,7 @@ from taichi_bearings.scene import Scene, Snapshots
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
+from taichi_bearings.words import meant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -349,7 +350,7 @@ def _settings(
         if name not in ("tolerance", *OPTIONS):
             raise InputError(
                 f"{name} is no option of solve, which has {', '.join(OPTIONS)}; "
-                "options of a method belong to it, as in CundallStrack(stiffness=1e6)"
+                "options of a method belong to it, as in CundallStrack(stiffness=1e6)" + meant(name, OPTIONS)
             )
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
     values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}

@@ -8,10 +8,13 @@ from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.words import meant
 
 
 class Kind:
     """How a value is read and what is allowed, in words that complete "it must be ..."."""
+
+    known: Collection[str] = ()  # words that it is one of, if it is
 
     def __init__(self, read: Callable[[Any], Any], allowed: str, metavar: str) -> None:
         self.read, self.allowed, self.metavar = read, allowed, metavar
@@ -79,17 +82,21 @@ class OneOf(Kind):
         self.names, self.table = names, table
 
     def read(self, value: Any) -> str:
-        if value not in (*self.names, *self.table):
+        if value not in self.known:
             raise ValueError
         return value
 
     @property
+    def known(self) -> tuple[str, ...]:  # type: ignore[override]
+        return (*self.names, *self.table)
+
+    @property
     def allowed(self) -> str:  # type: ignore[override]
-        return "one of " + ", ".join((*self.names, *self.table))
+        return "one of " + ", ".join(self.known)
 
     @property
     def metavar(self) -> str:  # type: ignore[override]
-        return "|".join((*self.names, *self.table))
+        return "|".join(self.known)
 
 
 LEAST, MOST = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
@@ -132,7 +139,9 @@ class Option:
             return self.kind.read(value)
         except (ValueError, TypeError, KeyError, OverflowError):
             shown = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-            raise InputError(f"{name} is {shown!r}; it must be {self.kind.allowed}") from None
+            raise InputError(
+                f"{name} is {shown!r}; it must be {self.kind.allowed}{meant(shown, self.kind.known)}"
+            ) from None
 
     def is_used_by(self, method: Any, law: Any) -> bool:
         """method : None for one that is not known, which uses what all use."""
@@ -158,5 +167,5 @@ def chosen(option: str, names: str | None, table: Collection[str]) -> tuple[str,
     found = tuple(table) if names is None else tuple(dict.fromkeys(names.split(",")))
     for name in found:
         if name not in table:
-            raise InputError(f"{option} is {names!r}; {name!r} is none of {', '.join(table)}")
+            raise InputError(f"{option} is {names!r}; {name!r} is none of {', '.join(table)}{meant(name, table)}")
     return found

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from taichi_bearings import compiler, devices
 from taichi_bearings.errors import DeviceError
+from taichi_bearings.words import meant
 
 GPUS = ("cuda", "metal", "vulkan")  # as auto tries them
 ARCHITECTURES = ("cpu", "cuda", "vulkan", "metal", "auto")
@@ -85,9 +86,11 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     """
     global _current, _owner
     if arch not in ARCHITECTURES:
-        raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}")
+        raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}{meant(arch, ARCHITECTURES)}")
     if precision not in PRECISIONS:
-        raise DeviceError(f"precision is {precision!r}; allowed are {', '.join(PRECISIONS)}")
+        raise DeviceError(
+            f"precision is {precision!r}; allowed are {', '.join(PRECISIONS)}{meant(precision, PRECISIONS)}"
+        )
     if threads < 0:
         raise DeviceError(f"threads is {threads}; it must be 1 or more, or 0 for all")
     from taichi_bearings.compiler import ti

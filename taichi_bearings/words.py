@@ -1,9 +1,13 @@
-"""Numbers in sentences for people."""
+"""Numbers and mistyped words in sentences for people."""
 
+import difflib
 import math
+from collections.abc import Iterable
 
 MOST_DIGITS = 12
 SMALL = -4  # decimal exponent below which numbers are written with one
+ALIKE = 0.6  # share of the letters that a mistyped word has in common with what was meant
+LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
 
 
 def share(value: float, digits: int = 1) -> str:
@@ -43,3 +47,22 @@ def with_error(value: float, error: float) -> str:
     place = math.floor(math.log10(error))
     place -= error < 2 * 10.0**place
     return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, error))
+
+
+def meant(word: object, known: Iterable[str]) -> str:
+    """The end of a sentence that refuses a word: the one of the known words that was likely meant; empty if none is.
+
+    >>> meant("interior_pont", ["planar-cut", "interior-point"]), meant("implicit", ["implicit-cundall-strack"])
+    ("; did you mean 'interior-point'?", "; did you mean 'implicit-cundall-strack'?")
+    >>> meant("x", ["planar-cut"])
+    ''
+    """
+    names = {_folded(name): name for name in known}
+    text = _folded(word)
+    near = difflib.get_close_matches(text, names, n=1, cutoff=ALIKE)
+    near = near or [name for name in names if len(text) >= LEAST_LETTERS and name.startswith(text)]
+    return f"; did you mean {names[near[0]]!r}?" if near else ""
+
+
+def _folded(word: object) -> str:
+    return str(word).lower().replace("_", "-")

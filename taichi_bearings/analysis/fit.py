@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.words import meant
 
 LEAST_POINTS = 3
 
@@ -61,6 +62,7 @@ def read_fit(text: str) -> tuple[str, float | None]:
     except ValueError:
         raise InputError(
             f"fit is {text!r}; it must be {', '.join(KINDS)}, or one of them with a slope for a guide, as in power:1.5"
+            + meant(name, KINDS)
         ) from None
     return name, slope
 

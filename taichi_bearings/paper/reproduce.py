@@ -14,7 +14,7 @@ from taichi_bearings.paper.claims import KINDS, VERDICTS, Claim, Effort
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
-from taichi_bearings.words import counted
+from taichi_bearings.words import counted, meant
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def choose_figures(names: Sequence[str]) -> list[str]:
     """The figures asked for, each once; all of them if none is named."""
     for name in names:
         if name not in FIGURES:
-            raise InputError(f"figure is {name!r}; allowed are {', '.join(FIGURES)}")
+            raise InputError(f"figure is {name!r}; allowed are {', '.join(FIGURES)}{meant(name, FIGURES)}")
     return list(dict.fromkeys(names)) or list(FIGURES)
 
 

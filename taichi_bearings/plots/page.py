@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.words import meant
 
 COLUMNS = {"single": 8.6, "double": 17.8}  # widths of a journal's columns, cm
 INCH = 2.54  # cm
@@ -80,6 +81,7 @@ def read_width(text: str) -> float:
         names = ", ".join(f"{name} ({width:g})" for name, width in COLUMNS.items())
         raise InputError(
             f"width is {text!r}; it must be {names} or a number of cm from {NARROWEST:g} to {WIDEST:g}"
+            + meant(text, COLUMNS)
         ) from None
 
 

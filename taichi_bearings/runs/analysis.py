@@ -13,6 +13,7 @@ from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each
 from taichi_bearings.version import VERSION
+from taichi_bearings.words import meant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,7 +71,8 @@ class Analysis:
     def __getattr__(self, name: str) -> Any:
         if name in self.__dict__.get("report", {}):
             return self.report[name]
-        raise AttributeError(f"an analysis has no {name!r}; it has {', '.join(self.__dict__.get('report', {}))}")
+        known = self.__dict__.get("report", {})
+        raise AttributeError(f"an analysis has no {name!r}; it has {', '.join(known)}{meant(name, known)}")
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self.report]
@@ -93,7 +95,9 @@ class Analysis:
         from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 
         if kind not in self.figures:
-            raise InputError(f"the figure is {kind!r}; allowed are {', '.join(self.figures)}")
+            raise InputError(
+                f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
+            )
         page = page or PAGE
         return (
             FIGURES_OF_ALL[kind](self._loads, page) if kind in FIGURES_OF_ALL else FIGURES[kind](self.structure, page)

@@ -12,6 +12,7 @@ from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.runs.snapshot import draw_snapshot
 from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.scene import Solution
+from taichi_bearings.words import meant
 
 KINDS = ("spins", "power", "history", "energy", *FIGURES, *FIGURES_OF_ALL)
 WITH_PLANES = ("spins", "power", "domains", "plane_cuts", "cut_surface", "torque_flow")
@@ -32,7 +33,7 @@ def draw_figure(
     page : how it is printed.
     """
     if kind not in KINDS:
-        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(KINDS)}")
+        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < solution.scene.replicas:

@@ -3,7 +3,6 @@
 What belongs to every run is declared here; the options of a method are those that its row in solvers/table.py declares.
 """
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -33,6 +32,7 @@ from taichi_bearings.options import (
 )
 from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.solvers.table import METHODS, MethodOptions, Springs
+from taichi_bearings.words import meant
 
 
 def _times(value: Any) -> str:
@@ -174,8 +174,7 @@ class RunSettings:
         """Settings from key-value pairs; an unknown key is refused, with the nearest known one."""
         for key in values:
             if key not in cls.keys():
-                near = difflib.get_close_matches(key, cls.keys(), n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else f"; known keys are {', '.join(cls.keys())}"
+                hint = meant(key, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
                 raise InputError(f"unknown key {key!r} in {source}{hint}")
         return cls(**values)
 

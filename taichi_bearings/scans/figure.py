@@ -28,7 +28,7 @@ from taichi_bearings.plots.symbols import SYMBOLS, column_label
 from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
 from taichi_bearings.scans.systems import disorder_of, mixture, numbered
 from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
-from taichi_bearings.words import with_error
+from taichi_bearings.words import meant, with_error
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
@@ -144,7 +144,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
     sizes = [SIZE] if request.collapse else []
     for name in (*request.y.split("/"), request.x, *request.by, *sizes):
         if name not in table:
-            raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}")
+            raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
     chosen = np.ones(scan.samples, dtype=bool)
     for condition in request.where:
         chosen &= _meets(table, condition)
@@ -155,7 +155,9 @@ def _meets(table: Mapping[str, np.ndarray], condition: str) -> np.ndarray:
     """Samples that meet KEY=VALUE, a text or a number to the last bit."""
     key, equals, value = condition.partition("=")
     if not equals or key not in table:
-        raise InputError(f"where is {condition!r}; it must be KEY=VALUE with a KEY of {', '.join(table)}")
+        raise InputError(
+            f"where is {condition!r}; it must be KEY=VALUE with a KEY of {', '.join(table)}{meant(key, table)}"
+        )
     values = table[key]
     if values.dtype == object or values.dtype == bool:
         found = np.array([str(v).lower() == value.lower() for v in values.tolist()])
@@ -166,7 +168,8 @@ def _meets(table: Mapping[str, np.ndarray], condition: str) -> np.ndarray:
             raise InputError(f"where is {condition!r}; {key} has numbers") from None
     if not found.any():
         known = [str(v) for (v,) in groups(table, [key])]
-        raise InputError(f"where is {condition!r}; {key} is one of {', '.join(known[:20])}{' ...' * (len(known) > 20)}")
+        some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
+        raise InputError(f"where is {condition!r}; {key} is one of {some}{meant(value, known)}")
     return found
 
 

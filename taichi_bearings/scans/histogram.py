@@ -33,6 +33,7 @@ from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
 from taichi_bearings.scans.systems import disorder_of, numbered
 from taichi_bearings.stages import each, stage
+from taichi_bearings.words import meant
 
 UNITS = {"none": ENERGY_PER_TIME, "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
@@ -65,9 +66,12 @@ class Source:
     def whole_column(self, name: str) -> np.ndarray:
         """Values (asked,) of a scalar, where samples have no result too."""
         if isinstance(self.stored, StoredScan):
-            if name not in self.stored.table:
-                raise InputError(f"{self.stored.path} has no column {name!r}; it has {', '.join(self.stored.table)}")
-            return self.stored.table[name]
+            table = self.stored.table
+            if name not in table:
+                raise InputError(
+                    f"{self.stored.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}"
+                )
+            return table[name]
         value = _scalar_of_run(self.stored, name)
         listed = value if isinstance(value, list) else [value] * len(self.reasons)
         return np.array(listed, dtype=object if any(isinstance(item, str) for item in listed) else None)
@@ -140,7 +144,7 @@ def _scalar_of_run(run: StoredRun, name: str) -> Any:
         value = getattr(settings, name)
         return "" if value is None else value
     known = sorted({*run.attributes, *RunSettings.keys()} - {"scene", "command"})
-    raise InputError(f"{run.path} has no {name!r}; it has {', '.join(known)}")
+    raise InputError(f"{run.path} has no {name!r}; it has {', '.join(known)}{meant(name, known)}")
 
 
 def _settings_of_scan(scan: StoredScan) -> RunSettings:

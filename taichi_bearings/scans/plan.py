@@ -125,6 +125,14 @@ def read_plan(path: Path, overrides: Sequence[str] = ()) -> ScanPlan:
         words are texts.
     Raises InputError in one sentence.
     """
+    return _plan(path, *_read(path, overrides))
+
+
+Tables = tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]
+
+
+def _read(path: Path, overrides: Sequence[str] = ()) -> Tables:
+    """Keys for all samples; those that vary alone; those of each table that advance together."""
     document = read_toml(path)
     scan = document.pop("scan", {})
     if not isinstance(scan, Mapping):
@@ -136,8 +144,14 @@ def read_plan(path: Path, overrides: Sequence[str] = ()) -> ScanPlan:
     tables = [{key: _located(key, values, path.parent) for key, values in table.items()} for table in zipped]
     for text in overrides:
         _override(text, document, single, tables)
-    tables = [table for table in tables if table]
-    return _plan(path, document, single, tables)
+    return document, single, [table for table in tables if table]
+
+
+def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
+    """How many samples a scan file asks for, over which keys, and the keys that all have alike; no sample is built."""
+    document, single, tables = _read(path)
+    axes = _axes(single, tables)
+    return math.prod(len(values) for _, values in axes), tuple(key for keys, _ in axes for key in keys), document
 
 
 def _located(key: str, values: Any, folder: Path) -> Any:
@@ -159,10 +173,7 @@ def _override(text: str, document: dict[str, Any], single: dict[str, Any], table
 
 def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
     wishes, table = Wishes.taken_from(document), settings_table()
-    axes, number = [], 1
-    for part in [*({key: given} for key, given in single.items()), *tables]:
-        axes.append(_zip(part, MOST_SAMPLES // number))
-        number *= len(axes[-1][1])
+    axes = _axes(single, tables)
     scanned = tuple(key for keys, _ in axes for key in keys)
     for key in scanned:
         if key in table and table[key].not_scanned:
@@ -174,6 +185,18 @@ def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: 
             raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
     samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
     return ScanPlan(scanned, samples, _text(document, single, tables), wishes)
+
+
+def _axes(
+    single: Mapping[str, Any], tables: Sequence[Mapping[str, Any]]
+) -> list[tuple[tuple[str, ...], list[tuple[Any, ...]]]]:
+    """The keys of each axis of the grid, and their values at its points; not too many in all."""
+    axes: list[tuple[tuple[str, ...], list[tuple[Any, ...]]]] = []
+    number = 1
+    for part in [*({key: given} for key, given in single.items()), *tables]:
+        axes.append(_zip(part, MOST_SAMPLES // number))
+        number *= len(axes[-1][1])
+    return axes
 
 
 def stored_wishes(folder: Path) -> Wishes:

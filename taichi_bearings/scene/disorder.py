@@ -8,6 +8,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.words import meant
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,9 @@ class Distribution:
         """Read ``uniform:0.1,1.0`` and the like; raises InputError with the form that is expected."""
         name, _, rest = text.partition(":")
         if name not in cls.PARAMETERS:
-            raise InputError(f"distribution is {text!r}; allowed are {', '.join(cls.forms())}")
+            raise InputError(
+                f"distribution is {text!r}; allowed are {', '.join(cls.forms())}{meant(name, cls.PARAMETERS)}"
+            )
         try:
             parameters = tuple(float(word) for word in rest.split(","))
         except ValueError:

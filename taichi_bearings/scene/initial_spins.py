@@ -7,6 +7,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.minimum_cut import MinimumCut, minimum_cut
 from taichi_bearings.scene.scene import Scene
+from taichi_bearings.words import meant
 
 STARTS = ("random", "zero", "linear", "minimum-cut")
 
@@ -79,7 +80,8 @@ def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:
         start_of = dict(zip(STARTS, (random_spin, zero_spin, linear_spin, minimum_cut_spin), strict=True))
         return start_of[start](scene)
     if not Path(start).exists():
-        raise InputError(f"initial is {start!r}; allowed are {', '.join(STARTS)} or a file with an array `spin`")
+        allowed = f"{', '.join(STARTS)} or a file with an array `spin`"
+        raise InputError(f"initial is {start!r}; allowed are {allowed}{meant(start, STARTS)}")
     from taichi_bearings.scene.array_files import read_arrays
 
     return _fitting(scene, read_arrays(Path(start), ["spin"])["spin"], start)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.words import meant
 
 Coefficients = tuple[np.ndarray, ...]
 
@@ -120,5 +121,5 @@ def law_named(law: "str | Law") -> Law:
     if isinstance(law, Law):
         return law
     if law not in LAWS:
-        raise InputError(f"law is {law!r}; allowed are {', '.join(LAWS)}")
+        raise InputError(f"law is {law!r}; allowed are {', '.join(LAWS)}{meant(law, LAWS)}")
     return LAWS[law]

@@ -1,0 +1,40 @@
+"""bearings list"""
+
+import json
+from pathlib import Path
+
+import click
+from taichi_bearings_cli.options import json_option
+
+
+@click.command()
+@click.argument("folder", metavar="[DIR]", default="outputs")
+@json_option
+def command(folder: str, as_json: bool) -> None:
+    """Runs and scans in DIR [default: outputs], newest first: what they hold, how they ended, their size and date.
+
+    It reads summaries and journals alone, so it says what these say; `bearings verify` checks it. A folder that cannot
+    be read is named with the reason.
+
+    \b
+    Examples:
+      bearings list
+      bearings list outputs --json
+    """
+    import time
+
+    from taichi_bearings.scans.listing import entries, in_bytes
+    from taichi_bearings.words import counted
+
+    found = entries(Path(folder))
+    if as_json:
+        click.echo(json.dumps({"folder": folder, "entries": [entry.as_dict() for entry in found]}, allow_nan=False))
+        return
+    widest = max((len(Path(entry.path).name) for entry in found), default=0)
+    for entry in found:
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.modified))
+        name, size = Path(entry.path).name, in_bytes(entry.bytes)
+        click.echo(f"{when}  {entry.kind:4}  {name:{min(widest, 40)}}  {size:>7}  {entry.words()}")
+    runs, scans = (sum(entry.kind == kind for entry in found) for kind in ("run", "scan"))
+    total = in_bytes(sum(entry.bytes for entry in found))
+    click.echo(f"{counted(runs, 'run')} and {counted(scans, 'scan')} in {folder}, {total}", err=True)

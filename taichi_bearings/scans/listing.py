@@ -1,0 +1,207 @@
+"""What the run and scan folders below a folder hold, from their summaries and journals alone: `bearings list`."""
+
+import json
+import math
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.errors import BearingsError, InputError
+from taichi_bearings.files.scan_file import FAILED
+from taichi_bearings.files.scan_journal import NAME
+from taichi_bearings.scans.parts import JOURNAL
+from taichi_bearings.scans.plan import count_samples
+from taichi_bearings.words import counted
+
+RUN, SCAN = "run", "scan"
+RESULTS = {"run.h5", "summary.json", "checkpoint.h5", "scan.h5", NAME}
+MOST_SUMMARY = 2**26  # bytes of a summary.json that is read
+RECORD = re.compile(
+    rb'^\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)".*\}\}$', re.MULTILINE
+)
+NAMED = ("shape", "law", "method", "seed", "status", "power", "gap", "states_proven", "power_normalised", "warnings")
+TEXTS = {"law", "method", "status"}
+UNITS = ("B", "kB", "MB", "GB", "TB")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One folder. kind : "run" or "scan". values : by name, of a run as its summary has them, of a scan scanned keys
+    and samples. bytes : of all its files. modified : when its results were written, seconds since 1970.
+    problem : why it cannot be told what it holds.
+    """
+
+    path: str
+    kind: str
+    values: Mapping[str, Any]
+    bytes: int
+    modified: float
+    problem: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as JSON can hold it."""
+        found = asdict(self)
+        found |= found.pop("values")
+        found["modified"] = time.strftime("%Y-%m-%dT%H:%M:%S", time.localtime(self.modified))
+        return {key: _finite(value) for key, value in found.items()}
+
+    def words(self) -> str:
+        """What it holds, in a line."""
+        if self.problem:
+            return f"cannot be read: {self.problem}"
+        return _words_of_scan(self.values) if self.kind == SCAN else _words_of_run(self.values)
+
+
+def entries(folder: Path) -> list[Entry]:
+    """The runs and scans in a folder, or the one that it is itself, newest first; InputError for what is no folder.
+
+    Folders that are neither are left out, and what lies deeper is not looked for.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; name one that holds runs or scans")
+    try:
+        inside = [folder] if _kind_of(folder) else sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read: {error.strerror or error}") from None
+    found = [entry for path in inside if (entry := _entry(path))]
+    return sorted(found, key=lambda entry: entry.modified, reverse=True)
+
+
+def _kind_of(path: Path) -> str:
+    """Run, scan, or an empty text."""
+    if any((path / name).is_file() for name in ("run.h5", "summary.json", "checkpoint.h5")):
+        return RUN
+    return SCAN if (path / "scan.h5").is_file() or any(_journals(path)) else ""
+
+
+def _journals(path: Path) -> Iterator[Path]:
+    if path.is_dir():
+        yield from (file for file in path.iterdir() if file.name == NAME or JOURNAL.fullmatch(file.name))
+
+
+def _entry(path: Path) -> Entry | None:
+    """None for what is neither a run nor a scan; a folder that cannot be read is said to be so."""
+    kind, values, problem, size, modified = "", {}, "", 0, 0.0
+    try:
+        kind = _kind_of(path)
+        if not kind:
+            return None
+        size, modified = _size_and_time(path)
+        values = _of_scan(path) if kind == SCAN else _of_run(path)
+    except BearingsError as error:
+        problem = str(error)
+    except OSError as error:
+        problem = error.strerror or str(error)
+    return Entry(str(path), kind or "folder", values, size, modified, problem)
+
+
+def _size_and_time(path: Path) -> tuple[int, float]:
+    """Bytes of all files, and when the last of those that hold results was written."""
+    size, newest = 0, 0.0
+    for root, _, names in os.walk(path):
+        for name in names:
+            status = os.stat(os.path.join(root, name), follow_symlinks=False)
+            size += status.st_size
+            if root == str(path) and (name in RESULTS or JOURNAL.fullmatch(name)):
+                newest = max(newest, status.st_mtime)
+    return size, newest or path.stat().st_mtime
+
+
+def _of_run(path: Path) -> dict[str, Any]:
+    """What its summary says."""
+    file = path / "summary.json"
+    if not file.is_file():
+        if (path / "run.h5").is_file():
+            raise InputError("it has a run.h5 but no summary.json")
+        return {"status": "unfinished"}
+    if file.stat().st_size > MOST_SUMMARY:
+        raise InputError(f"its summary.json is longer than {MOST_SUMMARY:,} bytes")
+    try:
+        summary = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"its summary.json is not JSON: {str(error).splitlines()[0]}") from None
+    if not isinstance(summary, dict):
+        raise InputError("its summary.json is no object")
+    for name in ("shape", "law", "method", "seed", "status", "power"):
+        if not _fits(name, summary.get(name)):
+            raise InputError(f"its summary.json has no usable {name}")
+    if not (path / "run.h5").is_file():
+        raise InputError("it has a summary.json but no run.h5")
+    return {name: summary.get(name) for name in NAMED}
+
+
+def _fits(name: str, value: Any) -> bool:
+    parts = value if isinstance(value, list) else [value]
+    kind = str if name in TEXTS else int | float
+    return bool(parts) and all(isinstance(part, kind) and not isinstance(part, bool) for part in parts)
+
+
+def _of_scan(path: Path) -> dict[str, Any]:
+    """What is scanned, how many samples it asks for, and how many its journals have, those that failed apart."""
+    asked, scanned, fixed = count_samples(path / "scan.toml")
+    last: dict[bytes, bytes] = {}
+    for journal in sorted(_journals(path)):
+        last.update(RECORD.findall(journal.read_bytes()))
+    states = Counter(status.decode(errors="replace") for status in last.values())
+    failed = states.pop(FAILED, 0)
+    told = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
+    samples = {"samples_asked": asked, "samples_done": states.total(), "samples_failed": failed}
+    return {**told, "scanned": list(scanned), **samples, "statuses": dict(states)}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return {key: _finite(part) for key, part in value.items()} if isinstance(value, dict) else value
+
+
+def _words_of_run(values: Mapping[str, Any]) -> str:
+    if "power" not in values:
+        return "unfinished; `bearings run --resume` goes on from its checkpoint"
+    powers, gaps, states, proven, seeds = (
+        _listed(values[k]) for k in ("power", "gap", "status", "states_proven", "seed")
+    )
+    seed = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]}-{seeds[-1]}"
+    mean = sum(powers) / len(powers)
+    power = f"P = {mean:.9g}" if len(powers) == 1 else f"mean P = {mean:.6g}"
+    known = [gap for gap in gaps if isinstance(gap, int | float)]
+    gap = f"gap {max(known):.1e}" if len(known) == len(powers) else "no gap"
+    decided = "states proven" if all(value is True for value in proven) else "states not proven"
+    status = ", ".join(f"{many} {state}" if len(states) > 1 else state for state, many in Counter(states).items())
+    return f"{_shape(values)} {values['law']}, {values['method']}, {seed}: {status}; {power}, {gap}, {decided}"
+
+
+def _words_of_scan(values: Mapping[str, Any]) -> str:
+    known = " ".join(filter(None, [_shape(values), values["law"], values["method"]]))
+    over = " x ".join(values["scanned"]) or "one sample"
+    done = f"{values['samples_done']:,} of {counted(values['samples_asked'], 'sample')}"
+    failed = f", {values['samples_failed']:,} failed" if values["samples_failed"] else ""
+    states = ", ".join(f"{many:,} {state}" for state, many in values["statuses"].items())
+    return f"{known + ', ' if known else ''}over {over}: {done}{failed}{'; ' + states if states else ''}"
+
+
+def _shape(values: Mapping[str, Any]) -> str:
+    return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def in_bytes(size: float) -> str:
+    """A size on disk with three digits.
+
+    >>> in_bytes(1234567)
+    '1.23 MB'
+    """
+    step = 0
+    while size >= 999.5 and step < len(UNITS) - 1:
+        size, step = size / 1000, step + 1
+    return f"{size:.3g} {UNITS[step]}"

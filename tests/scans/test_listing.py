@@ -1,0 +1,144 @@
+"""`bearings list` says of every folder what it holds, damaged ones too, and is fast."""
+
+import doctest
+import json
+import os
+import shutil
+import time
+
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.errors import InputError
+from taichi_bearings.files.scan_journal import Journal
+from taichi_bearings.scans import listing
+from taichi_bearings.scans.listing import entries, in_bytes
+from taichi_bearings.scans.plan import count_samples, read_plan
+from tests.cli.commands import bearings
+
+SCAN = """law = "coulomb"
+[scan]
+seed = { start = 0, stop = 4 }
+shape = [[4, 4], [5, 5], [6, 6]]
+[[scan.zip]]
+spin_top = [1, 2]
+spin_bottom = [0, 0.5]
+"""
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("outputs")
+    one = tb.solve(tb.Scene.random((4, 5), seed=7), "planar-cut", threads=1)
+    one.save(folder / "one")
+    tb.solve(tb.Scene.random((4, 5), seed=3, replicas=2), "planar-cut", threads=1).save(folder / "two")
+    (folder / "scan").mkdir()
+    (folder / "scan" / "scan.toml").write_text(SCAN)
+    samples = read_plan(folder / "scan" / "scan.toml").samples
+    for name, part, status in (
+        ("samples.jsonl", samples[:5], "certified"),
+        ("part-1-of-2.jsonl", samples[5:7], "failed"),
+    ):
+        with Journal(folder / "scan" / name) as journal:
+            journal.append([{"key": s.key, "scalars": {"power": 1.0, "status": status}, "bins": {}} for s in part])
+    with Journal(folder / "scan" / "samples.jsonl") as journal:  # one that failed was tried again
+        journal.append([{"key": samples[5].key, "scalars": {"power": 1.0, "status": "failed"}, "bins": {}}])
+    with (folder / "scan" / "samples.jsonl").open("ab") as file:
+        file.write(b'{"crc32": "00000000", "sample": {"key": "torn", "scalars": {"status": "certified"')
+    (folder / "figures").mkdir()
+    (folder / "notes.txt").write_text("mine")
+    for age, name in enumerate(("one", "two", "scan")):
+        for file in (folder / name).iterdir():
+            os.utime(file, (1e9 - age, 1e9 - age))
+    return folder
+
+
+def test_runs_and_scans_are_told_newest_first(outputs):
+    one, two, scan = entries(outputs)
+    assert [entry.path for entry in (one, two, scan)] == [str(outputs / name) for name in ("one", "two", "scan")]
+    summary = json.loads((outputs / "one" / "summary.json").read_text())
+    assert all(one.values[key] == summary[key] for key in ("power", "gap", "status", "seed", "shape", "states_proven"))
+    assert one.bytes == sum(file.stat().st_size for file in (outputs / "one").iterdir())
+    assert "4x5 coulomb, planar-cut, seed 7: certified; P = " in one.words()
+    assert "states proven" in one.words()
+    assert "seeds 3-4: 2 certified; mean P = " in two.words()
+    wanted = {"samples_asked": 24, "samples_done": 5, "samples_failed": 2, "statuses": {"certified": 5}}
+    assert {key: scan.values[key] for key in wanted} == wanted
+    assert scan.values["scanned"] == ["seed", "shape", "spin_top", "spin_bottom"]
+    assert "5 of 24 samples, 2 failed; 5 certified" in scan.words()
+    assert entries(outputs / "one")[0] == one
+    assert count_samples(outputs / "scan" / "scan.toml")[0] == len(read_plan(outputs / "scan" / "scan.toml").samples)
+
+
+DAMAGE = {
+    "summary.json is not JSON": ("summary.json", b'{"power": 1.'),
+    "is no object": ("summary.json", b"[1, 2]"),
+    "no usable power": ("summary.json", b'{"shape": [3], "law": "a", "method": "b", "seed": 1, "status": "c"}'),
+    "summary.json is not JSON: 'utf-8'": ("summary.json", b"\xff\xfe"),
+    "maximum recursion": ("summary.json", b"[" * 100_000),
+    "not valid TOML": ("scan.toml", b"= ["),
+    "does not exist": ("scan.toml", None),
+    "no run.h5": ("run.h5", None),
+    "no summary.json": ("summary.json", None),
+}
+
+
+@pytest.mark.parametrize("sentence", DAMAGE)
+def test_a_damaged_folder_is_named_in_its_line(sentence, outputs, tmp_path):
+    name, content = DAMAGE[sentence]
+    for folder in ("one", "scan"):
+        shutil.copytree(outputs / folder, tmp_path / folder)
+    broken = tmp_path / ("scan" if name == "scan.toml" else "one")
+    if content is None:
+        (broken / name).unlink()
+    else:
+        (broken / name).write_bytes(content)
+    found = {entry.path: entry for entry in entries(tmp_path)}
+    assert len(found) == 2
+    words = found.pop(str(broken)).words()
+    assert words.startswith("cannot be read: ")
+    assert sentence in words or (sentence == "maximum recursion" and "recursion" in words)
+    assert "\n" not in words
+    assert next(iter(found.values())).problem == ""
+
+
+def test_numbers_that_are_none_and_unfinished_runs_are_told(outputs, tmp_path):
+    shutil.copytree(outputs / "one", tmp_path / "one")
+    summary = json.loads((tmp_path / "one" / "summary.json").read_text())
+    (tmp_path / "one" / "summary.json").write_text(json.dumps(summary | {"power": float("nan"), "gap": None}))
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "checkpoint.h5").write_bytes(b"")
+    told = {entry.path: entry for entry in entries(tmp_path)}
+    assert "no gap" in told[str(tmp_path / "one")].words()
+    assert told[str(tmp_path / "one")].as_dict()["power"] is None
+    assert "unfinished" in told[str(tmp_path / "begun")].words()
+
+
+def test_a_thousand_folders_take_little_time(outputs, tmp_path):
+    for number in range(1000):
+        (tmp_path / f"{number}").mkdir()
+        for name in ("summary.json", "run.h5"):
+            os.link(outputs / "one" / name, tmp_path / f"{number}" / name)
+    began = time.process_time()
+    assert len(entries(tmp_path)) == 1000
+    assert time.process_time() - began < 3.0
+
+
+def test_the_command_lists_them_for_people_and_programs(outputs, tmp_path):
+    done = bearings("list", outputs, "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["entries"]
+    assert [entry["kind"] for entry in found] == ["run", "run", "scan"]
+    assert found[0]["modified"].startswith("2001-09-")
+    told = bearings("list", outputs)
+    assert len(told.stdout.splitlines()) == 3
+    assert "2 runs and 1 scan" in told.stderr
+    refused = bearings("list", tmp_path / "nowhere")
+    assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1)
+    with pytest.raises(InputError):
+        entries(outputs / "notes.txt")
+
+
+def test_sizes_have_three_digits():
+    assert doctest.testmod(listing).failed == 0
+    assert [in_bytes(size) for size in (0, 999, 1000, 999_600, 1.5e13)] == ["0 B", "999 B", "1 kB", "1 MB", "15 TB"]
