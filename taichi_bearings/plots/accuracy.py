@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from taichi_bearings.plots.style import in_our_style, new_figure
+from taichi_bearings.plots.style import DOUBLE, in_our_style, new_figure
 from taichi_bearings.solvers import METHODS, MethodOptions
 
 PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
@@ -46,7 +46,7 @@ def draw_accuracy(panels: Sequence[Panel]) -> Figure:
     """Error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three scenes."""
     columns = min(len(panels), MOST_COLUMNS)
     blocks = [panels[start : start + columns] for start in range(0, len(panels), columns)]
-    figure = new_figure(max(3.4 * columns, 5.0), 5.6 * len(blocks) + 0.8)
+    figure = new_figure(DOUBLE, 3.9 * len(blocks) + 0.7)
     values = np.concatenate([v for panel in panels for curve in panel.curves for v in (curve.error, curve.gap)])
     least = min(float(values.min()), 1e-6) / 3
     for part, block in zip(figure.subfigures(len(blocks), 1, squeeze=False)[:, 0], blocks, strict=True):
@@ -85,7 +85,7 @@ def _draw(axes: Axes, curve: Curve, values: np.ndarray) -> None:
     colour, marker = style_of(curve.method)
     every = _spread(curve.seconds, MOST_MARKERS)
     dashed = "--" if curve.method in PEERS else "-"
-    axes.plot(curve.seconds, values, dashed, color=colour, marker=marker, markevery=every, ms=4, lw=1.3)
+    axes.plot(curve.seconds, values, dashed, color=colour, marker=marker, markevery=every, ms=3, lw=1.0)
 
 
 def _spread(seconds: np.ndarray, most: int) -> list[int]:
@@ -107,6 +107,6 @@ def _legend(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
         colour, marker = style_of(method)
         label = names.pop() if len(names) == 1 else f"{method} (its fastest linear solver)"
         dashed = "--" if method in PEERS else "-"
-        handles.append(Line2D([], [], color=colour, marker=marker, ms=4, lw=1.3, ls=dashed, label=label))
+        handles.append(Line2D([], [], color=colour, marker=marker, ms=3, lw=1.0, ls=dashed, label=label))
     handles.append(Patch(color="0.9", lw=0, label="least power not known better"))
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 1 + columns))

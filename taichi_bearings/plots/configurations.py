@@ -38,7 +38,7 @@ def draw_configurations(
         box_driven_rows(axes, speed.shape)
         axes.set_title(name)
     draw_walls(panels[1], tuple(cut), colors="black", lw=1.0)
-    parts[0].colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=panels, label=r"$|\omega| / \omega_T$", shrink=0.8)
+    parts[0].colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=panels, label=r"$|\omega|\,/\,\omega_T$", shrink=0.8)
     _draw_ranks(parts[1].subplots(), distance, differs)
     return figure
 
@@ -50,6 +50,6 @@ def _draw_ranks(axes: Any, distance: np.ndarray, differs: np.ndarray) -> None:
     axes.loglog(ranks[failed], distance[order][failed], "x", color=ORANGE, ms=5, label="other contacts slip too")
     expected = 0.017 * len(order)
     axes.axvline(expected + 0.5, color=GREY, lw=0.8, ls="--", label="17 of 1000, as in the paper")
-    axes.set(xlabel="rank of the sample", ylabel="second cut over minimum cut, less 1")
-    axes.set_title("(c) how nearly the two lightest cuts tie")
+    axes.set(xlabel="rank of the sample", ylabel=r"$P_\mathrm{cut,2}\,/\,P_\mathrm{cut} - 1$")
+    axes.set_title("(c) near ties of two cuts")
     axes.legend(loc="lower right")

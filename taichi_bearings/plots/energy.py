@@ -47,7 +47,7 @@ def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figu
         top.set_xscale("log")
         _scale(top, np.concatenate(list(accounts.values())))
     top.set(ylabel=over("E", symbol, "energy"))
-    top.set_title(describe(scene, replica, solution.method))
+    top.set_title(f"{describe(scene, replica)}\n{solution.method}")
     figure.legend(*top.get_legend_handles_labels(), ncols=4, loc="outside lower center", columnspacing=1.0)
     missing = np.abs(history["energy_residual"][later, replica])
     if (missing > 0).any():

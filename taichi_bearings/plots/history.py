@@ -27,11 +27,9 @@ def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
     top.plot(x[started], bound[started] / unit, "--", color=ORANGE)
     top.plot([], [], color=BLUE, label="power")
     top.plot([], [], "--", color=ORANGE, label="proven lower bound")
-    title = describe(scene, 0, solution.method)
-    if scene.replicas > 1:
-        title = title.replace("seed", "seeds") + f" to {scene.seeds[-1]}"
+    title = f"{describe(scene, None)}\n{solution.method}"
     top.set(ylabel=over("P", symbol, "energy / time"), title=title)
-    top.legend()
+    top.legend(frameon=True, framealpha=0.85, edgecolor="none")
     gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
     shown = started & (gap > 0).any(axis=1)
     bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=GREY)

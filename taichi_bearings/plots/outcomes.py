@@ -20,7 +20,7 @@ def draw_outcomes(
     """cells : outcome and a short text by (row, column); absent where there is none."""
     kinds = list(COLOURS)
     codes = np.full((len(rows), len(columns)), len(kinds))
-    figure = new_figure(2.6 + 0.62 * len(columns), 1.3 + 0.19 * len(rows))
+    figure = new_figure(2.3 + 0.42 * len(columns), 1.1 + 0.19 * len(rows))
     axes = figure.add_subplot()
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
@@ -31,7 +31,7 @@ def draw_outcomes(
                 axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
     colours = ListedColormap([*COLOURS.values(), NOTHING])
     axes.imshow(codes, cmap=colours, vmin=-0.5, vmax=len(kinds) + 0.5, aspect="auto")
-    axes.set_xticks(range(len(columns)), columns, rotation=30 if max(map(len, columns)) > 7 else 0)
+    axes.set_xticks(range(len(columns)), columns, rotation=30 if max(map(len, columns)) > 6 else 0)
     axes.set_yticks(range(len(rows)), rows, fontsize=7)
     axes.set_xticks(np.arange(len(columns) + 1) - 0.5, minor=True)
     axes.set_yticks(np.arange(len(rows) + 1) - 0.5, minor=True)

@@ -62,7 +62,7 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
         ):
             later, excess = time > 0, power / least_power - 1
             for axes in (top, inset):
-                axes.plot(time[later], power[later] / initial, label=f"from {start.name}, {dynamics}", **look)
+                axes.plot(time[later], power[later] / initial, label=f"{start.name}, {dynamics}", **look)
             shown = later & (excess > 0)
             bottom.plot(time[shown], excess[shown], **look)
     cut, least = cut_power / initial, least_power / initial
@@ -71,8 +71,8 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
         axes.axhline(least, color=GREY, ls=":", lw=1.2, label=rf"$P_{{\min}} = {least:.4f}\,P_0$, certified")
     if cut > least:
         bottom.axhline(cut / least - 1, color=GREEN, ls="-.", lw=1.2)
-    columns = [*top.lines[0::2], *top.lines[1::2]]
-    figure.legend(handles=columns, loc="outside upper center", ncols=2, columnspacing=1.2)
+    columns = [*top.lines[0:4:2], *top.lines[1:4:2], *top.lines[4:]]
+    figure.figure.legend(handles=columns, loc="outside upper center", ncols=3)
     last = max(float(start.time[-1]) for start in starts)
     high = max(cut, 1.02 * least)
     inset.set(xscale="log", xlim=(last / 1e3, last), ylim=(1.2 * least - 0.2 * high, 2 * high - least))

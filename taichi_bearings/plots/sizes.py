@@ -45,33 +45,33 @@ def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping
     axes[0, 0].axhline(1.0, color=GREY, lw=0.8)
     axes[0, 0].set_ylabel("least power over minimum cut")
     shares = {
-        "reached_fraction": (BLUE, "free spheres that are reached"),
-        "intermediate": (GREEN, "free spheres not locked to a plane"),
-        "slipless_fraction": (ORANGE, "contacts that are slipless"),
+        "reached_fraction": (BLUE, "free spheres reached"),
+        "intermediate": (GREEN, "free spheres not locked"),
+        "slipless_fraction": (ORANGE, "contacts slipless"),
     }
     _against_side(axes[0, 1], columns, shares)
     axes[0, 1].set(ylabel="share", ylim=(0, 1.04))
     _spanning(axes[0, 2], by_threshold)
     numbers = {
-        "shortest_path": (BLUE, "contacts of the shortest path"),
-        "disjoint_paths": (GREEN, "paths that share no contact"),
+        "shortest_path": (BLUE, "shortest path"),
+        "disjoint_paths": (GREEN, "disjoint paths"),
     }
     _against_side(axes[1, 0], columns, numbers)
     axes[1, 0].set(yscale="symlog", ylim=(0, 2000), ylabel="number")
     axes[1, 0].legend(loc="upper left")
-    _against_side(axes[1, 1], columns, {"largest_intermediate": (BLUE, "largest intermediate domain")})
+    _against_side(axes[1, 1], columns, {"largest_intermediate": (BLUE, "largest intermediate")})
     axes[1, 1].set(ylim=(0, None), ylabel="spheres")
     side = max(by_threshold)
     for name, colour, label in (
         ("slipless", ORANGE, "slipless contacts"),
         ("domains", BLUE, "rigid domains"),
-        ("largest_intermediate", GREEN, "largest intermediate domain"),
+        ("largest_intermediate", GREEN, "largest intermediate"),
     ):
         values = by_threshold[side][name].mean(axis=0)
         axes[1, 2].loglog(THRESHOLDS, values[:-1], "o-", color=colour, ms=3.5, label=label)
         axes[1, 2].axhline(values[-1], color=colour, lw=0.8, ls="--")
     axes[1, 2].set(xlabel=THRESHOLD, ylabel="number")
-    axes[1, 2].set_title(f"{side}³ as thresholds see it; dashed: certified")
+    axes[1, 2].set_title(f"$L = {side}$; dashed: certified")
     axes[1, 2].legend()
     return figure
 

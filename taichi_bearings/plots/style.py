@@ -73,7 +73,7 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
     """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
-    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.36 / height)
+    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.42 / height)
     return figure
 
 

@@ -6,11 +6,13 @@ SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}
 POWER_UNIT = r"F_n R\,\omega_T"
 
 
-def describe(scene: Scene, sample: int = 0, *words: str) -> str:
-    """Sizes, law, further words and seed of a sample, in words for a title."""
+def describe(scene: Scene, sample: int | None = 0) -> str:
+    """Sizes, law and seed of a sample, or of all, in words for a title."""
     shape = r"\times".join(map(str, scene.lattice.shape))
-    of = f"seed {scene.seeds[sample]}"
-    return ", ".join([f"${shape}$ {str(scene.law).capitalize()}", *words, of])
+    seed = f"seeds {scene.seeds[0]} to {scene.seeds[-1]}"
+    if sample is not None or scene.replicas == 1:
+        seed = f"seed {scene.seeds[sample or 0]}"
+    return f"${shape}$ {str(scene.law).capitalize()}, {seed}"
 
 
 def larger_spin(spin_top: float, spin_bottom: float) -> str:
@@ -40,7 +42,7 @@ def over(symbol: str, unit: str, without: str) -> str:
     """A quantity over its unit as mathematics. without : the words for the unit where it has no symbol."""
     if not unit:
         return f"${symbol}$ ({without})"
-    return rf"${symbol}\,/\,({unit})$" if "\\" in unit or " " in unit else rf"${symbol}\,/\,{unit}$"
+    return rf"${symbol}\,/\,({unit})$" if "R" in unit else rf"${symbol}\,/\,{unit}$"
 
 
 SYMBOLS: dict[str, tuple[str, str]] = {

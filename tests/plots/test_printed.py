@@ -12,18 +12,25 @@ from matplotlib.text import Text
 
 import taichi_bearings as tb
 from taichi_bearings.analysis.fit import Fit, fit, read_fit
+from taichi_bearings.analysis.thresholds import THRESHOLDS
 from taichi_bearings.errors import InputError
+from taichi_bearings.plots.accuracy import Curve as MethodCurve
+from taichi_bearings.plots.accuracy import Panel, draw_accuracy
+from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
 from taichi_bearings.plots.network import behind, draw_network
 from taichi_bearings.plots.page import Page, View, read_dpi, read_plane, read_view, read_width
 from taichi_bearings.plots.power import draw_power
+from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
 from taichi_bearings.plots.scan import Curve, Look, draw_scan, formula
+from taichi_bearings.plots.sizes import Column, draw_sizes
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
 from taichi_bearings.plots.symbols import column_label
 from taichi_bearings.runs.figures import KINDS, draw_figure
 from taichi_bearings.scene import Solution
+from taichi_bearings.solvers import METHODS
 from tests.plots.test_structure_figures import Case
 from tests.scenes import make_scene
 
@@ -32,7 +39,9 @@ INCH = 2.54
 
 @pytest.fixture(scope="module")
 def solved() -> Solution:
-    found = tb.solve(tb.Scene.random((4, 3, 5), seed=1, spin_bottom=0.1), "interior-point", threads=1)._run.solution
+    found = tb.solve(
+        tb.Scene.random((4, 3, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-2, threads=1
+    )._run.solution
     books = {f"{name}_energy": np.array([[sign], [2.0], [30.0]]) for name, sign in BOOKS.items()}
     history = {"iteration": np.arange(3), "time": np.array([1e-3, 1e-1, 1.0]), **books}
     residual = {"energy_residual": np.array([[1e-9], [-1e-8], [1e-9]])}
@@ -54,8 +63,10 @@ def drawn(axes, kind=LineCollection):
     return [c for c in axes.collections if type(c) is kind]
 
 
-@pytest.mark.parametrize("width", ["single", "double"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "width"),
+    [*((kind, "single") for kind in KINDS), *((kind, "double") for kind in ("spins", "domains", "network"))],
+)
 def test_every_figure_is_as_wide_as_asked_with_nothing_clipped_and_legible(kind, width, solved):
     wide = read_width(width)
     figure = draw_figure(kind, solved, page=Page(width=wide))
@@ -234,3 +245,41 @@ def test_a_fitted_line_is_drawn_over_its_range_and_named():
     assert names[0] == "a"
     assert names[1].startswith("${L}^s$")
     assert beyond(figure) < 0.01
+
+
+DRAW = np.random.default_rng(3)
+T = np.geomspace(1e-4, 1, 20)
+NAMES = ("power_over_cut", "reached_fraction", "intermediate", "slipless_fraction", "shortest_path", "disjoint_paths")
+
+
+def draw_fig2():
+    starts = [
+        Relaxation(name, T, 0.3 + np.exp(-300 * T), T, 0.3 + np.exp(-400 * T), *DRAW.random((2, 2, 2, 3, 3)))
+        for name in ("random spins", "the minimum cut")
+    ]
+    return draw_relaxation(starts, 0.29, 0.31)
+
+
+def draw_fig1():
+    cut = [DRAW.random((9, 10)) > 0.5, DRAW.random((10, 9)) > 0.8]
+    return draw_configurations(*DRAW.random((2, 10, 10)), cut, DRAW.random(50) + 1e-5, DRAW.random(50) > 0.5)
+
+
+def draw_study():
+    sides = np.array([3, 4, 6])
+    columns = {name: Column(sides, DRAW.random((3, 5))) for name in (*NAMES, "largest_intermediate")}
+    numbers = {name: DRAW.random((5, len(THRESHOLDS) + 1)) for name in ("spans", "slipless", "domains")}
+    return draw_sizes(columns, {6: numbers | {"largest_intermediate": numbers["domains"]}})
+
+
+def draw_benchmark():
+    curves = [MethodCurve(method, method, T, T**2, T**3) for method in METHODS]
+    return draw_accuracy([Panel(f"10x10x10 Coulomb {number}", 1e-13, curves) for number in range(2)])
+
+
+@pytest.mark.parametrize("draw", [draw_fig1, draw_fig2, draw_study, draw_benchmark])
+def test_figures_of_the_paper_and_of_benchmarks_fit_on_two_columns(draw):
+    figure = draw()
+    assert figure.get_figwidth() * INCH == pytest.approx(17.8)
+    assert beyond(figure) < 0.01
+    assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()) >= 7
