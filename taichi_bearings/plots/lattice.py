@@ -124,7 +124,7 @@ def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
         np.moveaxis(outside, axis, 0)[-1 if view.faces(axis) else 0] = True
     placed = view.seen(np.argwhere(outside))
     order = np.argsort(placed[:, 2])
-    frame_block(axes, colour.shape[:3], view)
+    limit_block(axes, colour.shape[:3], view)
     paint_spheres(axes, placed[order, :2], colour[outside][order])
     for z in (0, colour.shape[2] - 1):
         lid = (z > 0) == view.faces(2)  # the other planes are seen from the side alone
@@ -161,6 +161,11 @@ def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
     for z in (0, shape[2] - 1):
         edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]
         axes.add_collection(LineCollection(list(edges), colors="black", lw=0.5, zorder=1))
+    limit_block(axes, shape, view)
+
+
+def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
+    """The limits of a picture of a whole cubic lattice, without axes."""
     corners = view.seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     margin = 0.02 * (high - low).max()
