@@ -23,6 +23,7 @@ def command(folder: str, as_json: bool) -> None:
     """
     import time
 
+    from taichi_bearings.errors import BearingsError
     from taichi_bearings.scans.listing import entries, in_bytes
     from taichi_bearings.words import counted
 
@@ -34,7 +35,8 @@ def command(folder: str, as_json: bool) -> None:
     for entry in found:
         when = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.modified))
         name, size = Path(entry.path).name, in_bytes(entry.bytes)
-        click.echo(f"{when}  {entry.kind:4}  {name:{min(widest, 40)}}  {size:>7}  {entry.words()}")
+        line = f"{when}  {entry.kind:4}  {name:{min(widest, 40)}}  {size:>7}  {entry.words()}"
+        click.echo(BearingsError(line))  # a line, whatever the names hold
     runs, scans = (sum(entry.kind == kind for entry in found) for kind in ("run", "scan"))
     total = in_bytes(sum(entry.bytes for entry in found))
     click.echo(f"{counted(runs, 'run')} and {counted(scans, 'scan')} in {folder}, {total}", err=True)

@@ -21,11 +21,10 @@ from taichi_bearings.words import counted
 RUN, SCAN = "run", "scan"
 RESULTS = {"run.h5", "summary.json", "checkpoint.h5", "scan.h5", NAME}
 MOST_SUMMARY = 2**26  # bytes of a summary.json that is read
-RECORD = re.compile(
-    rb'^\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)".*\}\}$', re.MULTILINE
-)
-NAMED = ("shape", "law", "method", "seed", "status", "power", "gap", "states_proven", "power_normalised", "warnings")
-TEXTS = {"law", "method", "status"}
+RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
+NEEDED = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
+FURTHER = {"gap": float, "power_normalised": float, "states_proven": bool}  # None where a run has none
+LARGEST = 1e300  # of a number
 UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
@@ -127,18 +126,20 @@ def _of_run(path: Path) -> dict[str, Any]:
         raise InputError(f"its summary.json is not JSON: {str(error).splitlines()[0]}") from None
     if not isinstance(summary, dict):
         raise InputError("its summary.json is no object")
-    for name in ("shape", "law", "method", "seed", "status", "power"):
-        if not _fits(name, summary.get(name)):
+    for name, kind in (NEEDED | FURTHER).items():
+        value = summary.get(name)
+        if not _fits(kind, value) and not (name in FURTHER and value is None):
             raise InputError(f"its summary.json has no usable {name}")
     if not (path / "run.h5").is_file():
         raise InputError("it has a summary.json but no run.h5")
-    return {name: summary.get(name) for name in NAMED}
+    return {name: summary.get(name) for name in (*NEEDED, *FURTHER)}
 
 
-def _fits(name: str, value: Any) -> bool:
+def _fits(kind: type, value: Any) -> bool:
+    """True for a value of a kind, or a list of them; whole numbers are numbers."""
     parts = value if isinstance(value, list) else [value]
-    kind = str if name in TEXTS else int | float
-    return bool(parts) and all(isinstance(part, kind) and not isinstance(part, bool) for part in parts)
+    kinds = {float, int} if kind is float else {kind}
+    return bool(parts) and all(type(part) in kinds and not (kind is float and abs(part) > LARGEST) for part in parts)
 
 
 def _of_scan(path: Path) -> dict[str, Any]:
@@ -146,12 +147,20 @@ def _of_scan(path: Path) -> dict[str, Any]:
     asked, scanned, fixed = count_samples(path / "scan.toml")
     last: dict[bytes, bytes] = {}
     for journal in sorted(_journals(path)):
-        last.update(RECORD.findall(journal.read_bytes()))
+        with journal.open("rb") as lines:
+            last.update(
+                (found[1], found[2]) for line in lines if line.endswith(b"}}\n") and (found := RECORD.match(line))
+            )
     states = Counter(status.decode(errors="replace") for status in last.values())
     failed = states.pop(FAILED, 0)
-    told = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
+    told = {name: _plain(fixed.get(name)) for name in ("shape", "law", "method", "seed")}
     samples = {"samples_asked": asked, "samples_done": states.total(), "samples_failed": failed}
     return {**told, "scanned": list(scanned), **samples, "statuses": dict(states)}
+
+
+def _plain(value: Any) -> Any:
+    """What a scan file fixes, as JSON has it."""
+    return value if value is None or isinstance(value, int) or _fits(int, value) else str(value)
 
 
 def _finite(value: Any) -> Any:
@@ -179,7 +188,7 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
 
 
 def _words_of_scan(values: Mapping[str, Any]) -> str:
-    known = " ".join(filter(None, [_shape(values), values["law"], values["method"]]))
+    known = " ".join(str(part) for part in (_shape(values), values["law"], values["method"]) if part)
     over = " x ".join(values["scanned"]) or "one sample"
     done = f"{values['samples_done']:,} of {counted(values['samples_asked'], 'sample')}"
     failed = f", {values['samples_failed']:,} failed" if values["samples_failed"] else ""

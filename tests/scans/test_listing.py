@@ -73,8 +73,11 @@ def test_runs_and_scans_are_told_newest_first(outputs):
 DAMAGE = {
     "summary.json is not JSON": ("summary.json", b'{"power": 1.'),
     "is no object": ("summary.json", b"[1, 2]"),
-    "no usable power": ("summary.json", b'{"shape": [3], "law": "a", "method": "b", "seed": 1, "status": "c"}'),
+    "no usable method": ("summary.json", b'{"shape": [3], "law": "a", "seed": 1, "status": "c", "power": 1.0}'),
     "summary.json is not JSON: 'utf-8'": ("summary.json", b"\xff\xfe"),
+    "no usable gap": ("summary.json", {"gap": [[1]]}),
+    "no usable power": ("summary.json", {"power": 10**400}),
+    "no usable seed": ("summary.json", {"seed": "one"}),
     "maximum recursion": ("summary.json", b"[" * 100_000),
     "not valid TOML": ("scan.toml", b"= ["),
     "does not exist": ("scan.toml", None),
@@ -91,6 +94,9 @@ def test_a_damaged_folder_is_named_in_its_line(sentence, outputs, tmp_path):
     broken = tmp_path / ("scan" if name == "scan.toml" else "one")
     if content is None:
         (broken / name).unlink()
+    elif isinstance(content, dict):
+        summary = json.loads((broken / name).read_text())
+        (broken / name).write_text(json.dumps(summary | content))
     else:
         (broken / name).write_bytes(content)
     found = {entry.path: entry for entry in entries(tmp_path)}
@@ -137,6 +143,16 @@ def test_the_command_lists_them_for_people_and_programs(outputs, tmp_path):
     assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1)
     with pytest.raises(InputError):
         entries(outputs / "notes.txt")
+
+
+def test_what_strangers_write_does_nothing_to_a_terminal(outputs, tmp_path):
+    shutil.copytree(outputs / "one", tmp_path / "a\n\x1b[2J")
+    shutil.copytree(outputs / "scan", tmp_path / "scan")
+    (tmp_path / "scan" / "scan.toml").write_text('law = 2020-01-01\nmethod = [[1]]\nshape = "\\u001b[2J"\n')
+    told = bearings("list", tmp_path)
+    assert (told.returncode, len(told.stdout.splitlines())) == (0, 2)
+    assert "\x1b" not in told.stdout
+    assert len(json.loads(bearings("list", tmp_path, "--json").stdout)["entries"]) == 2
 
 
 def test_sizes_have_three_digits():
