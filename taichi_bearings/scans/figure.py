@@ -287,6 +287,8 @@ def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
     parts = list(dict.fromkeys(point.part for point in points))
     if len(parts) > MOST_CURVES:
         raise InputError(f"{', '.join(request.parts)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
+    if request.fit and any(isinstance(point.x, str) for point in points):
+        raise InputError(f"fit is {request.fit!r}, but {request.x} has texts; a fit needs numbers")
     curves = []
     for part in parts:
         own = [point for point in points if point.part == part]
@@ -296,8 +298,6 @@ def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
         name = label if len(drawn) else f"{label}: none of {asked:,} samples"
         x, y, low, high = drawn.T
         curves.append(Curve(name, x, y, low, high, _fitted(drawn, request) if len(drawn) else None))
-    if request.fit and any(isinstance(point.x, str) for point in points):
-        raise InputError(f"fit is {request.fit!r}, but {request.x} has texts; a fit needs numbers")
     return curves
 
 

@@ -1,6 +1,7 @@
 """Figures of a scan: which samples make a point, what its bar is, and what collapses."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,6 +130,22 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
 def test_what_cannot_be_drawn_is_refused_in_a_sentence(scan, words, more, sentence):
     with pytest.raises(InputError, match=sentence):
         points(scan, *words, **more)
+
+
+def test_fits_are_told_and_refused_where_they_have_no_sense(scan, tmp_path):
+    told = []
+    request = Request("power", "L", where=("spin_bottom=0",), fit="power")
+    plot_scan(scan.path, request, tmp_path / "a.png", tell=told.append)
+    exponent, error = map(float, told[-1].removeprefix("power: exponent ").split(",")[0].split(" +- "))
+    assert exponent == pytest.approx(1.5, abs=4 * error)  # P = L^1.5, give or take 10 %
+    assert 0 < error < 0.1
+    assert "from 4 to 16, chi-square" in told[-1]
+    for fit, x, sentence in (("power", "shape", "has texts"), ("power", "spin_bottom", "above 0")):
+        with pytest.raises(InputError, match=sentence):
+            plot_scan(scan.path, Request("power", x, fit=fit), tmp_path / "b.png")
+    with pytest.raises(InputError, match="needs 3"):
+        plot_scan(scan.path, replace(request, fit_range=(5.0, 99.0)), tmp_path / "b.png")
+    assert not (tmp_path / "b.png").exists()
 
 
 def test_too_many_curves_are_refused(tmp_path):
