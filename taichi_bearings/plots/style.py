@@ -54,6 +54,12 @@ class NotebookFigure(Figure):
     def _repr_png_(self) -> bytes:
         return _png(self)
 
+    def draw(self, renderer: Any) -> None:
+        """Lay out twice: titles above axes of a fixed aspect know their place only then."""
+        if engine := self.get_layout_engine():
+            engine.execute(self)
+        super().draw(renderer)
+
     @in_our_style
     def savefig(self, *args: Any, **look: Any) -> None:
         """As of any figure, with letters as letters."""

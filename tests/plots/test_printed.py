@@ -177,6 +177,7 @@ def test_of_a_dense_network_the_contacts_behind_the_path_are_drawn():
     assert case.network.ends.shape[1] > MOST_LINES
     axes = draw_network(case.network, case.spin, *case.driving).axes[1]
     assert "behind" in axes.get_title()
+    assert beyond(draw_network(case.network, case.spin, *case.driving, Page(view=View(30.0, 30.0)))) < 0.01
     (grey,) = [c for c in axes.collections if c.get_label() == "slipless contacts"]
     points = np.stack(np.unravel_index(case.network.ends, (20,) * 3), axis=-1).swapaxes(0, 1)
     on_side = behind(points, (20,) * 3, View())
