@@ -8,7 +8,7 @@ from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.symbols import describe, driving
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.scene import Solution
+from taichi_bearings.scene import Scene, Solution
 
 ELASTIC = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 
@@ -18,9 +18,8 @@ def draw_snapshot(
 ) -> Figure:
     """The snapshot nearest to a simulated time, which the title names, and the contacts that slip in it.
 
-    Friction is not kept with a snapshot: a contact slips if it does so faster than the slip threshold of the run.
-    Springs give way, so with them it is at least a thousandth of R times the jump, unless `slip_threshold` is given.
-    InputError if the run has no snapshots or does not reach that time.
+    A contact slips as :func:`snapshot_threshold` says. InputError if the run has no snapshots or does not reach that
+    time.
     """
     if solution.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
@@ -32,14 +31,10 @@ def draw_snapshot(
         )
     nearest = int(np.abs(kept - time).argmin())
     scene, spin = solution.sample(replica).scene, solution.snapshots.spin[nearest, replica]
-    threshold = solution.slip_threshold
-    if solution.method.endswith("cundall-strack") and slip_threshold is None:
-        threshold = max(threshold, ELASTIC * scene.lattice.radius * scene.jump)
-    axes = scene.lattice.all_spin_axes
-    speeds = scene.slips(scene.staggered_spin(spin[None], axes), axes)
+    threshold = snapshot_threshold(solution, slip_threshold)
     state = [
         np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, speed[0] > threshold)
-        for axis, speed in enumerate(speeds)
+        for axis, speed in enumerate(slips_of(scene, spin))
     ]
     unit, symbol = driving(scene)
     when = f"$t = {kept[nearest]:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * kept[nearest]:.6g}$")
@@ -47,3 +42,20 @@ def draw_snapshot(
     if scene.jump:
         note += rf" $= {threshold / (scene.lattice.radius * scene.jump):.1g}\,R\,|\Delta\omega|$"
     return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", note)
+
+
+def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> float:
+    """Slip speed beyond which a contact of a snapshot slips; friction, which would tell more, is not kept with it.
+
+    That of the run. Springs give way, so with them it is at least a thousandth of R times the jump, unless the run was
+    asked for `slip_threshold`.
+    """
+    if solution.method.endswith("cundall-strack") and slip_threshold is None:
+        return max(solution.slip_threshold, ELASTIC * solution.scene.lattice.radius * solution.scene.jump)
+    return solution.slip_threshold
+
+
+def slips_of(scene: Scene, spin: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Slip speeds of spins in the laboratory frame, (*N) or (*N, 3): one array (1, *contacts) an axis, length/time."""
+    axes = scene.lattice.all_spin_axes
+    return scene.slips(scene.staggered_spin(spin[None], axes), axes)

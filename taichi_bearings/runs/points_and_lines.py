@@ -1,0 +1,190 @@
+"""One sample of a stored run as points and lines: every sphere and every contact a row, what is known of it a column.
+
+What turns in the browser and in ParaView is drawn from these. The structure is the one that `bearings analyse` has
+left in the run, if it went by the contact states of the run; else it is computed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.analysis.domains import RigidDomains
+from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.errors import InputError
+from taichi_bearings.files.analysis_file import Finding, read_analysis
+from taichi_bearings.lattice.incidence import ends
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run import settings_of
+from taichi_bearings.runs.run_file import AXES, CONTACT_SETS, StoredRun
+from taichi_bearings.runs.snapshot import slips_of, snapshot_threshold
+from taichi_bearings.runs.structure_report import findings_of
+from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.stages import stage
+
+NEEDED = ("minimum_cut/above", "component", "path", "domain", "domains/lock", "betweenness/sphere", "betweenness/x")
+BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "current": "current", "backbone": "backbone"}
+"""Columns of the contacts that are findings of the analysis, one array an axis there."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The way of a dynamics, without its end. time : (S,). spin : (S, sites, parts). slip, state : (S, contacts).
+
+    state : by slip alone, as friction is not kept with a snapshot: slipping where it is faster than `threshold`.
+    """
+
+    time: np.ndarray
+    spin: np.ndarray
+    slip: np.ndarray
+    state: np.ndarray
+    threshold: float
+
+
+@dataclass(frozen=True)
+class PointsAndLines:
+    """Spheres and contacts of one sample, R = 1.
+
+    Spheres in C order; contacts along x first, then y (, z), each in C order of their lower spheres.
+    spheres, contacts : a column (sites, ...) or (contacts,) each, by name.
+    path : spheres (L,) along one shortest slipless path, none if there is no such path.
+    time : of the end of a dynamics, else None. moments : of its snapshots before the end, if it has any.
+    """
+
+    solution: Solution
+    domains: RigidDomains
+    spheres: dict[str, Finding] = field(repr=False)
+    contacts: dict[str, Finding] = field(repr=False)
+    path: np.ndarray
+    time: float | None
+    moments: Moments | None
+
+    @property
+    def scene(self) -> Scene:
+        return self.solution.scene
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """Lower and upper sphere (contacts, 2) of each contact."""
+        return _ends(self.scene)
+
+
+def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
+    """One sample of a run; InputError if it has no such sample, or is not finite."""
+    samples = run.solution.scene.replicas
+    if not 0 <= replica < samples:
+        raise InputError(f"replica is {replica}; the run has {samples}, counted from 0")
+    solution = run.solution.sample(replica)
+    if not all(np.isfinite(values).all() for values in (solution.spin, *solution.slip)):
+        raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
+    found = _findings(run, replica)
+    domains = _domains(solution.scene, found)
+    path = np.ravel_multi_index(tuple(found["path"].values.T), solution.scene.lattice.shape)
+    time = float(solution.history["time"][-1]) if "time" in solution.history else None
+    return PointsAndLines(
+        solution,
+        domains,
+        _sphere_columns(solution, found, domains),
+        _contact_columns(solution, found, path),
+        path,
+        time,
+        _moments(solution, time, settings_of(run).slip_threshold),
+    )
+
+
+def _findings(run: StoredRun, replica: int) -> Mapping[str, Finding]:
+    """The stored analysis of a sample, or a new one where there is none that goes by the contact states."""
+    found, attributes = read_analysis(run.path, replica)
+    if attributes.get("states") in ("proven", "decided") and all(name in found for name in NEEDED):
+        path = found["path"]
+        found["path"] = Finding(path.values[(path.values >= 0).all(axis=1)], path.units, path.description)
+        return found
+    with stage("analysing"):
+        return findings_of(structure_of(run.solution, replica))
+
+
+def _domains(scene: Scene, found: Mapping[str, Finding]) -> RigidDomains:
+    domain, axes = found["domain"].values, scene.minimum_spin_axes
+    number = int(domain.max()) + 1  # what is padded lies behind
+    return RigidDomains(
+        spin_axes=axes,
+        component_domain=np.stack([found[f"component_domain/{AXES[k]}"].values for k in axes]),
+        domain=domain,
+        spheres=found["domains/spheres"].values[:number],
+        staggered=found["domains/staggered_spin"].values[:number],
+        spread=0.0,
+        lock=found["domains/lock"].values[:number],
+    )
+
+
+def _sphere_columns(solution: Solution, found: Mapping[str, Finding], domains: RigidDomains) -> dict[str, Finding]:
+    spin = solution.spin[0]
+    flat = {name: Finding(found[key].values.ravel(), found[key].units, found[key].description) for name, key in (
+        ("domain", "domain"), ("component", "component"), ("betweenness", "betweenness/sphere"),
+        ("above_cut", "minimum_cut/above"),
+    )}  # fmt: skip
+    kinds = "what its rigid domain is locked to: 0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
+    return {
+        "spin": Finding(_spin_rows(spin[None])[0], "1/time", "angular velocity in the laboratory frame"),
+        **flat,
+        "domain_kind": Finding(domains.kind[flat["domain"].values].astype(np.uint8), "1", kinds),
+        "driven": Finding(solution.scene.lattice.is_driven.ravel(), "1", "spin is imposed"),
+    }
+
+
+def _spin_rows(spin: np.ndarray) -> np.ndarray:
+    """Spins (S, sites, 3) of (S, *N, 3), or in 2D of (S, *N), where they point along z."""
+    if spin.shape[-1] == 3 and spin.ndim == 5:
+        return spin.reshape(len(spin), -1, 3)
+    rows = np.zeros((len(spin), spin[0].size, 3))
+    rows[..., 2] = spin.reshape(len(spin), -1)
+    return rows
+
+
+def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.ndarray) -> dict[str, Finding]:
+    scene = solution.scene
+    axis = np.repeat(np.arange(scene.lattice.dimension), [values[0].size for values in scene.coefficient])
+    columns = {"axis": Finding(axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
+    for key, (attribute, unit, text) in CONTACT_SETS.items():
+        columns[key] = Finding(_flat(getattr(solution, attribute)), unit, text)
+    proven = bool(solution.resolved[0]) & (columns["state"].values != ContactState.DRIVEN)
+    columns["proven"] = Finding(proven, "1", "the state is proven to be that of every minimum")
+    for quantity, (name, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
+        columns[name] = Finding(_flat(values), quantity.unit, f"{quantity.name} coefficient")
+    for name, key in BY_AXIS.items():
+        parts = [found[f"{key}/{AXES[a]}"] for a in range(scene.lattice.dimension)]
+        columns[name] = Finding(_flat([p.values[None] for p in parts]), parts[0].units, parts[0].description)
+    step = np.full(scene.lattice.sites, -2)
+    step[path] = np.arange(len(path))
+    low, high = step[_ends(scene)].T
+    on_path = (np.abs(low - high) == 1) & (low >= 0) & (high >= 0)
+    columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
+    return columns
+
+
+def _ends(scene: Scene) -> np.ndarray:
+    lattice = scene.lattice
+    sphere = np.arange(lattice.sites).reshape(lattice.shape)
+    pairs = (ends(sphere, axis, lattice.dimension) for axis in range(lattice.dimension))
+    return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in pairs])
+
+
+def _flat(parts: "list[np.ndarray] | tuple[np.ndarray, ...]") -> np.ndarray:
+    """One row a contact of arrays (1, *contacts), one an axis."""
+    return np.concatenate([values[0].ravel() for values in parts])
+
+
+def _moments(solution: Solution, end: float | None, slip_threshold: float | None) -> Moments | None:
+    """Of the snapshots before the end, whose place the answer of the run takes."""
+    kept = solution.snapshots
+    early = np.array([], dtype=int) if kept is None or end is None else np.flatnonzero(kept.time < end)
+    if kept is None or not len(early):
+        return None
+    scene, spin = solution.scene, kept.spin[early, 0]
+    slip = np.stack([_flat(slips_of(scene, one)) for one in spin])
+    threshold = snapshot_threshold(solution, slip_threshold)
+    idle = _flat([scene.idle(axis) for axis in range(scene.lattice.dimension)])
+    state = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+    state = np.where(idle, ContactState.DRIVEN, state).astype(np.uint8)
+    return Moments(kept.time[early], _spin_rows(spin), slip, state, threshold)

@@ -1,0 +1,101 @@
+"""Spheres and contacts as rows: against run.h5 read contact by contact, and the structure from the file or anew."""
+
+import shutil
+from itertools import pairwise, product
+
+import h5py
+import numpy as np
+import pytest
+
+from taichi_bearings.checksums import ATTRIBUTE
+from taichi_bearings.errors import InputError
+from taichi_bearings.runs.analyse import analyse
+from taichi_bearings.runs.points_and_lines import points_and_lines
+from taichi_bearings.runs.run_file import read_run_file
+
+
+def contacts_one_by_one(shape):
+    """Axis and lower sphere of each contact, in the order of the rows."""
+    for axis in range(len(shape)):
+        for lower in product(*(range(side - (a == axis)) for a, side in enumerate(shape))):
+            yield axis, lower
+
+
+@pytest.mark.parametrize("name", ["minimum", "discs"])
+def test_rows_are_those_of_the_file(name, request):
+    folder = request.getfixturevalue(name)
+    found = points_and_lines(read_run_file(folder))
+    with h5py.File(folder / "run.h5") as file:
+        shape = tuple(file.attrs["shape"])
+        rows = list(contacts_one_by_one(shape))
+        for key in ("slip", "power", "force", "state"):
+            assert found.contacts[key].values.tolist() == [file[f"contact/{'xyz'[a]}/{key}"][at] for a, at in rows]
+        assert found.contacts["coefficient"].values.tolist() == [file[f"coefficient/{'xyz'[a]}"][at] for a, at in rows]
+        spin = file["spin"][()].reshape(-1, 3) if len(shape) == 3 else file["spin"][()].ravel()
+        seen = found.spheres["spin"].values if len(shape) == 3 else found.spheres["spin"].values[:, 2]
+        assert np.array_equal(seen, spin)
+    for (low, high), (axis, at) in zip(found.ends, rows, strict=True):
+        assert np.unravel_index(low, shape) == at
+        assert np.unravel_index(high, shape) == tuple(i + (a == axis) for a, i in enumerate(at))
+
+
+def test_the_path_goes_along_slipless_contacts_from_bottom_to_top(minimum):
+    found = points_and_lines(read_run_file(minimum))
+    lattice, on_path = found.scene.lattice, found.contacts["on_path"].values
+    assert (found.contacts["state"].values[on_path] == 0).all()
+    assert {frozenset(pair) for pair in found.ends[on_path].tolist()} == {
+        frozenset(pair) for pair in pairwise(found.path.tolist())
+    }
+    assert [np.unravel_index(end, lattice.shape)[-1] for end in found.path[[0, -1]]] == [0, lattice.shape[-1] - 1]
+
+
+def test_states_are_said_to_be_proven_where_they_are(minimum, dynamics):
+    proven = points_and_lines(read_run_file(minimum)).contacts
+    assert (proven["proven"].values == (proven["state"].values != 3)).all()  # of no contact between driven spheres
+    assert not points_and_lines(read_run_file(dynamics)).contacts["proven"].values.any()
+
+
+def columns(run):
+    found = points_and_lines(read_run_file(run))
+    return {**found.spheres, **found.contacts}, found.path
+
+
+def test_the_structure_is_the_stored_one_unless_a_threshold_made_it(minimum, tmp_path):
+    run = shutil.copytree(minimum, tmp_path / "run")
+    new, path = columns(run)
+    analyse(run, figures=False, threshold=0.05)
+    assert all(np.array_equal(values.values, new[name].values) for name, values in columns(run)[0].items())
+    analyse(run, figures=False)
+    stored, same_path = columns(run)
+    assert all(np.array_equal(values.values, new[name].values) for name, values in stored.items())
+    assert path.tolist() == same_path.tolist()
+    with h5py.File(run / "run.h5", "r+") as file:  # what is stored is what is taken
+        file["analysis/component"][...] = 7
+        del file["analysis"].attrs[ATTRIBUTE]
+    assert (columns(run)[0]["component"].values == 7).all()
+
+
+def test_snapshots_have_the_slips_of_their_spins(dynamics):
+    found = points_and_lines(read_run_file(dynamics))
+    assert found.moments.time.tolist()[0] == 0
+    assert found.moments.time.max() < found.time == pytest.approx(0.05, rel=1e-2)
+    unit, radius = np.eye(3), found.scene.lattice.radius
+    for spin, slip, state in zip(found.moments.spin, found.moments.slip, found.moments.state, strict=True):
+        low, high = spin[found.ends.T]
+        velocity = np.cross(-radius * (low + high), unit[found.contacts["axis"].values])  # paper Eq. 2
+        free = state != 3
+        assert slip[free] == pytest.approx(np.linalg.norm(velocity, axis=1)[free], abs=1e-12)
+        assert ((state == 1) == ((slip > found.moments.threshold) & free)).all()
+    assert (found.moments.state[0] == 1).sum() > (found.contacts["state"].values == 1).sum()
+
+
+def test_each_replica_has_its_own_rows(solved):
+    run = solved(shape=(5, 5), seed=4, replicas=3)
+    analyse(run, figures=False)  # stored arrays of all samples are padded to one length
+    alone = points_and_lines(read_run_file(solved(shape=(5, 5), seed=6)))
+    third = points_and_lines(read_run_file(run), 2)
+    for name in ("slip", "on_cut", "betweenness"):
+        assert third.contacts[name].values == pytest.approx(alone.contacts[name].values)
+    assert third.spheres["domain_kind"].values.tolist() == alone.spheres["domain_kind"].values.tolist()
+    with pytest.raises(InputError, match="replica is 3; the run has 3"):
+        points_and_lines(read_run_file(run), 3)
