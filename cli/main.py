@@ -21,6 +21,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "histogram": "Distribution of the power per contact of runs and scans.",
     "plot": "One figure from a run or a scan.",
     "list": "Runs and scans in a folder, with what they hold.",
+    "view": "A page of a run that turns in the browser, in one file.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed, as ratios within one run.",
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",

@@ -436,7 +436,7 @@ def _solve_with_checkpoints(
 
 
 def _drawn() -> list[str]:
-    """Files that `run`, `plot`, `analyse` and `histogram` leave beside a run.h5: a new answer outdates them."""
+    """Files that `run`, `plot`, `analyse`, `histogram` and `view` leave beside a run.h5: a new answer outdates them."""
     from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 
     figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
@@ -444,6 +444,7 @@ def _drawn() -> list[str]:
         *(f"{name}.{ending}" for name in figures for ending in ("png", "pdf")),
         "power_histogram.csv",
         "power_histogram.h5",
+        "view.html",
     ]
 
 

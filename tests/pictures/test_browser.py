@@ -1,0 +1,199 @@
+"""The page of `bearings view` in a browser without a window: Chromium or Chrome, where one is installed.
+
+Frame times are of drawing without a graphics card; `pytest -rA` or a JUnit report shows them.
+"""
+
+import base64
+import os
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+from taichi_bearings.analysis.structure import states_by_threshold, structure_of
+from taichi_bearings.analysis.thresholds import THRESHOLDS
+from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.view.view import view
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+BARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+SLOWEST = 3000  # milliseconds of a frame, on a busy machine without a graphics card
+
+
+@pytest.fixture(scope="module")
+def browser():
+    driver = pytest.importorskip("playwright.sync_api", reason="playwright, which steers browsers, is not installed")
+    found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
+    if found is None:
+        pytest.skip("there is no Chromium or Chrome on this machine; CHROMIUM may name one")
+    with driver.sync_playwright() as steering:
+        started = steering.chromium.launch(executable_path=found, args=BARE)
+        yield started
+        started.close()
+
+
+class Page:
+    """A page in the browser, what it complained of and what it asked for."""
+
+    def __init__(self, browser, path):
+        self.complaints, self.requests = [], []
+        self.tab = browser.new_page(viewport={"width": 1100, "height": 400})
+        self.tab.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
+        self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+        began = time.perf_counter()
+        self.tab.goto(path.as_uri())
+        self.tab.wait_for_function("window.bearings || document.getElementById('message').textContent[0] === 'N'")
+        self.seconds = time.perf_counter() - began
+
+    def ask(self, words):
+        return self.tab.evaluate(words)
+
+    def move(self, slider, value):
+        """As a hand does it: the slider gets a value and says so."""
+        self.tab.locator(f"#{slider}").evaluate(
+            "(e, to) => { e.value = to; e.dispatchEvent(new Event('input')); }", value
+        )
+
+    def press(self, name):
+        self.tab.get_by_role("button", name=name, exact=True).click()
+
+    def pixels(self):
+        """Of the picture itself, (height, width, 4), rows from below."""
+        words = """(() => { const p = bearings.picture, gl = p.renderer.getContext(); p.draw();
+            const { drawingBufferWidth: w, drawingBufferHeight: h } = gl, all = new Uint8Array(4 * w * h);
+            gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, all);
+            return [w, h, btoa(all.reduce((text, byte) => text + String.fromCharCode(byte), ""))]; })()"""
+        width, height, values = self.ask(words)
+        return np.frombuffer(base64.b64decode(values), dtype=np.uint8).reshape(height, width, 4)
+
+    def is_quiet(self):
+        """True if it said nothing and asked for nothing but itself."""
+        loud = [text for text in self.complaints if "GPU stall" not in text]  # of our reading pixels back
+        return not loud and len(self.requests) == 1 and self.requests[0].startswith("file://")
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    """A function that makes the page of a run and opens it."""
+    pages = []
+
+    def show(run):
+        view(run, tmp_path / "page.html", force=True)
+        pages.append(Page(browser, tmp_path / "page.html"))
+        return pages[-1]
+
+    yield show
+    for page in pages:
+        page.tab.close()
+
+
+def coloured(pixels):
+    return (pixels[..., :3].astype(int).max(axis=2) - pixels[..., :3].min(axis=2) > 40).mean()
+
+
+@pytest.mark.parametrize("name", ["minimum", "discs"])
+def test_a_page_shows_every_view_without_a_word_of_complaint(name, opened, request):
+    page = opened(request.getfixturevalue(name))
+    spins = page.pixels()
+    assert 0.05 < coloured(spins) < 0.9
+    for button in ("Network", "Slipping", "Minimum cut", "Domains", "Bottlenecks"):
+        if page.tab.get_by_role("button", name=button, exact=True).is_enabled():
+            page.press(button)
+            assert (page.pixels() != spins).any(axis=2).mean() > 0.002
+    page.press("Spins")
+    assert (page.pixels() == spins).mean() > 0.999
+    assert page.is_quiet(), (page.complaints, page.requests)
+
+
+def test_states_are_those_of_the_run_first_and_by_the_threshold_of_the_slider_then(minimum, opened):
+    page, solution = opened(minimum), read_run_file(minimum).solution
+    structure = structure_of(solution)
+    assert page.ask("bearings.sample.counts.slipless") == structure.contacts_in(0)
+    assert page.ask("bearings.sample.counts.spans") is structure.network.spans is True
+    assert page.ask("bearings.sample.counts.reached") == pytest.approx(structure.network.reached_fraction)
+    assert "proven" in page.tab.locator("#threshold-text").inner_text()
+    page.press("Network")
+    before = page.pixels()
+    page.move("threshold", 104)
+    slip = page.ask("bearings.choices.slip")
+    assert THRESHOLDS[-1] < slip / (0.5 * 0.9) < 1
+    coarse = structure_of(solution, threshold=slip)
+    by_slip = states_by_threshold(structure.slip, structure.state, slip)
+    assert page.ask("bearings.sample.counts.slipless") == sum((part == 0).sum() for part in by_slip)
+    assert page.ask("bearings.sample.counts.slipless") > structure.contacts_in(0)
+    assert page.ask("bearings.sample.counts.reached") == pytest.approx(coarse.network.reached_fraction)
+    assert "proven" not in page.tab.locator("#threshold-text").inner_text()
+    assert (page.pixels() != before).any(axis=2).mean() > 1e-3
+
+
+def test_sliders_of_power_and_slice_leave_what_they_say(minimum, opened):
+    page, solution = opened(minimum), read_run_file(minimum).solution
+    page.press("Slipping")
+    shown = "bearings.picture.layers.slipping.count"
+    slipping = [power[state == 1] for power, state in zip(solution.power_per_contact, solution.state, strict=True)]
+    assert page.ask(shown) == sum(map(len, slipping))
+    page.move("power", 80)
+    least = page.ask("weakest(bearings.choices)")
+    assert 0 < page.ask(shown) == sum((power >= least).sum() for power in slipping) < sum(map(len, slipping))
+    page.press("Spins")
+    page.move("slice-y-from", 3)
+    assert page.ask("bearings.picture.shown.reduce((a, b) => a + b)") == 5 * 2 * 5
+
+
+def test_what_is_pointed_at_says_its_numbers(minimum, opened):
+    page, solution = opened(minimum), read_run_file(minimum).solution
+    page.press("Network")
+    aim = """(number) => { const { picture } = bearings, contact = picture.layers.network.ids[number];
+        picture.mark({ contact });
+        const place = picture.marker.position.clone().project(picture.camera);
+        const box = picture.canvas.getBoundingClientRect();
+        const x = (place.x + 1) / 2 * box.width, y = (1 - place.y) / 2 * box.height;
+        return [contact, picture.pick(x, y), x + box.left, y + box.top]; }"""
+    force = np.concatenate([part[0].ravel() for part in solution.force])
+    asked = 0
+    for number in range(0, 40, 4):
+        contact, found, x, y = page.tab.evaluate(aim, number)
+        if found == {"contact": contact}:  # others may lie before it
+            page.tab.mouse.move(x, y)
+            page.tab.wait_for_function(f"document.getElementById('numbers').innerText.includes('{force[contact]:.6g}')")
+            text = page.tab.locator("#numbers").inner_text()
+            assert "slipless, proven" in text
+            asked += 1
+    assert asked >= 3
+
+
+def test_snapshots_play_in_time(dynamics, opened):
+    page = opened(dynamics)
+    assert page.ask("document.title").endswith("seed 5")
+    end = page.pixels()
+    page.move("time", 0)
+    assert page.tab.locator("#title").inner_text().endswith("t = 0")
+    assert (page.pixels() != end).any(axis=2).mean() > 0.05
+    page.press("Play the snapshots")
+    page.tab.wait_for_function("bearings.choices.time === 3")
+    assert (page.pixels() == end).mean() > 0.999
+    assert page.is_quiet(), (page.complaints, page.requests)
+
+
+def test_keys_turn_the_picture(minimum, opened):
+    page = opened(minimum)
+    before = page.pixels()
+    page.tab.locator("#canvas").press("ArrowLeft")
+    assert (page.pixels() != before).any(axis=2).mean() > 0.05
+    page.tab.locator("#canvas").press("Home")
+    assert (page.pixels() == before).mean() > 0.999
+
+
+@pytest.mark.slow
+def test_a_large_lattice_turns(solved, opened, record_property):
+    page = opened(solved(shape=(32, 32, 32), method="gradient-descent", iterations=5))
+    milliseconds = {
+        name: page.ask("bearings.frameTime(3)") for name in ("Spins", "Network") if page.press(name) is None
+    }
+    record_property("frame_milliseconds", milliseconds)
+    print(f"32x32x32: loaded in {page.seconds:.1f} s; a frame takes", milliseconds)
+    assert page.ask("bearings.picture.layers.network.count") > 10_000
+    assert 0 < max(milliseconds.values()) < SLOWEST
+    assert page.is_quiet(), (page.complaints, page.requests)

@@ -1,0 +1,83 @@
+"""The page of `bearings view` as a file: what it holds, to which digits, and that it asks for nothing else."""
+
+import base64
+import gzip
+import json
+import re
+
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.runs.points_and_lines import points_and_lines
+from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.view import contents
+from taichi_bearings.view.view import view
+
+
+def held_by(page):
+    """Facts and arrays of the text of a page."""
+    block = {name: re.search(rf'id="{name}">([^<]*)<', page)[1] for name in ("facts", "arrays", "library")}
+    facts, packed = json.loads(block["facts"]), gzip.decompress(base64.b64decode(block["arrays"]))
+    places = {place["name"]: place for place in facts["arrays"]}
+    arrays = {n: np.frombuffer(packed, f"<{p['kind']}", p["length"], p["offset"]) for n, p in places.items()}
+    return facts, arrays, gzip.decompress(base64.b64decode(block["library"])).decode()
+
+
+def page_of(run, folder):
+    path = folder / "page.html"
+    assert view(run, path)["bytes"] == path.stat().st_size
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["minimum", "discs", "dynamics"])
+def test_a_page_holds_the_rows_to_the_digits_that_it_shows(name, request, tmp_path):
+    run = request.getfixturevalue(name)
+    facts, arrays, _ = held_by(page_of(run, tmp_path))
+    rows = points_and_lines(read_run_file(run))
+    for key in ("slip", "power", "force", "coefficient", "betweenness"):
+        assert arrays[key] == pytest.approx(rows.contacts[key].values, rel=1e-7, abs=1e-37)
+    assert arrays["spin"].reshape(-1, 3) == pytest.approx(rows.spheres["spin"].values, rel=1e-7, abs=1e-37)
+    assert arrays["state"].tolist() == rows.contacts["state"].values.tolist()
+    assert arrays["path"].tolist() == rows.path.tolist()
+    assert facts["shape"] == list(rows.scene.lattice.shape)
+    assert facts["proven"] == (name != "dynamics")
+    assert facts["subtitle"].endswith("contact states proven") == (name != "dynamics")
+    assert facts["title"].endswith(f", seed {rows.scene.seeds[0]}")
+    if name == "dynamics":
+        assert arrays["snapshot_slip"].reshape(3, -1) == pytest.approx(rows.moments.slip, rel=1e-7)
+
+
+def test_a_page_names_no_address_and_carries_the_licence_of_its_library(minimum, tmp_path):
+    page = page_of(minimum, tmp_path)
+    assert "://" not in page
+    assert not re.findall(r"\b(?:src|href)=\"(?!data:,)", page)
+    assert "The MIT License" in page
+    assert "three.js authors" in page
+    assert "Copyright 2010-2026 Three.js Authors" in held_by(page)[2]
+    assert "@@" not in page
+
+
+def test_snapshots_beyond_the_room_of_a_page_are_left_out_evenly_and_it_says_so(dynamics, tmp_path, monkeypatch):
+    rows = points_and_lines(read_run_file(dynamics))
+    monkeypatch.setattr(contents, "MOST_BYTES", 4 * 2 * (rows.moments.spin[0].size + rows.moments.slip[0].size))
+    facts, arrays, _ = held_by(page_of(dynamics, tmp_path))
+    assert facts["times"] == rows.moments.time[[0, 2]].tolist()
+    assert facts["left_out"] == " shown, evenly chosen from 3"
+    assert arrays["snapshot_slip"].reshape(2, -1) == pytest.approx(rows.moments.slip[[0, 2]], rel=1e-7)
+
+
+def test_an_earlier_page_is_replaced_only_where_it_is_ours(minimum, tmp_path):
+    mine = tmp_path / "mine.html"
+    mine.write_text("mine")
+    with pytest.raises(FileError, match="already exists"):
+        view(minimum, mine)
+    assert mine.read_text() == "mine"
+    assert view(minimum, mine, force=True)["bytes"] > 100_000
+    assert view(minimum) == view(minimum)  # the default lies in the run and is replaced
+    assert (minimum / "view.html").is_file()
+
+
+def test_a_page_needs_its_ending(minimum, tmp_path):
+    with pytest.raises(InputError, match=r"page\.png'; it must end in \.html"):
+        view(minimum, tmp_path / "page.png")
