@@ -435,8 +435,11 @@ def _solve_with_checkpoints(
     return _with_figures(found, heard.is_set())
 
 
+PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
+
+
 def _drawn() -> list[str]:
-    """Files that `run`, `plot`, `analyse`, `histogram` and `view` leave beside a run.h5: a new answer outdates them."""
+    """Files that `run` and what draws, analyses and exports it leave beside a run.h5: a new answer outdates them."""
     from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 
     figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
@@ -444,7 +447,7 @@ def _drawn() -> list[str]:
         *(f"{name}.{ending}" for name in figures for ending in ("png", "pdf")),
         "power_histogram.csv",
         "power_histogram.h5",
-        "view.html",
+        *PICTURES,
     ]
 
 

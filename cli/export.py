@@ -1,0 +1,43 @@
+"""bearings export"""
+
+import json
+from pathlib import Path
+
+import click
+from taichi_bearings_cli.options import json_option
+
+
+@click.command()
+@click.argument("run", metavar="RUN")
+@click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
+@click.option("--out", metavar="FILE", default=None, help="The file. [default: run.vtkhdf in the run directory]")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+@json_option
+def command(run: str, replica: int, out: str | None, force: bool, as_json: bool) -> None:
+    """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later.
+
+    \b
+    points  the spheres: spin, rigid domain and what that is locked to, piece of the slipless network,
+            betweenness, side of the minimum cut
+    lines   the contacts: slip, power, force, state, proven or not, coefficient, betweenness, current,
+            on the minimum cut, on the path, on the backbone
+    steps   the snapshots of a dynamics and its end
+
+    The structure is that of `bearings analyse`, if that was run, else it is computed. docs/pictures.md says more.
+
+    \b
+    Example:
+      bearings export outputs/my-run --out my-run.vtkhdf
+    """
+    from taichi_bearings_cli.progress import Display
+
+    from taichi_bearings.export.vtkhdf import export
+
+    with Display():
+        report = export(Path(run), Path(out) if out else None, force, replica)
+    if as_json:
+        click.echo(json.dumps(report))
+        return
+    steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
+    size = f"{report['bytes'] / 1e6:.1f} MB"
+    click.echo(f"{report['file']}: {report['points']:,} spheres, {report['lines']:,} contacts{steps}; {size}")

@@ -1,0 +1,118 @@
+"""`bearings export`, read back by VTK's own reader, and its layout as plain HDF5 where that is not installed."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.export.vtkhdf import export
+from taichi_bearings.runs.points_and_lines import points_and_lines
+from taichi_bearings.runs.run_file import read_run_file
+
+ROOT = Path(__file__).parents[2]
+NO_VTK = "the package vtk, which reads the files back, is not installed; some systems have no wheel of it"
+
+
+@pytest.fixture(scope="module")
+def read():
+    """A function (path, step) -> points, lines, point data and cell data as VTK has them, time, number of steps."""
+    module = pytest.importorskip("vtkmodules.vtkIOHDF", reason=NO_VTK)
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    def arrays(data):
+        return {data.GetArrayName(n): vtk_to_numpy(data.GetArray(n)) for n in range(data.GetNumberOfArrays())}
+
+    def read_step(path, step=0):
+        reader = module.vtkHDFReader()
+        reader.SetFileName(str(path))
+        reader.UpdateInformation()
+        reader.SetStep(step)
+        reader.Update()
+        found = reader.GetOutput()
+        lines = vtk_to_numpy(found.GetLines().GetConnectivityArray()).reshape(-1, 2)
+        data = arrays(found.GetPointData()), arrays(found.GetCellData())
+        return vtk_to_numpy(found.GetPoints().GetData()), lines, *data, reader.GetTimeValue(), reader.GetNumberOfSteps()
+
+    return read_step
+
+
+def same(found, columns):
+    assert set(found) == set(columns)
+    for name, column in columns.items():
+        assert np.array_equal(found[name], column.values), name
+
+
+@pytest.mark.parametrize("name", ["minimum", "discs"])
+def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, tmp_path):
+    run = request.getfixturevalue(name)
+    report = export(run, tmp_path / "a.vtkhdf")
+    rows = points_and_lines(read_run_file(run))
+    points, lines, spheres, contacts, _, steps = read(tmp_path / "a.vtkhdf")
+    assert (report["points"], report["lines"], report["steps"]) == (len(points), len(lines), 1)
+    assert steps <= 1
+    assert np.array_equal(lines, rows.ends)
+    same(spheres, rows.spheres)
+    same(contacts, rows.contacts)
+    assert np.linalg.norm(points[lines[:, 1]] - points[lines[:, 0]], axis=1) == pytest.approx(2 * 0.5)
+    assert np.array_equal(points[:, : rows.scene.lattice.dimension], np.argwhere(rows.scene.lattice.is_driven >= 0))
+
+
+def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynamics, read, tmp_path):
+    path = tmp_path / "a.vtkhdf"
+    rows = points_and_lines(read_run_file(dynamics))
+    number = export(dynamics, path)["steps"]
+    assert number == len(rows.moments.time) + 1 == 4
+    for step, time in enumerate(rows.moments.time):
+        points, lines, spheres, contacts, found, steps = read(path, step)
+        assert (found, steps) == (time, number)
+        assert (len(points), len(lines)) == (60, len(rows.ends))
+        assert np.array_equal(spheres["spin"], rows.moments.spin[step])
+        assert np.array_equal(spheres["domain"], rows.spheres["domain"].values)
+        assert np.array_equal(contacts["slip"], rows.moments.slip[step])
+        assert np.array_equal(contacts["state"], rows.moments.state[step])
+        assert np.isnan(contacts["power"]).all()
+        assert not contacts["proven"].any()
+    *_, spheres, contacts, time, _ = read(path, number - 1)
+    assert time == rows.time
+    same(spheres, rows.spheres)
+    same(contacts, rows.contacts)
+
+
+def test_arrays_say_their_units_and_those_that_stay_are_written_once(dynamics, tmp_path):
+    export(dynamics, tmp_path / "a.vtkhdf")
+    with h5py.File(tmp_path / "a.vtkhdf") as file:
+        root = file["VTKHDF"]
+        assert root.attrs["Type"] == b"PolyData"
+        assert root["CellData/slip"].attrs["units"] == "length/time"
+        assert len(root["CellData/slip"]) == 4 * len(root["CellData/coefficient"])
+        assert root["Steps/CellDataOffsets/coefficient"][()].tolist() == [0] * 4
+        assert root.attrs["method"] == "cundall-strack"
+
+
+def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):
+    pytest.importorskip("vtkmodules.vtkRenderingOpenGL2", reason=NO_VTK)
+    export(minimum, tmp_path / "a.vtkhdf")
+    words = [sys.executable, ROOT / "docs" / "paraview.py", tmp_path / "a.vtkhdf", tmp_path / "a.png"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    from matplotlib.image import imread
+
+    pixels = imread(tmp_path / "a.png")[..., :3]
+    assert pixels.shape == (700, 900, 3)
+    red, green, blue = (pixels[:, :760, k] for k in range(3))
+    assert (red - blue > 0.4).mean() > 0.005  # spheres of the top plane
+    assert (blue - red > 0.2).mean() > 0.01  # those of the bottom, and strong contacts
+    assert ((red > 0.98) & (green > 0.98) & (blue > 0.98)).mean() > 0.2  # the paper
+
+
+def test_files_are_replaced_as_those_of_other_commands(minimum, tmp_path):
+    export(minimum, tmp_path / "a.vtkhdf")
+    with pytest.raises(FileError, match="already exists"):
+        export(minimum, tmp_path / "a.vtkhdf")
+    assert export(minimum)["file"] == str(minimum / "run.vtkhdf")
+    with pytest.raises(InputError, match=r"a\.vtk'; it must end in \.vtkhdf"):
+        export(minimum, tmp_path / "a.vtk")
