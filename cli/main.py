@@ -23,6 +23,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "list": "Runs and scans in a folder, with what they hold.",
     "view": "A page of a run that turns in the browser, in one file.",
     "export": "A file of a run for ParaView.",
+    "movie": "A film of the snapshots of a dynamics.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed, as ratios within one run.",
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",

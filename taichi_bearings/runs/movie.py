@@ -1,0 +1,113 @@
+"""The snapshots of a dynamics as a film: `bearings movie`. MP4 by ffmpeg where that is installed, else GIF."""
+
+import contextlib
+import io
+import itertools
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
+
+from taichi_bearings.errors import InputError, WriteError
+from taichi_bearings.files.whole_file import refuse_standing, replace_file
+from taichi_bearings.plots.style import in_our_style
+from taichi_bearings.runs.run import settings_of
+from taichi_bearings.runs.run_file import StoredRun, read_run_file
+from taichi_bearings.runs.snapshot import draw_snapshot
+from taichi_bearings.stages import alike, each, stage
+
+ENDINGS = (".mp4", ".gif")
+MOST_FRAMES_PER_SECOND = 60
+
+
+def movie(
+    run: Path, out: Path | None = None, force: bool = False, replica: int = 0, frames_per_second: float = 4.0
+) -> dict[str, Any]:
+    """Draw each snapshot of one sample, as `bearings plot spins --time` does, and join them to a film.
+
+    out : the file, MP4 or GIF by its ending; default: movie.mp4 in the run directory, or movie.gif without ffmpeg.
+    Raises InputError or FileError before anything is drawn.
+    """
+    ending, encoder = _ending(out), shutil.which("ffmpeg")
+    if ending == ".mp4" and encoder is None:
+        raise InputError(f"out is {str(out)!r}, but there is no ffmpeg on this machine to make it; a .gif needs none")
+    if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
+        raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
+    with stage("reading"):
+        stored = read_run_file(run)
+    ending = ending or (".gif" if encoder is None else ".mp4")
+    path = stored.path.parent / f"movie{ending}" if out is None else out
+    solution = stored.solution
+    if solution.snapshots is None:
+        raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
+    if not 0 <= replica < solution.scene.replicas:
+        raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
+    refuse_standing([path], force or out is None)
+    frames = _frames(stored, replica)
+    film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
+    replace_file(path, film)
+    number = len(solution.snapshots.time)
+    return {"file": str(path), "bytes": path.stat().st_size, "frames": number, "fps": frames_per_second}
+
+
+def _ending(out: Path | None) -> str:
+    """Of the name of the film, empty for the best there is."""
+    if out is not None and out.suffix not in ENDINGS:
+        raise InputError(f"out is {str(out)!r}; it must end in {' or '.join(ENDINGS)}")
+    return "" if out is None else out.suffix
+
+
+def _frames(stored: StoredRun, replica: int) -> Iterator[np.ndarray]:
+    """Pictures (height, width, 3) of bytes, of one even size."""
+    solution = stored.solution
+    assert solution.snapshots is not None
+    threshold = settings_of(stored).slip_threshold
+    for time in each(np.sort(solution.snapshots.time).tolist(), "drawing snapshot", alike):
+        yield _picture(draw_snapshot(solution, replica, time, threshold))
+
+
+@in_our_style
+def _picture(figure: Any) -> np.ndarray:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
+    height, width = (2 * (side // 2) for side in pixels.shape[:2])  # films need even sides
+    return np.ascontiguousarray(pixels[:height, :width])
+
+
+def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
+    """H.264 in the colours that every player knows, at least 10 frames a second, as some players need."""
+    first = next(frames)
+    height, width = first.shape[:2]
+    repeated = max(1, math.ceil(10 / frames_per_second))
+    with tempfile.TemporaryDirectory() as folder:
+        film, said = Path(folder) / "movie.mp4", Path(folder) / "said"
+        words = [encoder, "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
+                 "-video_size", f"{width}x{height}", "-framerate", f"{frames_per_second:g}", "-i", "-",
+                 "-r", f"{repeated * frames_per_second:g}", "-pix_fmt", "yuv420p", "-movflags", "+faststart",
+                 str(film)]  # fmt: skip
+        with said.open("wb") as errors, subprocess.Popen(words, stdin=subprocess.PIPE, stderr=errors) as process:
+            assert process.stdin is not None
+            with contextlib.suppress(BrokenPipeError):  # it says itself why it stopped
+                for frame in itertools.chain([first], frames):
+                    process.stdin.write(frame.tobytes())
+                process.stdin.close()
+        if process.returncode or not film.is_file():
+            reason = said.read_text(errors="replace").strip().splitlines()[-1:] or ["it says nothing"]
+            raise WriteError(f"ffmpeg made no film: {reason[0]}; a .gif needs none")
+        return film.read_bytes()
+
+
+def _gif(frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
+    """For ever in a circle."""
+    first, *rest = [Image.fromarray(frame).quantize(256) for frame in frames]
+    film, milliseconds = io.BytesIO(), max(20, round(1000 / frames_per_second))
+    first.save(film, "GIF", save_all=True, append_images=rest, duration=milliseconds, loop=0)
+    return film.getvalue()

@@ -1,0 +1,84 @@
+"""`bearings movie`: a frame a snapshot, as GIF by Pillow and as MP4 by ffmpeg where that is installed."""
+
+import shutil
+import subprocess
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
+
+from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.runs.movie import movie
+from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.snapshot import draw_snapshot
+
+
+@pytest.fixture
+def whirl(solved):
+    """A dynamics of discs with three snapshots."""
+    return solved(
+        shape=(5, 4), method="cundall-strack", initial="random", seed=5, duration=0.05, snapshots="0,0.001,0.05"
+    )
+
+
+def test_a_gif_shows_each_snapshot_for_its_time(whirl, tmp_path):
+    report = movie(whirl, tmp_path / "a.gif", frames_per_second=5)
+    solution = read_run_file(whirl).solution
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == report["frames"] == len(solution.snapshots.time) == 3
+        frames = []
+        for number, time in enumerate(solution.snapshots.time):
+            film.seek(number)
+            assert film.info["duration"] == 200
+            figure = draw_snapshot(solution, 0, time)
+            canvas = FigureCanvasAgg(figure)
+            canvas.draw()
+            drawn = np.asarray(canvas.buffer_rgba())[..., :3].astype(float)
+            shown = np.asarray(film.convert("RGB"), dtype=float)
+            height, width = shown.shape[:2]
+            frames.append(shown)
+            assert np.abs(drawn[:height, :width] - shown).mean() < 2  # of 255
+        assert all(np.abs(before - after).mean() > 2 for before, after in pairwise(frames))
+
+
+@pytest.mark.skipif(not shutil.which("ffprobe"), reason="ffmpeg, which makes MP4, is not installed")
+def test_an_mp4_lasts_as_long_as_its_snapshots(whirl, tmp_path):
+    movie(whirl, tmp_path / "a.mp4", frames_per_second=2)
+    words = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_name,pix_fmt,duration", "-of", "csv=p=0"]
+    told = subprocess.run([*words, tmp_path / "a.mp4"], capture_output=True, text=True).stdout.strip().split(",")
+    assert told[:2] == ["h264", "yuv420p"]
+    assert float(told[2]) == pytest.approx(3 / 2, abs=0.1)
+
+
+def test_an_encoder_that_fails_leaves_no_film_and_says_why(whirl, tmp_path, monkeypatch):
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text("#!/bin/sh\necho 'Unknown encoder' >&2\nexit 1\n")
+    encoder.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(WriteError, match=r"made no film: Unknown encoder; a \.gif needs none"):
+        movie(whirl, tmp_path / "a.mp4")
+    assert not (tmp_path / "a.mp4").exists()
+
+
+def test_without_an_encoder_the_film_is_a_gif(whirl, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert movie(whirl)["file"] == str(whirl / "movie.gif")
+    with pytest.raises(InputError, match="there is no ffmpeg"):
+        movie(whirl, tmp_path / "a.mp4")
+
+
+def test_what_cannot_be_filmed_is_said_before_anything_is_drawn(discs, whirl, tmp_path):
+    with pytest.raises(InputError, match="holds no snapshots to film; run a dynamics with --snapshots"):
+        movie(discs, tmp_path / "a.gif")
+    for fps in (0.0, -1.0, 61.0, float("nan")):
+        with pytest.raises(InputError, match=f"fps is {fps:g}; it must be above 0 and at most 60"):
+            movie(whirl, tmp_path / "a.gif", frames_per_second=fps)
+    with pytest.raises(InputError, match=r"must end in \.mp4 or \.gif"):
+        movie(whirl, tmp_path / "a.avi")
+    with pytest.raises(InputError, match="replica is 2; the run has 1"):
+        movie(whirl, tmp_path / "a.gif", replica=2)
+    (tmp_path / "mine.gif").write_text("mine")
+    with pytest.raises(FileError, match="already exists"):
+        movie(whirl, tmp_path / "mine.gif")
