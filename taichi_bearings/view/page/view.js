@@ -291,7 +291,7 @@ class Picture {
     const flat = this.sample.dimension === 2, aspect = Math.max(0.4, this.canvas.clientWidth / this.canvas.clientHeight);
     const away = 1 / Math.tan(this.camera.fov * Math.PI / 360);
     if (flat) this.camera.position.set(0, -away * 0.62 * Math.max(this.sample.shape[1] + 1, (this.sample.shape[0] + 1) / aspect) - 1, 0);
-    else this.camera.position.set(0.56, -0.75, 0.42).normalize().multiplyScalar(away * 0.62 * this.extent * Math.max(1, 1 / aspect));
+    else this.camera.position.set(0.56, -0.75, 0.42).normalize().multiplyScalar(away * 0.57 * this.extent * Math.max(1, 1 / aspect));
     this.controls.target.set(0, 0, 0);
     this.controls.update();
     this.draw();
@@ -375,16 +375,16 @@ class Picture {
     const thin = sample.dimension === 2 ? 0.09 : 0.075, plain = Object.fromEntries(Object.entries(LOOK).map(([k, v]) => [k, rgb(v)]));
     const values = sample.valuesNow, least = weakest(choices), wide = Math.log10(choices.range[1] / least) || 1;
     const faint = choices.power > 0 ? least : 0;
-    const { bottleneck_share, busiest_share: busiest } = sample.facts;
+    const { bottleneck_share, busiest_share: busiest } = sample.facts, bold = Math.max(1, this.extent / 30);
     this.fill("network", thin, (c) => judged[c] === SLIPLESS ? plain.network : null);
     this.fill("slipping", 1.5 * thin, (c) => judged[c] !== SLIPPING || values[c] < faint ? null
       : map(sample.map_power, Math.log10(Math.max(values[c], least) / least) / wide));
     this.fill("undecided", 1.5 * thin, (c) => judged[c] === UNDECIDED ? plain.undecided : null);
     this.fill("cut", 0.94, (c) => flags[c] & CUT ? plain.cut : null);
     this.fill("walls", 0.94, (c) => domain[low[c]] !== domain[high[c]] && this.bounds(c) ? plain.walls : null);
-    this.fill("path", 2.2 * thin, (c) => flags[c] & PATH ? plain.path : null);
-    this.fill("bottlenecks", 3 * thin, (c) => betweenness[c] > 0 && betweenness[c] >= bottleneck_share ? map(sample.map_share, 1 - Math.log10(betweenness[c]) / SHARES) : null,
-      (c) => thin * (1.4 + 3 * Math.sqrt(betweenness[c] / busiest)));
+    this.fill("path", 2.2 * bold * thin, (c) => flags[c] & PATH ? plain.path : null);
+    this.fill("bottlenecks", 3 * bold * thin, (c) => betweenness[c] > 0 && betweenness[c] >= bottleneck_share ? map(sample.map_share, 1 - Math.log10(betweenness[c]) / SHARES) : null,
+      (c) => bold * thin * (1.4 + 3 * Math.sqrt(betweenness[c] / busiest)));
   }
   /** Boundaries are drawn around the spheres that are. */
   bounds(c) { const { kind, low, high } = this.sample; return this.choices.kinds[kind[low[c]]] || this.choices.kinds[kind[high[c]]]; }
@@ -460,7 +460,7 @@ class Picture {
     }
     const away = this.camera.position.distanceTo(this.controls.target), deep = this.sample.dimension === 3 ? this.extent : 1e6;
     this.scene.fog.near = Math.max(0.1, away - 0.25 * deep);
-    this.scene.fog.far = away + 1.05 * deep;
+    this.scene.fog.far = away + 1.5 * deep;
     this.uniforms.fade.value.set(this.scene.fog.near, this.scene.fog.far);
     this.uniforms.pixel.value = 2 * Math.tan(this.camera.fov * Math.PI / 360) / (height * ratio);
     this.renderer.render(this.scene, this.camera);

@@ -1,0 +1,52 @@
+"""`bearings view`, `bearings export` and `bearings movie` as people and scripts call them."""
+
+import json
+
+import pytest
+
+from tests.cli.commands import bearings
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    words = ("--method", "cundall-strack", "--initial", "random", "--duration", 0.01, "--snapshots", "0,0.005")
+    assert bearings("run", "--shape", "4,4", *words, "--figures", "none", "--out", folder).returncode == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "counts"),
+    [
+        ("view", "view.html", {"snapshots": 2}),
+        ("export", "run.vtkhdf", {"points": 16, "lines": 24, "steps": 3}),
+        ("movie", "a.gif", {"frames": 2, "fps": 4.0}),
+    ],
+)
+def test_json_says_where_the_file_is_and_what_it_holds(run, command, name, counts):
+    where = () if command != "movie" else ("--out", run / name)
+    done = bearings(command, run, *where, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report == {"file": str(run / name), "bytes": (run / name).stat().st_size, **counts}
+    assert done.stderr == ""  # quiet in a pipe
+    plain = bearings(command, run, *where, "--force")
+    assert str(run / name) in plain.stdout
+    assert len(plain.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("command", "ending"), [("view", "html"), ("export", "vtkhdf"), ("movie", "gif")])
+def test_what_stands_is_not_replaced_unasked_and_what_is_no_run_is_said_so(run, command, ending, tmp_path):
+    mine = tmp_path / f"mine.{ending}"
+    mine.write_text("mine")
+    done = bearings(command, run, "--out", mine)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"bearings: {mine} already exists; choose another --out or add --force\n"
+    assert mine.read_text() == "mine"
+    done = bearings(command, tmp_path / "nothing")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"bearings: {tmp_path / 'nothing'} is not a run")
+    done = bearings(command, run, "--out", tmp_path / "no" / f"where.{ending}")
+    assert done.returncode != 0
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1
