@@ -12,6 +12,7 @@ import numpy as np
 
 from taichi_bearings.version import VERSION
 
+SCRIPTS = ("words", "squares", "sample", "picture", "legend", "pointing", "controls", "start")
 KINDS = {"float32": "f4", "int32": "i4", "uint8": "u1"}
 
 
@@ -24,7 +25,7 @@ def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         "STYLE": _text("style.css"),
         "VERSION": VERSION,
         "LICENCE": _text("three.LICENSE.txt"),
-        "SCRIPT": _text("view.js"),
+        "SCRIPT": "\n".join(_text(f"{name}.js") for name in SCRIPTS),
         "LIBRARY": _packed(_text("three.js").encode()),
         "FACTS": words,
         "ARRAYS": _packed(packed),

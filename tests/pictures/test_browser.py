@@ -5,6 +5,7 @@ Frame times are of drawing without a graphics card; `pytest -rA` or a JUnit repo
 
 import base64
 import os
+import re
 import shutil
 import time
 
@@ -142,6 +143,14 @@ def test_sliders_of_power_and_slice_leave_what_they_say(minimum, opened):
     assert page.ask("bearings.picture.shown.reduce((a, b) => a + b)") == 5 * 2 * 5
 
 
+def place_of(solution, contact):
+    """Axis and lower sphere of a contact, as the page writes them."""
+    for axis, part in zip("xyz", solution.slip, strict=True):
+        if contact < part[0].size:
+            return f"contact {axis}", f"({', '.join(map(str, np.unravel_index(contact, part[0].shape)))})"
+        contact -= part[0].size
+
+
 def test_what_is_pointed_at_says_its_numbers(minimum, opened):
     page, solution = opened(minimum), read_run_file(minimum).solution
     page.press("Network")
@@ -157,9 +166,15 @@ def test_what_is_pointed_at_says_its_numbers(minimum, opened):
         contact, found, x, y = page.tab.evaluate(aim, number)
         if found == {"contact": contact}:  # others may lie before it
             page.tab.mouse.move(x, y)
-            page.tab.wait_for_function(f"document.getElementById('numbers').innerText.includes('{force[contact]:.6g}')")
+            axis, at = place_of(solution, contact)
+            page.tab.wait_for_function(
+                f"document.getElementById('numbers').innerText.includes('{axis} of sphere {at}')"
+            )
             text = page.tab.locator("#numbers").inner_text()
             assert "slipless, proven" in text
+            shown = re.search(r"force \|f\|\s+(\S+) force", text)[1]
+            assert float(shown) == pytest.approx(force[contact], rel=6e-6)
+            assert len(shown.replace(".", "").lstrip("0")) <= 6
             asked += 1
     assert asked >= 3
 

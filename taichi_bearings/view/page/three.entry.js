@@ -1,4 +1,4 @@
-// What view.js uses of three.js. three.js beside this file is made of it, in an empty folder, by
+// What the scripts of the page use of three.js. three.js beside this file is made of it, in an empty folder, by
 //   npm install three@0.187.0 esbuild@0.28.2
 //   npx esbuild three.entry.js --bundle --minify --format=iife --global-name=THREE --outfile=three.js
 export {

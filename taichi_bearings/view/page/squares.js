@@ -1,0 +1,133 @@
+// Everything on the lattice is a square of two triangles. Those of spheres and rods face the eye, shaded as what they
+// stand for; plates lie across their contacts. All squares of a layer are one mesh: copies by the thousand are slow.
+const COMMON = `
+  uniform float pixel, opacity;
+  uniform vec2 fade;
+  varying vec3 colour;`;
+const VERTEX = `${COMMON}
+  attribute vec4 paint;
+  attribute float wide;
+  vec2 corner() { return vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) - 0.5; }
+  vec3 unit(float axis) { return vec3(lessThan(abs(vec3(0.0, 1.0, 2.0) - axis), vec3(0.5))); }
+  float axis() { return floor(255.0 * paint.a + 0.5); }`;
+const FRAGMENT = `${COMMON}
+  vec4 shaded(vec3 normal, float away, float cover) {
+    float light = 0.62 + 0.16 * normal.y + 0.32 * max(0.0, dot(normal, normalize(vec3(-0.5, 0.8, 1.0))));
+    return vec4(mix(min(light, 1.06) * colour, vec3(1.0), smoothstep(fade.x, fade.y, away)), cover * opacity);
+  }`;
+const SPHERE = {
+  alphaToCoverage: true,
+  vertexShader: `${VERTEX}
+    varying vec3 centre, point;
+    varying float radius;
+    void main() {
+      colour = paint.rgb;
+      centre = (modelViewMatrix * vec4(position, 1.0)).xyz;
+      radius = 0.5 * wide;
+      float away = length(centre), scale = 2.1 * radius * inversesqrt(max(0.05, 1.0 - radius * radius / (away * away)));
+      vec3 right = normalize(cross(vec3(0.0, 1.0, 0.0), -centre)), up = normalize(cross(-centre, right));
+      point = centre + scale * (corner().x * right + corner().y * up);
+      gl_Position = projectionMatrix * vec4(point, 1.0);
+    }`,
+  fragmentShader: `${FRAGMENT}
+    uniform mat4 projectionMatrix;
+    varying vec3 centre, point;
+    varying float radius;
+    void main() {
+      vec3 sight = normalize(point);
+      float ahead = dot(sight, centre), inside = radius * radius - dot(centre, centre) + ahead * ahead;
+      float cover = clamp(0.5 + inside / max(fwidth(inside), 1e-12), 0.0, 1.0);
+      if (cover <= 0.0) discard;
+      vec3 surface = sight * (ahead - sqrt(max(0.0, inside)));
+      vec4 clip = projectionMatrix * vec4(surface, 1.0);
+      gl_FragDepth = 0.5 + 0.5 * clip.z / clip.w;
+      gl_FragColor = shaded(normalize(surface - centre), length(surface), cover);
+    }`,
+};
+const ROD = {
+  vertexShader: `${VERTEX}
+    varying vec3 sideways, facing;
+    varying vec2 at;
+    varying float away, reach;
+    void main() {
+      colour = paint.rgb;
+      vec3 middle = (modelViewMatrix * vec4(position, 1.0)).xyz, along = normalize(mat3(modelViewMatrix) * unit(axis()));
+      float radius = max(wide, 0.6 * pixel * length(middle));
+      sideways = normalize(cross(along, middle) + vec3(1e-6, 0.0, 0.0));
+      facing = normalize(cross(sideways, along));
+      facing *= sign(dot(facing, -middle) + 1e-9);
+      reach = 0.5 / radius;
+      at = 2.0 * corner() * vec2(1.0, reach + 1.0);
+      vec3 point = middle + radius * (at.x * sideways + at.y * along);
+      away = length(point);
+      gl_Position = projectionMatrix * vec4(point, 1.0);
+    }`,
+  fragmentShader: `${FRAGMENT}
+    varying vec3 sideways, facing;
+    varying vec2 at;
+    varying float away, reach;
+    void main() {
+      float past = max(0.0, abs(at.y) - reach), inside = 1.0 - at.x * at.x - past * past;
+      if (inside <= 0.0) discard;
+      gl_FragColor = shaded(normalize(sideways * at.x + facing * sqrt(inside)), away, 1.0);
+    }`,
+};
+const PLATE = {
+  vertexShader: `${VERTEX}
+    varying vec3 across, point;
+    void main() {
+      colour = paint.rgb;
+      vec2 at = wide * corner();
+      vec3 u = unit(mod(axis() + 1.0, 3.0)), w = unit(mod(axis() + 2.0, 3.0));
+      point = (modelViewMatrix * vec4(position + at.x * u + at.y * w, 1.0)).xyz;
+      across = mat3(modelViewMatrix) * unit(axis());
+      gl_Position = projectionMatrix * vec4(point, 1.0);
+    }`,
+  fragmentShader: `${FRAGMENT}
+    varying vec3 across, point;
+    void main() { gl_FragColor = shaded(normalize(dot(across, point) > 0.0 ? -across : across), length(point), 1.0); }`,
+};
+
+/** One layer of squares. */
+class Squares {
+  constructor(scene, shaders, uniforms, most, opacity) {
+    const shape = this.shape = new THREE.BufferGeometry(), index = new Uint32Array(6 * most);
+    for (let n = 0; n < most; n++) index.set([4 * n, 4 * n + 1, 4 * n + 2, 4 * n + 2, 4 * n + 1, 4 * n + 3], 6 * n);
+    shape.setIndex(new THREE.BufferAttribute(index, 1));
+    this.place = new Float32Array(12 * most);
+    this.paint = new Uint8Array(16 * most);
+    this.wide = new Float32Array(4 * most);
+    shape.setAttribute("position", new THREE.BufferAttribute(this.place, 3));
+    shape.setAttribute("paint", new THREE.BufferAttribute(this.paint, 4, true));
+    shape.setAttribute("wide", new THREE.BufferAttribute(this.wide, 1));
+    this.mesh = new THREE.Mesh(shape, new THREE.ShaderMaterial({
+      ...shaders, uniforms: { ...uniforms, opacity: { value: opacity } }, side: THREE.DoubleSide, transparent: opacity < 1, depthWrite: opacity === 1,
+    }));
+    this.mesh.renderOrder = opacity < 1 ? 1 : 0;
+    this.mesh.frustumCulled = false;
+    this.ids = new Int32Array(most);
+    this.begin();
+    scene.add(this.mesh);
+  }
+  begin() { this.count = 0; }
+  /** One of them, for the sphere or contact `id`; axis : of the world, along the contact. */
+  put(id, x, y, z, axis, wide, colour) {
+    const n = this.count++, { place, paint } = this;
+    for (let k = 4 * n; k < 4 * n + 4; k++) {
+      place[3 * k] = x; place[3 * k + 1] = y; place[3 * k + 2] = z;
+      paint[4 * k] = 255 * colour[0]; paint[4 * k + 1] = 255 * colour[1]; paint[4 * k + 2] = 255 * colour[2]; paint[4 * k + 3] = axis;
+      this.wide[k] = wide;
+    }
+    this.ids[n] = id;
+  }
+  end() {
+    this.mesh.visible = this.count > 0;
+    this.shape.setDrawRange(0, 6 * this.count);
+    for (const name of ["position", "paint", "wide"]) {
+      const attribute = this.shape.getAttribute(name);
+      attribute.clearUpdateRanges();
+      attribute.addUpdateRange(0, 4 * attribute.itemSize * this.count);
+      attribute.needsUpdate = true;
+    }
+  }
+}
