@@ -70,7 +70,8 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         "proven": bool(solution.resolved[0]),
         "spin_max": largest,
         "beyond": bool((np.linalg.norm(spins, axis=-1) > largest * (1 + 1e-9)).any()),
-        "jump_speed": scene.lattice.radius * scene.jump or 1.0,
+        "jump_speed": scene.lattice.radius * scene.jump,
+        "decided": _decided(drawn),
         "normal_force": scene.normal_force,
         "friction_limit": scene.law.is_rate_independent and scene.law.quantities[0].is_friction,
         "coefficients": [
@@ -102,6 +103,11 @@ def _subtitle(drawn: PointsAndLines) -> str:
     natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     of = "" if scene.law.minimises == "power" else f"its {scene.law.minimises} "
     gap = f"{of}proven within {solution.gap[0]:.1e}" if np.isfinite(solution.gap[0]) else "without a proven bound"
-    states = "proven" if solution.resolved[0] else "decided by slip and friction, not proven"
     power = f"P = {solution.power[0]:.6g}{natural}, {gap}"
-    return f"{solution.method}: {solution.status.value}; {power}; contact states {states}"
+    return f"{solution.method}: {solution.status.value}; {power}; contact states {_decided(drawn)}"
+
+
+def _decided(drawn: PointsAndLines) -> str:
+    """What the contact states of the run rest on."""
+    by = "slip and friction" if drawn.scene.law.holds else "slip"
+    return "proven" if drawn.solution.resolved[0] else f"decided by {by}, not proven"

@@ -12,8 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.structure import states_by_threshold, structure_of
-from taichi_bearings.analysis.thresholds import THRESHOLDS
+from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.view.view import view
 
@@ -114,18 +114,19 @@ def test_states_are_those_of_the_run_first_and_by_the_threshold_of_the_slider_th
     assert page.ask("bearings.sample.counts.slipless") == structure.contacts_in(0)
     assert page.ask("bearings.sample.counts.spans") is structure.network.spans is True
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(structure.network.reached_fraction)
-    assert "proven" in page.tab.locator("#threshold-text").inner_text()
+    assert page.tab.locator("#threshold-text").inner_text() == "those of the run (proven)"
+    assert page.ask("bearings.sample.piece.filter((kind) => kind === 0).length") == structure.network.spanning.sum()
     page.press("Network")
     before = page.pixels()
-    page.move("threshold", 104)
-    slip = page.ask("bearings.choices.slip")
-    assert THRESHOLDS[-1] < slip / (0.5 * 0.9) < 1
-    coarse = structure_of(solution, threshold=slip)
-    by_slip = states_by_threshold(structure.slip, structure.state, slip)
-    assert page.ask("bearings.sample.counts.slipless") == sum((part == 0).sum() for part in by_slip)
-    assert page.ask("bearings.sample.counts.slipless") > structure.contacts_in(0)
-    assert page.ask("bearings.sample.counts.reached") == pytest.approx(coarse.network.reached_fraction)
-    assert "proven" not in page.tab.locator("#threshold-text").inner_text()
+    for step in (112, 114, 116, 118):
+        page.move("threshold", step)
+        slip = page.ask("bearings.choices.slip")
+        assert slip == pytest.approx(0.5 * 0.9 * 10 ** (-12 + 12 * (step - 1) / 119))
+        coarse = structure_of(solution, threshold=slip).network
+        assert page.ask("bearings.sample.counts.slipless") == len(coarse.axis) > structure.contacts_in(0)
+        assert page.ask("bearings.sample.counts.reached") == pytest.approx(coarse.reached_fraction)
+        assert page.ask("bearings.sample.piece.filter((kind) => kind === 0).length") == coarse.spanning.sum()
+        assert "proven" not in page.tab.locator("#threshold-text").inner_text()
     assert (page.pixels() != before).any(axis=2).mean() > 1e-3
 
 
@@ -183,6 +184,10 @@ def test_snapshots_play_in_time(dynamics, opened):
     page = opened(dynamics)
     assert page.ask("document.title").endswith("seed 5")
     end = page.pixels()
+    rows = points_and_lines(read_run_file(dynamics)).moments
+    page.move("time", 1)
+    assert np.array(page.ask("Array.from(bearings.sample.spinNow)")) == pytest.approx(rows.spin[1].ravel(), rel=1e-6)
+    assert page.ask("bearings.sample.counts.slipping") == (rows.state[1] == 1).sum()
     page.move("time", 0)
     assert page.tab.locator("#title").inner_text().endswith("t = 0")
     assert (page.pixels() != end).any(axis=2).mean() > 0.05

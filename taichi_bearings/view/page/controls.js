@@ -79,6 +79,7 @@ class Controls {
     on("threshold", (value) => { choices.threshold = Number(value); this.judge(); });
     on("time", (value) => { choices.time = Number(value); this.judge(); });
     element("moments").hidden = last === 0;
+    element("threshold").disabled = sample.facts.jump_speed === 0;  // nothing to compare slips with
     Object.assign(element("time"), { max: last, value: last });
     element("play").addEventListener("click", () => this.play(!this.playing));
     element("reset").addEventListener("click", () => picture.firstView());

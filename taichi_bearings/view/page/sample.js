@@ -94,7 +94,7 @@ function numbersOf(sample, found) {
   const c = found.contact, name = "xyz"[sample.axis[c]], is = sample.judged[c], was = sample.state[c];
   const words = ["slipless", "slipping", "undecided", "between driven spheres or absent"];
   const byRun = sample.isEnd && is === was && facts.by_run;
-  const how = is === DRIVEN ? "" : byRun ? (facts.proven ? ", proven" : ", decided by slip and friction, not proven") : ", by slip alone";
+  const how = is === DRIVEN ? "" : byRun ? `, ${facts.decided}` : ", by slip alone";
   const rows = [["state", words[is] + how], ["slip |v|", `${six(sample.slipNow[c])} length/time`]];
   if (sample.isEnd) {
     rows.push(["power P", `${six(sample.power[c])} energy/time`], ["force |f|", `${six(sample.force[c])} force`]);
