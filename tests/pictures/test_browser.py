@@ -39,7 +39,7 @@ class Page:
 
     def __init__(self, browser, path):
         self.complaints, self.requests = [], []
-        self.tab = browser.new_page(viewport={"width": 1100, "height": 400})
+        self.tab = browser.new_page(viewport={"width": 1100, "height": 320})
         self.tab.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
         self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.tab.on("request", lambda request: self.requests.append(request.url))
@@ -65,7 +65,9 @@ class Page:
         words = """(() => { const p = bearings.picture, gl = p.renderer.getContext(); p.draw();
             const { drawingBufferWidth: w, drawingBufferHeight: h } = gl, all = new Uint8Array(4 * w * h);
             gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, all);
-            return [w, h, btoa(all.reduce((text, byte) => text + String.fromCharCode(byte), ""))]; })()"""
+            let text = "";
+            for (let at = 0; at < all.length; at += 8192) text += String.fromCharCode(...all.subarray(at, at + 8192));
+            return [w, h, btoa(text)]; })()"""
         width, height, values = self.ask(words)
         return np.frombuffer(base64.b64decode(values), dtype=np.uint8).reshape(height, width, 4)
 
