@@ -25,6 +25,9 @@ VERSION = (2, 2)
 TOPOLOGIES = ("Vertices", "Lines", "Polygons", "Strips")
 TOLD = ("command", "method", "status", "law", "power", "lower_bound", "seed", "version")  # attributes of the run
 
+UNKNOWN = "; not-a-number in snapshots, with which it is not kept"
+IN_SNAPSHOTS = {"power": UNKNOWN, "force": UNKNOWN, "state": "; in snapshots by slip alone, see snapshot_threshold"}
+
 
 def export(run: Path, out: Path | None = None, force: bool = False, replica: int = 0) -> dict[str, Any]:
     """Write one sample of a run directory or its run.h5 for ParaView, and say what the file holds.
@@ -40,6 +43,8 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     refuse_standing([path], force or out is None)
     drawn = points_and_lines(stored, replica)
     told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
+    if drawn.moments is not None:
+        told["snapshot_threshold"] = drawn.moments.threshold
     with stage("writing"):
         write_vtkhdf(path, drawn, told)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
@@ -107,9 +112,7 @@ def _put(
 ) -> None:
     """A column of point or cell data, and where each step finds it."""
     rows = column.values if before is None else np.concatenate([*before, column.values])
-    text = column.description
-    if name in ("power", "force") and before is not None:
-        text += "; not-a-number in snapshots, with which it is not kept"
+    text = column.description + (IN_SNAPSHOTS.get(name, "") if before is not None else "")
     _store(root.require_group(group), name, rows, column.units, text)
     if steps is not None:
         number = len(steps["Values"])

@@ -91,6 +91,8 @@ def test_arrays_say_their_units_and_those_that_stay_are_written_once(dynamics, t
         assert len(root["CellData/slip"]) == 4 * len(root["CellData/coefficient"])
         assert root["Steps/CellDataOffsets/coefficient"][()].tolist() == [0] * 4
         assert root.attrs["method"] == "cundall-strack"
+        slip, state = (root[f"CellData/{name}"][: len(root["CellData/axis"])] for name in ("slip", "state"))
+        assert ((slip > root.attrs["snapshot_threshold"]) == (state == 1))[state != 3].all()
 
 
 def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):
