@@ -34,7 +34,7 @@ class Controls {
       element("presets").append(button);
     });
     for (const [key, text] of LAYERS)
-      this.switches[key] = this.tick("layers", text, LOOK[key], false, (on) => { choices.layers[key] = on; this.changed(); });
+      this.switches[key] = this.tick("layers", text, LOOK[key], false, (on) => { choices.layers[key] = on; choices.preset = null; this.changed(); });
     for (const [key, text] of COLOURS) element("colour").append(new Option(text, key));
     const members = KINDS.map(() => 0);
     for (const kind of sample.kind) members[kind]++;

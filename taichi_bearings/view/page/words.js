@@ -6,7 +6,7 @@ const SLIPLESS = 0, SLIPPING = 1, UNDECIDED = 2, DRIVEN = 3;
 const CUT = 1, PATH = 2;
 const KINDS = [["bottom", "#0072b2"], ["top", "#d55e00"], ["both", "#cc79a7"], ["bottom and top, by component", "#e69f00"],
   ["one component only", "#56b4e9"], ["neither", "#a5abb3"]];
-const PIECES = [["joined to bottom and top", "#009e73"], ["to the bottom", "#0072b2"], ["to the top", "#d55e00"],
+const PIECES = [["joined to bottom and top", "#009e73"], ["joined to the bottom", "#0072b2"], ["joined to the top", "#d55e00"],
   ["an island", "#e69f00"], ["touches no slipless contact", "#c9ced5"]];
 const SIDES = [["below the cut", "#0072b2"], ["above the cut", "#d55e00"]];
 const LOOK = { network: "#4b5a6b", cut: "#e69f00", walls: "#3c4653", path: "#009e73", undecided: "#cc79a7", plain: "#d5dae1",
