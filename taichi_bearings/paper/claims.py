@@ -1,22 +1,26 @@
 """A claim of the paper, what was found, and the verdict."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
 from scipy.special import betaincinv
 
+from taichi_bearings.analysis.statistics import CONFIDENCE as MEAN_CONFIDENCE
+from taichi_bearings.analysis.statistics import FEW, LEAST, MANY, mean_interval
 from taichi_bearings.words import counted, share
 
 VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
 KINDS = {
     "samples": "holds for the samples drawn, and by their number for most others",
     "theorem": "follows from the equations; the samples check the program, not the claim",
-    "selected": "the sample or the limit was chosen after looking at the results",
+    "selected": "the sample shown was picked because it shows this",
 }
 """What a verdict rests on."""
 CONFIDENCE = 0.95
 HALF = 0.5
+SAMPLES, QUICK_SAMPLES = 200, 20  # seeds that a statistical claim may take, by default
 FEWEST = 5  # samples without an exception that say, at this confidence, that most others are like them
 
 
@@ -26,6 +30,8 @@ class Claim:
 
     confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
     samples : how many it was judged by. needed : fewer say nothing. kind : what the verdict rests on, one of KINDS.
+    paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
+    after_data : limits and choices of the criterion that were made with results in view, if any.
     """
 
     text: str
@@ -36,6 +42,10 @@ class Claim:
     samples: int = 1
     needed: int = 1
     kind: Literal["samples", "theorem", "selected"] = "samples"
+    paper: str = ""
+    ours: str = ""
+    uncertainty: str = ""
+    after_data: str = ""
 
     @property
     def verdict(self) -> str:
@@ -48,11 +58,15 @@ class Claim:
     def as_dict(self) -> dict[str, Any]:
         finding = self.finding
         if self.verdict == "too few samples":
-            finding += f" No verdict: this needs {self.needed:,} such samples and has {self.samples:,}."
+            finding += f" No verdict: this needs {counted(self.needed, 'such sample')} and has {self.samples:,}."
         return {
             "claim": self.text,
             "verdict": self.verdict,
             "kind": self.kind,
+            "paper": self.paper,
+            "ours": self.ours,
+            "uncertainty": self.uncertainty,
+            "chosen_after_the_data": self.after_data,
             "samples": self.samples,
             "samples_needed": self.needed,
             "finding": finding,
@@ -94,14 +108,37 @@ class Share:
             if number > 10**6:
                 return number
 
+    @property
+    def interval(self) -> str:
+        """The uncertainty in words."""
+        if not self.samples:
+            return "no sample"
+        return f"{share(self.least)} to {share(self.most)} of all, exact binomial, each end at {share(CONFIDENCE, 0)}"
+
     def __str__(self) -> str:
         ends = f"{share(self.least, 0)} to {share(self.most, 0)} of all"
         return f"{self.hits:,} of {counted(self.samples, 'sample')} ({ends})"
 
 
+def every(samples: int) -> str:
+    """What it says of all samples that each of so many does something, in words."""
+    return "no sample" if not samples else f"in at least {share(Share(samples, samples).least)} of all, exact binomial"
+
+
+def interval_of_mean(values: Sequence[float] | np.ndarray) -> str:
+    """The uncertainty of a mean over samples in words: Student's t for few and for many, else a bootstrap (BCa)."""
+    number, found = len(values), mean_interval(np.asarray(values, dtype=float))
+    if number < LEAST:
+        return f"{counted(number, 'sample')}: no interval"
+    how = "bootstrap (BCa)" if FEW <= number <= MANY else "Student's t"
+    return f"{found.low:.4g} to {found.high:.4g}, {share(MEAN_CONFIDENCE, 0)}, {how}"
+
+
 @dataclass(frozen=True)
 class Effort:
-    """seed : first seed of all samples. samples : seeds that a statistical claim may take."""
+    """seed : first seed of all samples. samples : seeds that a statistical claim may take. quick : the short form, with
+    fewer iterations and sizes too."""
 
     seed: int = 0
-    samples: int = 200
+    samples: int = SAMPLES
+    quick: bool = False

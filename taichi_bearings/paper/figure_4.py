@@ -34,6 +34,10 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
             f"{held.sum()} of the {len(held)} contacts of the path.",
             not any(within),
             {"samples": len(samples), "planes": [[int(axis), int(index)] for axis, index in planes]},
+            samples=len(samples),
             kind="theorem",
+            paper="several planes",
+            ours=f"{len(planes)} planes drawn hold {held.sum()} of {len(held)} contacts",
+            uncertainty="none: a theorem",
         )
     ]

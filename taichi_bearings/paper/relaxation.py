@@ -62,10 +62,15 @@ class Minima:
         return self.cut_power - self.lower_bound <= SAME * self.cut_power
 
 
-def relax(scene: Scene, start: str, damping: float = 1e3, steps: int = STEPS) -> Run:
-    """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps."""
-    method = CundallStrack(damping=damping).build()
-    return _followed(scene, start, method, StopRule(END, steps), Recording(history=TIMES))
+def relax(
+    scene: Scene, start: str, springs: CundallStrack | None = None, steps: int = STEPS, times: np.ndarray = TIMES
+) -> Run:
+    """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps.
+
+    springs : the paper's by default. times : at which the power is written down.
+    """
+    method = (springs or CundallStrack()).build()
+    return _followed(scene, start, method, StopRule(END, steps), Recording(history=times))
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:

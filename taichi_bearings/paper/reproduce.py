@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from typing import Any
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.whole_file import refuse_standing, write_text
 from taichi_bearings.paper.claims import KINDS, VERDICTS, Claim, Effort
+from taichi_bearings.paper.environment import environment
+from taichi_bearings.paper.page import page
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
@@ -19,11 +22,15 @@ from taichi_bearings.words import counted, meant
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """title, the module of paper/ whose `reproduce(folder, effort)` returns its claims, and the files it writes."""
+    """title, the module of paper/ whose `reproduce(folder, effort)` returns its claims, and the files it writes.
+
+    seconds : roughly, in full and in the quick form, on two cores.
+    """
 
     title: str
     module: str
     files: tuple[str, ...]
+    seconds: tuple[float, float]
 
     def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
         module = importlib.import_module(f"taichi_bearings.paper.{self.module}")
@@ -31,22 +38,36 @@ class PaperFigure:
         return claims
 
 
+def _files_of(name: str, *endings: str) -> tuple[str, ...]:
+    return tuple(f"{name}{ending}" for ending in (".png", ".pdf", *endings))
+
+
 FIGURES = {
     "fig1": PaperFigure(
-        "Stationary states of 10x10 discs", "figure_1", ("fig1.png", "fig1.pdf", "fig1.csv", "fig1-samples.csv")
+        "Stationary states of 10x10 discs", "figure_1", _files_of("fig1", ".csv", "-samples.csv"), (24, 8)
     ),
-    "fig2": PaperFigure("Relaxation of a 3x3x3 Coulomb bearing", "figure_2", ("fig2.png", "fig2.pdf", "fig2.csv")),
+    "fig2": PaperFigure("Relaxation of a 3x3x3 Coulomb bearing", "figure_2", _files_of("fig2", ".csv"), (40, 35)),
     "fig3": PaperFigure(
-        "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", ("fig3.png", "fig3.pdf", "fig3.csv")
+        "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", _files_of("fig3", ".csv"), (16, 10)
     ),
-    "fig4": PaperFigure("The planes that its path goes through", "figure_4", ("fig4.png", "fig4.pdf")),
+    "fig4": PaperFigure("The planes that its path goes through", "figure_4", _files_of("fig4"), (4, 4)),
+    "supplement": PaperFigure(
+        "Power of the contacts of 32x32x32 spheres: descent and certified minimum", "supplement",
+        _files_of("supplement", ".csv"), (600, 60),
+    ),
     "network": PaperFigure(
-        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32",
-        "network",
-        ("network.png", "network.pdf", "network.csv"),
+        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", _files_of("network", ".csv"), (500, 15)
     ),
-}
-REPORTS = ("report.json", "report.md")
+    "distributions": PaperFigure(
+        "Other distributions of the friction coefficients", "distributions",
+        _files_of("distributions", ".csv"), (80, 10),
+    ),
+    "drivings": PaperFigure("Other imposed bearing states", "drivings", _files_of("drivings", ".csv"), (40, 20)),
+    "parameters": PaperFigure(
+        "Stiffness K, damping A and normal force F_n", "parameters", _files_of("parameters", ".csv"), (70, 50)
+    ),
+}  # fmt: skip
+REPORTS = ("report.html", "report.json", "report.md")
 
 
 def choose_figures(names: Sequence[str]) -> list[str]:
@@ -64,9 +85,10 @@ def reproduce(
     force: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Compute the figures, write their files, report.json and report.md into `folder`; returns the report.
+    """Compute the figures, write their files and the report, as HTML, JSON and Markdown, into `folder`; returns the
+    report.
 
-    The report is written anew after each figure. Figures that it has already, of the same effort and version, are not
+    It is written anew after each figure. Figures that it has already, of the same effort and version, are not
     computed again; with `force` all are. tell : hears a line about each figure that is done.
     Ctrl-C ends it early: what is done is kept, and "missing" names the rest.
     Raises InputError or FileError before anything is computed.
@@ -80,13 +102,13 @@ def reproduce(
     refuse_standing([path for name in unknown for path in _files(name, folder)], force)  # they are somebody else's
     interrupted = False
     with writable_folder(folder):
-        for name in chosen if force else ():
-            (folder / f"{name}.jsonl").unlink(missing_ok=True)  # what an interrupted study has kept
+        for kept in _kept(folder, chosen) if force else ():
+            kept.unlink()
         _write(folder, effort, done, missing)
         try:
-            for name in each([name for name in chosen if name in missing], "figure"):
+            for name in each([name for name in chosen if name in missing], "figure", lambda n: _seconds(n, effort)):
                 with stage(name):
-                    done[name] = _described(name, FIGURES[name].reproduce(folder, effort))
+                    done[name] = _computed(name, folder, effort)
                 missing.remove(name)
                 _write(folder, effort, done, missing)
                 tell(f"{name}: {_tally(done[name])}")
@@ -99,12 +121,21 @@ def _files(name: str, folder: Path) -> list[Path]:
     return [folder / file for file in FIGURES[name].files]
 
 
+def _kept(folder: Path, names: Sequence[str]) -> list[Path]:
+    """What interrupted studies have kept of their parts."""
+    return [path for name in names for kind in (".jsonl", "-*.kept.h5") for path in folder.glob(f"{name}{kind}")]
+
+
+def _seconds(name: str, effort: Effort) -> float:
+    return FIGURES[name].seconds[effort.quick]
+
+
 def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
     """The report that a folder has: figures and those missing. FileError if its effort or version differ."""
     path = folder / "report.json"
     if not path.exists():
         return {"figures": {}, "missing": []}
-    ours = {"seed": effort.seed, "samples": effort.samples, "version": VERSION}
+    ours = {"seed": effort.seed, "samples": effort.samples, "quick": effort.quick, "version": VERSION}
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         theirs = {name: report[name] for name in ours}
@@ -121,11 +152,21 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
     report = describe(folder, effort, done, missing)
     write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     write_text(folder / "report.md", table(report))
+    pictures = {name: _files(name, folder)[0] for name in done}
+    found = {name: path.read_bytes() for name, path in pictures.items() if path.exists()}
+    write_text(folder / "report.html", page(report, found))
 
 
-def _described(name: str, claims: Sequence[Claim]) -> dict[str, Any]:
-    """A figure as plain data."""
-    return {"title": FIGURES[name].title, "claims": [claim.as_dict() for claim in claims]}
+def _computed(name: str, folder: Path, effort: Effort) -> dict[str, Any]:
+    """A figure as plain data, with the wall and the processor time that it took."""
+    began, processor = time.perf_counter(), time.process_time()
+    claims = FIGURES[name].reproduce(folder, effort)
+    return {
+        "title": FIGURES[name].title,
+        "claims": [claim.as_dict() for claim in claims],
+        "seconds": round(time.perf_counter() - began, 1),
+        "seconds_processor": round(time.process_time() - processor, 1),
+    }
 
 
 def _tally(figure: dict[str, Any]) -> str:
@@ -144,9 +185,21 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
         **{verdict.replace(" ", "_"): verdicts[verdict] for verdict in VERDICTS},
         "seed": effort.seed,
         "samples": effort.samples,
+        "quick": effort.quick,
+        "command": _command([*figures, *missing], effort),
+        "environment": environment(),
         "files": [str(folder / file) for file in REPORTS],
         "version": VERSION,
     }
+
+
+def _command(names: Sequence[str], effort: Effort) -> str:
+    """The command that gives the same numbers again."""
+    asked = [] if set(names) == set(FIGURES) else [name for name in FIGURES if name in names]
+    quick = ["--quick"] if effort.quick else []
+    return " ".join(
+        ["bearings", "reproduce", *asked, *quick, "--seed", str(effort.seed), "--samples", str(effort.samples)]
+    )
 
 
 def table(report: dict[str, Any]) -> str:
@@ -155,11 +208,16 @@ def table(report: dict[str, Any]) -> str:
     parts += [f"Not done yet: {', '.join(report['missing'])}."] if report["missing"] else []
     parts += [f"What a claim rests on: {'; '.join(f'**{kind}**: {text}' for kind, text in KINDS.items())}."]
     for name, figure in report["figures"].items():
-        rows = [
-            f"| {claim['claim']} | **{claim['verdict']}** | {claim['kind']} | {claim['finding']} |"
-            for claim in figure["claims"]
-        ]
-        head = "| claim | verdict | rests on | finding |\n|---|---|---|---|"
+        rows = [" | ".join(["", *_cells(claim), ""]).strip() for claim in figure["claims"]]
+        head = "| claim | verdict | rests on | paper | here | samples | uncertainty | finding |\n|" + "---|" * 8
         image = f"![{name}]({FIGURES[name].files[0]})"
         parts += [f"## {name}: {figure['title']}", image, "\n".join([head, *rows])]
     return "\n\n".join(parts) + "\n"
+
+
+def _cells(claim: dict[str, Any]) -> list[str]:
+    """A claim as a row."""
+    after = claim["chosen_after_the_data"]
+    finding = f"{claim['finding']} Chosen after the data: {after}." if after else claim["finding"]
+    facts = [claim[key] for key in ("kind", "paper", "ours")]
+    return [claim["claim"], f"**{claim['verdict']}**", *facts, f"{claim['samples']:,}", claim["uncertainty"], finding]

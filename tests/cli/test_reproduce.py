@@ -13,6 +13,8 @@ from taichi_bearings.paper import reproduce
 from taichi_bearings.paper.claims import Claim
 from tests.cli.commands import bearings
 
+ALL = ["fig1", "fig2", "fig3", "fig4", "supplement", "network", "distributions", "drivings", "parameters"]
+
 
 @pytest.fixture(scope="module")
 def reproduced(tmp_path_factory):
@@ -35,6 +37,7 @@ def test_json_is_one_object_and_the_files_are_there(reproduced):
         "fig2.csv",
         "fig2.pdf",
         "fig2.png",
+        "report.html",
         "report.json",
         "report.md",
     ]
@@ -78,7 +81,7 @@ def test_a_refuted_claim_is_exit_code_1(tmp_path, monkeypatch):
     report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     assert (report["confirmed"], report["refuted"]) == (1, 1)
     assert (
-        "| Water runs uphill. | **refuted** | samples | It runs downhill. |"
+        "| Water runs uphill. | **refuted** | samples |  |  | 1 |  | It runs downhill. |"
         in (tmp_path / "a" / "report.md").read_text()
     )
 
@@ -129,18 +132,18 @@ def test_what_is_done_before_ctrl_c_is_kept_and_the_same_command_goes_on(figures
     folder = tmp_path / "a"
     figures.interrupted_at = "fig3"
     code, report = ask(folder)
-    assert (code, report["interrupted"], report["missing"]) == (130, True, ["fig3", "fig4", "network"])
+    assert (code, report["interrupted"], report["missing"]) == (130, True, ALL[2:])
     stored = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert list(stored["figures"]) == ["fig1", "fig2"] == figures.computed
     text = (folder / "report.md").read_text(encoding="utf-8")
-    assert "Not done yet: fig3, fig4, network." in text
+    assert f"Not done yet: {', '.join(ALL[2:])}." in text
     assert "| fig2 is right. | **confirmed** |" in text
     figures.interrupted_at = None
     code, report = ask(folder)
-    assert (code, report["interrupted"], report["missing"], report["confirmed"]) == (0, False, [], 5)
-    assert figures.computed == ["fig1", "fig2", "fig3", "fig4", "network"]
+    assert (code, report["interrupted"], report["missing"], report["confirmed"]) == (0, False, [], len(ALL))
+    assert figures.computed == ALL
     assert ask(folder) == (0, report)  # nothing is missing, nothing is computed
-    assert len(figures.computed) == 5
+    assert len(figures.computed) == len(ALL)
 
 
 def test_what_was_asked_for_first_is_not_forgotten_by_another_command(figures, tmp_path):
@@ -156,7 +159,7 @@ def test_what_was_asked_for_first_is_not_forgotten_by_another_command(figures, t
 def test_nothing_is_computed_twice(figures, tmp_path):
     code, report = ask(tmp_path / "a")
     assert ask(tmp_path / "a") == (code, report) == (0, report)
-    assert len(figures.computed) == 5
+    assert len(figures.computed) == len(ALL)
 
 
 def test_the_report_stands_after_each_figure(figures, tmp_path, monkeypatch):

@@ -1,0 +1,134 @@
+"""The report as one HTML file: figures inside, nothing to load, readable on paper."""
+
+import base64
+from collections.abc import Iterator, Mapping
+from html import escape
+from typing import Any
+
+from taichi_bearings.paper.claims import KINDS
+from taichi_bearings.words import counted
+
+STYLE = """
+body { font: 16px/1.5 Georgia, 'Times New Roman', serif; color: #1a1a1a; }
+body { max-width: 74rem; margin: 2rem auto; padding: 0 1.5rem; }
+h1, h2, h3, th, .verdict, .facts, nav { font-family: 'Helvetica Neue', Arial, sans-serif; }
+h1 { font-size: 1.7rem; } h2 { font-size: 1.25rem; margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
+h3 { font-size: 1rem; margin: 0 0 .4rem; }
+a { color: inherit; }
+table { border-collapse: collapse; width: 100%; font-size: .85rem; line-height: 1.35; }
+th, td { text-align: left; vertical-align: top; padding: .3rem .6rem .3rem 0; border-bottom: 1px solid #e3e3e3; }
+td.number { white-space: nowrap; } tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; }
+img { max-width: 100%; height: auto; display: block; margin: 1rem auto; }
+article { margin: 1.2rem 0; padding-left: 1rem; border-left: 4px solid #bbb; break-inside: avoid; }
+dl.facts { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; font-size: .85rem; margin: .4rem 0; }
+dl.facts dt { color: #666; } dl.facts dd { margin: 0; }
+.verdict { font-size: .78rem; font-weight: bold; white-space: nowrap; }
+.confirmed { color: #1b6e33; border-color: #1b6e33; } .refined { color: #9a6700; border-color: #9a6700; }
+.refuted { color: #b3261e; border-color: #b3261e; } .too-few-samples { color: #666; border-color: #bbb; }
+.note { color: #555; font-size: .9rem; }
+p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
+@media print {
+  body { font-size: 10pt; margin: 0; max-width: none; } h2 { break-after: avoid; } a { text-decoration: none; }
+  section.figure { break-before: page; } thead { display: table-header-group; } tr { break-inside: avoid; }
+}
+"""
+MEANING = {
+    "confirmed": "it holds",
+    "refined": "it holds with a condition or a correction, which the finding states",
+    "refuted": "it does not hold",
+    "too few samples": "what was computed cannot tell",
+}
+
+
+def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
+    """The whole report. pictures : name of a figure -> PNG."""
+    title = "Frustrated bearings: the figures and claims of the paper, computed anew"
+    parts = [
+        "<!DOCTYPE html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>{title}</title><style>{STYLE}</style></head><body>",
+        f"<h1>{title}</h1>",
+        *_summary(report),
+        *_table(report),
+        *(part for name in report["figures"] for part in _section(name, report["figures"][name], pictures.get(name))),
+        *_environment(report),
+        "</body></html>",
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def _anchor(name: str, number: int) -> str:
+    return f"{name}-{number}"
+
+
+def _verdict(claim: Mapping[str, Any]) -> str:
+    name = str(claim["verdict"])
+    return f'<span class="verdict {name.replace(" ", "-")}">{name}</span>'
+
+
+def _summary(report: Mapping[str, Any]) -> Iterator[str]:
+    found = [f"{report[name.replace(' ', '_')]} <strong>{name}</strong> ({text})" for name, text in MEANING.items()]
+    yield f"<p>{'; '.join(found)}.</p>"
+    form = ", the quick form: fewer samples, sizes and iterations" if report["quick"] else ""
+    kinds = "; ".join(f"<em>{kind}</em>, {text}" for kind, text in KINDS.items())
+    yield f'<p class="note">{counted(report["samples"], "sample")} from seed {report["seed"]}{form}. What a verdict'
+    yield f"rests on: {kinds}. Limits that were chosen with results in view are named.</p>"
+    if report["missing"]:
+        yield f"<p><strong>Not done yet: {', '.join(report['missing'])}.</strong></p>"
+
+
+def _table(report: Mapping[str, Any]) -> Iterator[str]:
+    yield "<h2>All claims</h2><table><thead><tr>"
+    yield "".join(f"<th>{name}</th>" for name in ("claim", "paper", "here", "samples", "rests on", "verdict"))
+    yield "</tr></thead><tbody>"
+    for name, figure in report["figures"].items():
+        head = f'<a href="#{name}">{name}: {escape(figure["title"])}</a>'
+        yield f'<tr class="figure"><th colspan="6">{head}</th></tr>'
+        for number, claim in enumerate(figure["claims"], start=1):
+            cells = [
+                f'<td><a href="#{_anchor(name, number)}">{escape(claim["claim"])}</a></td>',
+                *(f"<td>{escape(claim[key])}</td>" for key in ("paper", "ours")),
+                f'<td class="number">{claim["samples"]:,}</td>',
+                f"<td>{claim['kind']}</td>",
+                f"<td>{_verdict(claim)}</td>",
+            ]
+            yield f"<tr>{''.join(cells)}</tr>"
+    yield "</tbody></table>"
+
+
+def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Iterator[str]:
+    yield f'<section class="figure" id="{name}"><h2>{name}: {escape(figure["title"])}</h2>'
+    if picture is not None:
+        data = base64.b64encode(picture).decode("ascii")
+        yield f'<img alt="{escape(figure["title"], quote=True)}" src="data:image/png;base64,{data}">'
+    for number, claim in enumerate(figure["claims"], start=1):
+        facts = {
+            "paper": claim["paper"],
+            "here": claim["ours"],
+            "uncertainty": claim["uncertainty"],
+            "samples": f"{claim['samples']:,}, of {claim['samples_needed']:,} that a verdict needs",
+            "rests on": f"{claim['kind']}: {KINDS[claim['kind']]}",
+            "chosen after the data": claim["chosen_after_the_data"],
+        }
+        rows = "".join(f"<dt>{key}</dt><dd>{escape(text)}</dd>" for key, text in facts.items() if text)
+        style = claim["verdict"].replace(" ", "-")
+        yield f'<article class="{style}" id="{_anchor(name, number)}"><h3>{escape(claim["claim"])}</h3>'
+        yield f'{_verdict(claim)}<dl class="facts">{rows}</dl>'
+        yield f'<p class="finding">{escape(claim["finding"])}</p></article>'
+    yield "</section>"
+
+
+def _environment(report: Mapping[str, Any]) -> Iterator[str]:
+    yield '<section class="figure" id="environment"><h2>How it was computed</h2><dl class="facts">'
+    facts = {"command": report["command"], "first seed": report["seed"], **report["environment"]}
+    yield "".join(f"<dt>{escape(key)}</dt><dd>{escape(str(value))}</dd>" for key, value in facts.items())
+    yield "</dl><table><thead><tr><th>figure</th><th>wall time, s</th><th>processor time, s</th></tr></thead><tbody>"
+    for name, figure in report["figures"].items():
+        times = "".join(f"<td>{figure[key]:.0f}</td>" for key in ("seconds", "seconds_processor"))
+        yield f"<tr><td>{name}</td>{times}</tr>"
+    total = "".join(
+        f"<th>{sum(figure[key] for figure in report['figures'].values()):.0f}</th>"
+        for key in ("seconds", "seconds_processor")
+    )
+    yield f"<tr><th>together</th>{total}</tr></tbody></table></section>"

@@ -1,0 +1,41 @@
+"""Courses of the power under other springs, dampers and normal forces."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from taichi_bearings.plots.style import in_our_style, new_figure
+
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#8a8a8a", "#0072B2")
+
+
+@dataclass(frozen=True)
+class Course:
+    """time : (T,), F_n t over the paper's F_n. power : over the initial one. excess : over the minimum, less 1."""
+
+    time: np.ndarray
+    power: np.ndarray
+    excess: np.ndarray
+
+
+@in_our_style
+def draw_parameters(courses: Mapping[str, Course], seed: int) -> Figure:
+    """(a) P / P_0 and (b) its excess over the least power against F_n t; the first course, the paper's, is black."""
+    figure = new_figure(10.0, 4.2)
+    left, right = figure.subplots(1, 2)
+    for (name, course), colour in zip(courses.items(), COLOURS, strict=False):
+        later = course.time > 0
+        look: dict[str, Any] = {"color": colour, "lw": 1.8 if colour == COLOURS[0] else 1.1, "label": name}
+        left.plot(course.time[later], course.power[later], **look)
+        shown = later & (course.excess > 0)
+        right.plot(course.time[shown], course.excess[shown], **look)
+    time = r"time, $\omega_T\, t\, F_n / 50$"
+    left.set(xscale="log", xlabel=time, ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
+    right.set(xscale="log", yscale="log", xlabel=time, ylabel=r"$P\,/\,P_{\min} - 1$", ylim=(1e-8, 10))
+    left.set_title(f"(a) seed {seed}, from random spins", fontsize=9)
+    right.set_title("(b) excess over the certified minimum", fontsize=9)
+    figure.legend(handles=left.lines, fontsize=8, loc="outside lower center", ncols=4)
+    return figure

@@ -1,0 +1,96 @@
+"""The report as one HTML file: well formed, nothing to load from elsewhere, and all that report.json says."""
+
+from html.parser import HTMLParser
+
+import pytest
+
+from taichi_bearings.paper import reproduce
+from taichi_bearings.paper.claims import VERDICTS, Claim, Effort
+from taichi_bearings.paper.page import page
+
+EMPTY = {"meta", "img", "br"}
+LOADS = {"src", "href", "srcset", "data", "poster", "action"}
+
+
+class Reader(HTMLParser):
+    """Checks that elements are closed in order; keeps texts, identifiers and what would be loaded."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.words, self.ids, self.loaded = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in EMPTY:
+            self.open.append(tag)
+        named = dict(attrs)
+        self.ids += [named["id"]] if "id" in named else []
+        self.loaded += [value for name, value in attrs if name in LOADS]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return "".join(self.words)
+
+
+CLAIMS = [
+    Claim("P < P_cut & more.", "So <b>it</b> is.", True, samples=1200, paper="< 1", ours="0.97", uncertainty="0.01"),
+    Claim("It is level.", "Nearly.", True, refined=True, kind="theorem"),
+    Claim("Water runs uphill.", "It runs downhill.", False, after_data="what counts as uphill"),
+    Claim("Swans are white.", "Two are.", True, samples=2, needed=5),
+]
+
+
+@pytest.fixture
+def report(tmp_path):
+    done = {
+        name: {
+            "title": f"Of {name} <1>",
+            "claims": [c.as_dict() for c in CLAIMS],
+            "seconds": 3.2,
+            "seconds_processor": 2,
+        }
+        for name in ("fig1", "supplement")
+    }
+    return reproduce.describe(tmp_path, Effort(7, 20, quick=True), done, ["fig2"])
+
+
+def test_the_page_is_whole_and_loads_nothing(report):
+    text = page(report, {"fig1": b"\x89PNG not really"})
+    read = Reader(text)
+    inside = [value for value in read.loaded if value.startswith("data:image/png;base64,")]
+    assert len(inside) == 1
+    assert {value for value in read.loaded if value not in inside} <= {f"#{name}" for name in read.ids}
+    assert not any(word in text for word in ("http:", "https:", "url(", "@import", "<script", "<link"))
+    assert len(set(read.ids)) == len(read.ids)
+
+
+def test_every_claim_is_there_with_all_that_it_has(report):
+    read = Reader(page(report, {}))
+    assert [claim["verdict"] for claim in report["figures"]["fig1"]["claims"]] == [
+        "confirmed", "refined", "refuted", "too few samples",
+    ]  # fmt: skip
+    for name, figure in report["figures"].items():
+        assert figure["title"] in read.text
+        for number, claim in enumerate(figure["claims"], start=1):
+            for key in ("claim", "finding", "paper", "ours", "uncertainty", "chosen_after_the_data", "verdict"):
+                assert claim[key] in read.text
+            assert {f"{name}-{number}"} <= set(read.ids)
+            assert f"#{name}-{number}" in read.loaded
+    assert "1,200" in read.text
+    assert all(f"{report[verdict.replace(' ', '_')]} {verdict}" in read.text for verdict in VERDICTS)
+
+
+def test_the_page_says_how_it_was_computed(report):
+    read = Reader(page(report, {}))
+    assert report["command"] == "bearings reproduce fig1 fig2 supplement --quick --seed 7 --samples 20"
+    assert all(word in read.text for word in (report["command"], "the quick form", "Not done yet: fig2"))
+    assert all(value in read.text for value in report["environment"].values())
+    assert {"taichi_bearings", "numpy", "processor", "threads"} <= report["environment"].keys()

@@ -1,0 +1,100 @@
+"""Which decades of power are real: counting, verdicts, and a small study from beginning to end."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taichi_bearings.paper import supplement
+from taichi_bearings.paper.claims import Effort
+from taichi_bearings.paper.samples import solved
+from taichi_bearings.paper.supplement import Decade, Ending
+from taichi_bearings.scene import Scene
+from taichi_bearings.solvers import InteriorPoint
+from taichi_bearings.solvers.stopping import StopRule
+
+
+def ending(*power):
+    power = np.array(power, dtype=float)
+    return Ending(power, power > 0, total=1.0, excess=1e-3, iterations=10**6, slip_error=1e-12)
+
+
+MINIMUM = ending(3e-1, 2e-1, 5e-3, 0.0, 0.0, 0.0)
+
+
+def test_contacts_are_counted_by_decades():
+    descent = ending(4e-1, 2e-2, 3e-2, 5e-2, 2e-4, 1e-4)
+    found = supplement.by_decade(descent, MINIMUM)
+    assert found == [Decade(-4, 2, 0, 0), Decade(-3, 0, 0, 1), Decade(-2, 3, 2, 0), Decade(-1, 1, 1, 2)]
+    assert [decade.is_real for decade in found] == [False, False, True, True]
+    assert descent.decades == pytest.approx(np.log10(4e3))
+
+
+def test_one_sample_can_refute_that_decades_are_real_and_not_confirm_it():
+    unreal = ending(4e-1, 2e-1, 1e-1, 1e-4, 2e-4, 1e-4)
+    real = ending(4e-1, 2e-1, 3e-3, 1e-1, 2e-1, 1e-1)
+
+    def verdict(descent, minimum=MINIMUM):
+        return supplement._real([descent], minimum, supplement.by_decade(descent, minimum)).verdict
+
+    assert verdict(unreal) == "refuted"
+    assert verdict(replace(unreal, iterations=10**5)) == "too few samples"
+    assert verdict(unreal, replace(MINIMUM, slip_error=np.nan)) == "too few samples"
+    assert verdict(real, ending(*real.power)) == "too few samples"
+
+
+def test_the_range_is_judged_over_samples():
+    eleven, eight = ending(1.0, 1e-11), ending(1.0, 1e-8)
+    assert supplement._range([eleven] * 5).verdict == "confirmed"
+    assert supplement._range([eight] * 5).verdict == "refuted"
+    assert supplement._range([eight] * 4).verdict == "too few samples"
+    assert supplement._range([eight] * 3 + [eleven] * 2).verdict == "too few samples"
+    spread = ending(*np.geomspace(1e-8, 1, 100))
+    assert spread.central_decades == pytest.approx(0.9 * 8)
+    assert supplement._broad([spread] * 5).verdict == "confirmed"
+    assert supplement._broad([spread] * 4 + [ending(*np.linspace(0.5, 1, 100))]).verdict == "refuted"
+    assert supplement._broad([spread] * 4).verdict == "too few samples"
+
+
+def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
+    """Against the same minimum solved in another frame, mirrored and shifted: both errors cover the difference."""
+    scenes = [Scene.random((3, 4, 4), 5, **driving) for driving in ({}, {"spin_top": -2.0, "spin_bottom": 1.0})]
+    found = [solved(scene, InteriorPoint(), StopRule(1e-9)) for scene in scenes]
+    slips = [np.concatenate([s[0].ravel() for s in of.slip]) / of.scene.jump for of in found]
+    moves = slips[0] > 0
+    assert moves.any()
+    errors = [supplement.largest_slip_error(of) for of in found]
+    assert 0 < max(errors) < 1e-6
+    apart = np.abs(slips[1][moves] / slips[0][moves] - 1).max()
+    assert apart <= sum(errors) + 8 * np.finfo(float).eps
+    assert np.isnan(supplement.largest_slip_error(replace(found[0], resolved=np.array([False]))))
+
+
+def test_a_small_study_and_what_it_keeps(tmp_path, monkeypatch, taichi_runtime, needs_f64):
+    monkeypatch.setattr(supplement.runtime, "start", lambda *_: None)
+    monkeypatch.setattr(supplement, "SHAPE", (4, 3, 5))
+    monkeypatch.setattr(supplement, "ITERATIONS", (200, 2000))
+    interrupted = supplement.minimum
+
+    def stop(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(supplement, "minimum", stop)
+    with pytest.raises(KeyboardInterrupt):
+        supplement.reproduce(tmp_path, Effort(2, 3))
+    assert len(list(tmp_path.glob("*.kept.h5"))) == 2
+    monkeypatch.setattr(supplement, "minimum", interrupted)
+    monkeypatch.setattr(supplement, "descended", stop)  # both are kept
+    claims = supplement.reproduce(tmp_path, Effort(2, 3))
+    assert {path.name for path in tmp_path.iterdir()} == {"supplement.png", "supplement.pdf", "supplement.csv"}
+    assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
+    assert {claim.verdict for claim in claims} == {"too few samples"}
+    state = solved(supplement.scene_of(2), InteriorPoint(), StopRule(1e-9)).state
+    slipping = sum(int((values == 1).sum()) for values in state)
+    with (tmp_path / "supplement.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    for iterations in ("200", "2000"):
+        own = [row for row in rows if row["iterations"] == iterations]
+        assert sum(int(row["contacts"]) for row in own) == 45 + 40 + 48 - 2 * (9 + 8)
+        assert sum(int(row["of_these_slipping_at_minimum"]) for row in own) == slipping
