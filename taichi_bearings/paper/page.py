@@ -1,11 +1,13 @@
 """The report as one HTML file: figures inside, nothing to load, readable on paper."""
 
 import base64
+import re
 from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
 from taichi_bearings.paper.claims import KINDS
+from taichi_bearings.plots.style import SUPERSCRIPTS
 from taichi_bearings.words import counted
 
 STYLE = """
@@ -19,12 +21,14 @@ table { border-collapse: collapse; width: 100%; font-size: .85rem; line-height: 
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem .3rem 0; border-bottom: 1px solid #e3e3e3; }
 td.number { white-space: nowrap; } tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; }
 img { max-width: 100%; height: auto; display: block; margin: 1rem auto; }
-article { margin: 1.2rem 0; padding-left: 1rem; border-left: 4px solid #bbb; break-inside: avoid; }
+article { margin: 1.4rem 0; padding-left: 1rem; border-left: 4px solid #bbb; break-inside: avoid; }
 dl.facts { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; font-size: .85rem; margin: .4rem 0; }
 dl.facts dt { color: #666; } dl.facts dd { margin: 0; }
 .verdict { font-size: .78rem; font-weight: bold; white-space: nowrap; }
-.confirmed { color: #1b6e33; border-color: #1b6e33; } .refined { color: #9a6700; border-color: #9a6700; }
-.refuted { color: #b3261e; border-color: #b3261e; } .too-few-samples { color: #666; border-color: #bbb; }
+article.confirmed { border-color: #1b6e33; } .verdict.confirmed { color: #1b6e33; }
+article.refined { border-color: #c08a00; } .verdict.refined { color: #9a6700; }
+article.refuted { border-color: #b3261e; } .verdict.refuted { color: #b3261e; }
+.verdict.too-few-samples { color: #666; }
 .note { color: #555; font-size: .9rem; }
 p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
 @media print {
@@ -32,6 +36,7 @@ p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
   section.figure { break-before: page; } thead { display: table-header-group; } tr { break-inside: avoid; }
 }
 """
+SYMBOLS = {"<=": "\u2264", ">=": "\u2265", "+-": "\u00b1", "omega_": "\u03c9_", "Omega_": "\u03a9_"}
 MEANING = {
     "confirmed": "it holds",
     "refined": "it holds with a condition or a correction, which the finding states",
@@ -56,6 +61,18 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         "</body></html>",
     ]
     return "\n".join(parts) + "\n"
+
+
+def typeset(text: str) -> str:
+    """The text with the symbols that plain text lacks: at most, plus or minus, powers, Greek letters, 3\u00d73."""
+    for plain, symbol in SYMBOLS.items():
+        text = text.replace(plain, symbol)
+    text = re.sub(r"\bmu\b", "\u03bc", re.sub(r"(?<=\d)x(?=\d)", "\u00d7", text))
+    return re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), text)
+
+
+def _words(text: str) -> str:
+    return escape(typeset(text))
 
 
 def _anchor(name: str, number: int) -> str:
@@ -83,12 +100,12 @@ def _table(report: Mapping[str, Any]) -> Iterator[str]:
     yield "".join(f"<th>{name}</th>" for name in ("claim", "paper", "here", "samples", "rests on", "verdict"))
     yield "</tr></thead><tbody>"
     for name, figure in report["figures"].items():
-        head = f'<a href="#{name}">{name}: {escape(figure["title"])}</a>'
+        head = f'<a href="#{name}">{name}: {_words(figure["title"])}</a>'
         yield f'<tr class="figure"><th colspan="6">{head}</th></tr>'
         for number, claim in enumerate(figure["claims"], start=1):
             cells = [
-                f'<td><a href="#{_anchor(name, number)}">{escape(claim["claim"])}</a></td>',
-                *(f"<td>{escape(claim[key])}</td>" for key in ("paper", "ours")),
+                f'<td><a href="#{_anchor(name, number)}">{_words(claim["claim"])}</a></td>',
+                *(f"<td>{_words(claim[key])}</td>" for key in ("paper", "ours")),
                 f'<td class="number">{claim["samples"]:,}</td>',
                 f"<td>{claim['kind']}</td>",
                 f"<td>{_verdict(claim)}</td>",
@@ -98,10 +115,10 @@ def _table(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Iterator[str]:
-    yield f'<section class="figure" id="{name}"><h2>{name}: {escape(figure["title"])}</h2>'
+    yield f'<section class="figure" id="{name}"><h2>{name}: {_words(figure["title"])}</h2>'
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
-        yield f'<img alt="{escape(figure["title"], quote=True)}" src="data:image/png;base64,{data}">'
+        yield f'<img alt="{_words(figure["title"])}" src="data:image/png;base64,{data}">'
     for number, claim in enumerate(figure["claims"], start=1):
         facts = {
             "paper": claim["paper"],
@@ -111,11 +128,11 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
             "rests on": f"{claim['kind']}: {KINDS[claim['kind']]}",
             "chosen after the data": claim["chosen_after_the_data"],
         }
-        rows = "".join(f"<dt>{key}</dt><dd>{escape(text)}</dd>" for key, text in facts.items() if text)
+        rows = "".join(f"<dt>{key}</dt><dd>{_words(text)}</dd>" for key, text in facts.items() if text)
         style = claim["verdict"].replace(" ", "-")
-        yield f'<article class="{style}" id="{_anchor(name, number)}"><h3>{escape(claim["claim"])}</h3>'
+        yield f'<article class="{style}" id="{_anchor(name, number)}"><h3>{_words(claim["claim"])}</h3>'
         yield f'{_verdict(claim)}<dl class="facts">{rows}</dl>'
-        yield f'<p class="finding">{escape(claim["finding"])}</p></article>'
+        yield f'<p class="finding">{_words(claim["finding"])}</p></article>'
     yield "</section>"
 
 

@@ -82,7 +82,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     decades = by_decade(descents[-1], minima[0])
     write_decades(folder / "supplement.csv", minima[0], descents)
     with stage("drawing"):
-        named = {f"descent, {ending.iterations:,} iterations": ending.power for ending in descents}
+        named = {f"descent, {ending.iterations:,}": ending.power for ending in descents}
         figure = draw_decades(minima[0].power, minima[0].slips, named, BINS_PER_DECADE)
         save_both(figure, folder, "supplement")
     for path in folder.glob("supplement-*.kept.h5"):

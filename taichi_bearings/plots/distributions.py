@@ -25,7 +25,7 @@ class Case:
 @in_our_style
 def draw_distributions(cases: Mapping[str, Case]) -> Figure:
     """P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution."""
-    figure = new_figure(11.0, 3.2)
+    figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 4, sharey=True)
     rows = range(len(cases), 0, -1)
     for row, case in zip(rows, cases.values(), strict=True):
@@ -40,8 +40,8 @@ def draw_distributions(cases: Mapping[str, Case]) -> Figure:
         panels[1].errorbar(share, row, xerr=[[share - low], [high - share]], fmt="o", color=colour, ms=4, capsize=2)
     panels[0].set_yticks(rows, list(cases))
     panels[0].set_xlabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
-    panels[1].set(xlabel="samples that span, 95 % ends", xlim=(-0.04, 1.04))
-    panels[2].set_xlabel("contacts that are slipless")
+    panels[1].set(xlabel="samples that span", xlim=(-0.04, 1.04))
+    panels[2].set_xlabel("slipless contacts")
     panels[3].set_xlabel("decades of power")
-    figure.suptitle("blue: contact states proven; grey: minima tie, the state found is one of many", fontsize=9)
+    figure.suptitle("blue: contact states proven; grey: minima tie")
     return figure

@@ -24,7 +24,7 @@ class Course:
 @in_our_style
 def draw_parameters(courses: Mapping[str, Course], seed: int) -> Figure:
     """(a) P / P_0 and (b) its excess over the least power against F_n t; the first course, the paper's, is black."""
-    figure = new_figure(10.0, 4.2)
+    figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)
     for (name, course), colour in zip(courses.items(), COLOURS, strict=False):
         later = course.time > 0
@@ -35,7 +35,7 @@ def draw_parameters(courses: Mapping[str, Course], seed: int) -> Figure:
     time = r"time, $\omega_T\, t\, F_n / 50$"
     left.set(xscale="log", xlabel=time, ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
     right.set(xscale="log", yscale="log", xlabel=time, ylabel=r"$P\,/\,P_{\min} - 1$", ylim=(1e-8, 10))
-    left.set_title(f"(a) seed {seed}, from random spins", fontsize=9)
-    right.set_title("(b) excess over the certified minimum", fontsize=9)
-    figure.legend(handles=left.lines, fontsize=8, loc="outside lower center", ncols=4)
+    left.set_title(f"(a) seed {seed}, random spins")
+    right.set_title("(b) above the minimum")
+    figure.legend(handles=left.lines, loc="outside lower center", ncols=4)
     return figure

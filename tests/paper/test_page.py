@@ -6,7 +6,7 @@ import pytest
 
 from taichi_bearings.paper import reproduce
 from taichi_bearings.paper.claims import VERDICTS, Claim, Effort
-from taichi_bearings.paper.page import page
+from taichi_bearings.paper.page import page, typeset
 
 EMPTY = {"meta", "img", "br"}
 LOADS = {"src", "href", "srcset", "data", "poster", "action"}
@@ -78,14 +78,20 @@ def test_every_claim_is_there_with_all_that_it_has(report):
         "confirmed", "refined", "refuted", "too few samples",
     ]  # fmt: skip
     for name, figure in report["figures"].items():
-        assert figure["title"] in read.text
+        assert typeset(figure["title"]) in read.text
         for number, claim in enumerate(figure["claims"], start=1):
             for key in ("claim", "finding", "paper", "ours", "uncertainty", "chosen_after_the_data", "verdict"):
-                assert claim[key] in read.text
+                assert typeset(claim[key]) in read.text
             assert {f"{name}-{number}"} <= set(read.ids)
             assert f"#{name}-{number}" in read.loaded
     assert "1,200" in read.text
     assert all(f"{report[verdict.replace(' ', '_')]} {verdict}" in read.text for verdict in VERDICTS)
+
+
+def test_plain_text_gets_its_symbols():
+    assert typeset("10x12: 0.1 <= mu <= 1, P 2.0 +- 0.6, 10^-11, omega_T, Omega_x, mux <x>") == (
+        "10\u00d712: 0.1 \u2264 \u03bc \u2264 1, P 2.0 \u00b1 0.6, 10\u207b\u00b9\u00b9, \u03c9_T, \u03a9_x, mux <x>"
+    )
 
 
 def test_the_page_says_how_it_was_computed(report):
