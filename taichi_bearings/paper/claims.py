@@ -15,7 +15,6 @@ VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
 KINDS = {
     "samples": "holds for the samples drawn, and by their number for most others",
     "theorem": "follows from the equations; the samples check the program, not the claim",
-    "selected": "the sample shown was picked because it shows this",
 }
 """What a verdict rests on."""
 CONFIDENCE = 0.95
@@ -41,7 +40,7 @@ class Claim:
     refined: bool = False
     samples: int = 1
     needed: int = 1
-    kind: Literal["samples", "theorem", "selected"] = "samples"
+    kind: Literal["samples", "theorem"] = "samples"
     paper: str = ""
     ours: str = ""
     uncertainty: str = ""

@@ -29,7 +29,7 @@ SPREAD = (
 )  # values that all differ
 TIED = ("bimodal:0.1,1,0.5",)
 EQUAL = "constant:0.5"
-SHARE_OF_SAMPLES = 0.2
+SHARE_OF_SAMPLES = 0.25
 ROUND_OFF = 1e-9  # relative difference of powers that are the same
 
 

@@ -119,6 +119,7 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
         yield f'<img alt="{_words(figure["title"])}" src="data:image/png;base64,{data}">'
+        yield f'<p class="note">Shown: {_words(figure["shown"])}</p>'
     for number, claim in enumerate(figure["claims"], start=1):
         facts = {
             "paper": claim["paper"],

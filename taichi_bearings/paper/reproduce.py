@@ -24,12 +24,14 @@ from taichi_bearings.words import counted, meant
 class PaperFigure:
     """title, the module of paper/ whose `reproduce(folder, effort)` returns its claims, and the files it writes.
 
-    seconds : roughly, in full and in the quick form, on two cores.
+    shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
+    cores.
     """
 
     title: str
     module: str
     files: tuple[str, ...]
+    shown: str
     seconds: tuple[float, float]
 
     def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
@@ -38,35 +40,67 @@ class PaperFigure:
         return claims
 
 
-def _files_of(name: str, *endings: str) -> tuple[str, ...]:
-    return tuple(f"{name}{ending}" for ending in (".png", ".pdf", *endings))
-
-
 FIGURES = {
     "fig1": PaperFigure(
-        "Stationary states of 10x10 discs", "figure_1", _files_of("fig1", ".csv", "-samples.csv"), (24, 8)
+        "Stationary states of 10x10 discs",
+        "figure_1",
+        ("fig1.png", "fig1.pdf", "fig1.csv", "fig1-samples.csv"),
+        "(a, b) the first seed whose cut is not level; (c) all samples.",
+        (24, 8),
     ),
-    "fig2": PaperFigure("Relaxation of a 3x3x3 Coulomb bearing", "figure_2", _files_of("fig2", ".csv"), (40, 35)),
+    "fig2": PaperFigure(
+        "Relaxation of a 3x3x3 Coulomb bearing",
+        "figure_2",
+        ("fig2.png", "fig2.pdf", "fig2.csv"),
+        "Of the samples that are followed the first whose minimum is below its minimum cut.",
+        (40, 35),
+    ),
     "fig3": PaperFigure(
-        "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", _files_of("fig3", ".csv"), (16, 10)
+        "A 10x10x10 Coulomb bearing, its slipless network and a path",
+        "figure_3",
+        ("fig3.png", "fig3.pdf", "fig3.csv"),
+        "The first seed whose slipless contacts join bottom and top.",
+        (16, 10),
     ),
-    "fig4": PaperFigure("The planes that its path goes through", "figure_4", _files_of("fig4"), (4, 4)),
+    "fig4": PaperFigure(
+        "The planes that its path goes through", "figure_4", ("fig4.png", "fig4.pdf"), "The sample of fig3.", (4, 4)
+    ),
     "supplement": PaperFigure(
-        "Power of the contacts of 32x32x32 spheres: descent and certified minimum", "supplement",
-        _files_of("supplement", ".csv"), (600, 60),
+        "Power of the contacts of 32x32x32 spheres: descent and certified minimum",
+        "supplement",
+        ("supplement.png", "supplement.pdf", "supplement.csv"),
+        "The first seed.",
+        (600, 60),
     ),
     "network": PaperFigure(
-        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", _files_of("network", ".csv"), (500, 15)
+        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32",
+        "network",
+        ("network.png", "network.pdf", "network.csv"),
+        "All samples.",
+        (500, 15),
     ),
     "distributions": PaperFigure(
-        "Other distributions of the friction coefficients", "distributions",
-        _files_of("distributions", ".csv"), (80, 10),
+        "Other distributions of the friction coefficients",
+        "distributions",
+        ("distributions.png", "distributions.pdf", "distributions.csv"),
+        "All samples.",
+        (90, 10),
     ),
-    "drivings": PaperFigure("Other imposed bearing states", "drivings", _files_of("drivings", ".csv"), (40, 20)),
+    "drivings": PaperFigure(
+        "Other imposed bearing states",
+        "drivings",
+        ("drivings.png", "drivings.pdf", "drivings.csv"),
+        "All samples.",
+        (40, 20),
+    ),
     "parameters": PaperFigure(
-        "Stiffness K, damping A and normal force F_n", "parameters", _files_of("parameters", ".csv"), (70, 50)
+        "Stiffness K, damping A and normal force F_n",
+        "parameters",
+        ("parameters.png", "parameters.pdf", "parameters.csv"),
+        "The first seed; claims are about all samples.",
+        (60, 50),
     ),
-}  # fmt: skip
+}
 REPORTS = ("report.html", "report.json", "report.md")
 
 
@@ -163,6 +197,7 @@ def _computed(name: str, folder: Path, effort: Effort) -> dict[str, Any]:
     claims = FIGURES[name].reproduce(folder, effort)
     return {
         "title": FIGURES[name].title,
+        "shown": FIGURES[name].shown,
         "claims": [claim.as_dict() for claim in claims],
         "seconds": round(time.perf_counter() - began, 1),
         "seconds_processor": round(time.process_time() - processor, 1),
@@ -211,7 +246,8 @@ def table(report: dict[str, Any]) -> str:
         rows = [" | ".join(["", *_cells(claim), ""]).strip() for claim in figure["claims"]]
         head = "| claim | verdict | rests on | paper | here | samples | uncertainty | finding |\n|" + "---|" * 8
         image = f"![{name}]({FIGURES[name].files[0]})"
-        parts += [f"## {name}: {figure['title']}", image, "\n".join([head, *rows])]
+        caption = f"Shown: {figure['shown']}"
+        parts += [f"## {name}: {figure['title']}", image, caption, "\n".join([head, *rows])]
     return "\n\n".join(parts) + "\n"
 
 

@@ -129,4 +129,9 @@ def test_parameters_refine_and_refute():
     assert parameters._same_minimum(courses()).verdict == "confirmed"
     other = Courses(courses().runs, {50.0: Minimum(50.0), 5.0: Minimum(5.0, ((1, 1),))})
     assert parameters._same_minimum(other).verdict == "refuted"
-    assert parameters._threshold().verdict == "refined"
+    scene = Scene.random((3, 3, 3), 0, replicas=5)
+    assert parameters._threshold(scene).verdict == "refined"
+    weak = Scene.random((3, 3, 3), 0, replicas=5, distribution="uniform:0.1,0.2")
+    assert parameters._threshold(weak).verdict == "confirmed"
+    strong = Scene.random((3, 3, 3), 0, replicas=5, distribution="uniform:0.1,3")
+    assert parameters._threshold(strong).verdict == "refuted"

@@ -53,6 +53,7 @@ def report(tmp_path):
     done = {
         name: {
             "title": f"Of {name} <1>",
+            "shown": "All.",
             "claims": [c.as_dict() for c in CLAIMS],
             "seconds": 3.2,
             "seconds_processor": 2,
