@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from taichi_bearings_cli.reproduce import command
 
 from taichi_bearings.paper import reproduce
-from taichi_bearings.paper.claims import Claim
+from taichi_bearings.paper.claims import Claim, Effort
 from tests.cli.commands import bearings
 
 ALL = ["fig1", "fig2", "fig3", "fig4", "supplement", "network", "distributions", "drivings", "parameters"]
@@ -106,10 +106,11 @@ class Figures:
     """Stands in for the figures: notes what is computed, writes the files, is interrupted where that is asked for."""
 
     def __init__(self, monkeypatch):
-        self.computed, self.interrupted_at = [], None
+        self.computed, self.interrupted_at, self.efforts = [], None, set()
         monkeypatch.setattr(reproduce.PaperFigure, "reproduce", lambda figure, *words: self.compute(figure, *words))
 
     def compute(self, figure, folder, effort):
+        self.efforts.add(effort)
         for file in figure.files:
             (folder / file).write_text(f"{effort.seed}")
         if figure.files[0] == f"{self.interrupted_at}.png":
@@ -180,6 +181,36 @@ def test_other_figures_join_the_report_and_force_begins_anew(figures, tmp_path):
     code, report = ask(folder, "fig1", "--force", "--seed", "4")
     assert (code, list(report["figures"]), report["seed"]) == (0, ["fig1"], 4)
     assert (folder / "fig1.png").read_text() == "4"
+
+
+def test_the_short_form_is_one_of_its_own(figures, tmp_path):
+    code, report = ask(tmp_path / "a", "--quick", "--seed", "3")
+    assert (code, report["quick"], report["samples"], figures.efforts) == (0, True, 20, {Effort(3, 20, True)})
+    assert report["command"] == "bearings reproduce --quick --seed 3 --samples 20"
+    other = str(ask(tmp_path / "a", "--seed", "3")[1])
+    assert "already exists and has samples 20 instead of 200, quick True instead of False" in other
+    assert ask(tmp_path / "b", "fig1", "--quick", "--samples", "7")[1]["samples"] == 7
+    assert Effort(0, 7, True) in figures.efforts
+
+
+def test_the_page_has_every_claim_of_the_report(figures, tmp_path):
+    _, report = ask(tmp_path / "a")
+    text = (tmp_path / "a" / "report.html").read_text(encoding="utf-8")
+    assert str(tmp_path / "a" / "report.html") in report["files"]
+    for name in ALL:
+        assert f"{name} is right." in text
+        assert f'id="{name}-1"' in text
+    assert text.count("data:image/png;base64,") == len(ALL)
+
+
+def test_force_throws_away_what_was_kept(figures, tmp_path):
+    folder = tmp_path / "a"
+    ask(folder, "supplement", "network")
+    kept = [folder / name for name in ("supplement-descent-10000.kept.h5", "network.jsonl", "own-notes.jsonl")]
+    for path in kept:
+        path.write_text("from another seed")
+    ask(folder, "supplement", "network", "--force", "--seed", "4")
+    assert [path.exists() for path in kept] == [False, False, True]
 
 
 def test_a_figure_whose_files_are_gone_is_computed_again(figures, tmp_path):
