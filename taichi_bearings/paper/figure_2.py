@@ -157,7 +157,7 @@ def _falls(scene: Scene, run: Run, stiffer: Run, rigid: Run) -> Claim:
         samples=int(falls.sum()),
         needed=FEWEST,
         paper="monotonically, one sample",
-        ours=f"rises by up to {most:.2g} of the fall",
+        ours=f"rises by up to {most:.2g} times the fall",
         uncertainty=f"largest of {int(falls.sum())}: not exceeded {every(int(falls.sum()))}",
         after_data="that the rise is judged against the fall, and the factor of the damping",
     )

@@ -85,7 +85,7 @@ def test_every_claim_is_there_with_all_that_it_has(report):
                 assert typeset(claim[key]) in read.text
             assert {f"{name}-{number}"} <= set(read.ids)
             assert f"#{name}-{number}" in read.loaded
-    assert "1,200" in read.text
+    assert [read.words.count(cell) for cell in ("< 1", "0.97", "1,200")] == [4, 4, 2]  # in the table and below it
     assert all(f"{report[verdict.replace(' ', '_')]} {verdict}" in read.text for verdict in VERDICTS)
 
 
