@@ -47,9 +47,12 @@ def test_one_sample_can_refute_that_decades_are_real_and_not_confirm_it():
 def test_the_range_is_judged_over_samples():
     eleven, eight = ending(1.0, 1e-11), ending(1.0, 1e-8)
     assert supplement._range([eleven] * 5).verdict == "confirmed"
-    assert supplement._range([eight] * 5).verdict == "refuted"
-    assert supplement._range([eight] * 4).verdict == "too few samples"
-    assert supplement._range([eight] * 3 + [eleven] * 2).verdict == "too few samples"
+    assert supplement._range([eight] * 40).verdict == "refuted"
+    assert supplement._range([eight] * 10).verdict == "too few samples"
+    assert supplement._range([eight] * 4 + [eleven] * 4).verdict == "refined"
+    unknown = replace(eleven, slip_error=np.nan)
+    assert supplement._range([*[unknown] * 40, eight]).samples == 1
+    assert supplement._range([unknown]).verdict == supplement._broad([unknown]).verdict == "too few samples"
     spread = ending(*np.geomspace(1e-8, 1, 100))
     assert spread.central_decades == pytest.approx(0.9 * 8)
     assert supplement._broad([spread] * 5).verdict == "confirmed"
