@@ -16,7 +16,7 @@ body { max-width: 74rem; margin: 2rem auto; padding: 0 1.5rem; }
 h1, h2, h3, th, .verdict, .facts, nav { font-family: 'Helvetica Neue', Arial, sans-serif; }
 h1 { font-size: 1.7rem; } h2 { font-size: 1.25rem; margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
 h3 { font-size: 1rem; margin: 0 0 .4rem; }
-a { color: inherit; }
+a { color: inherit; text-decoration: none; } a:hover { text-decoration: underline; }
 table { border-collapse: collapse; width: 100%; font-size: .85rem; line-height: 1.35; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem .3rem 0; border-bottom: 1px solid #e3e3e3; }
 td.number { white-space: nowrap; } tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; }
@@ -32,7 +32,7 @@ article.refuted { border-color: #b3261e; } .verdict.refuted { color: #b3261e; }
 .note { color: #555; font-size: .9rem; }
 p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
 @media print {
-  body { font-size: 10pt; margin: 0; max-width: none; } h2 { break-after: avoid; } a { text-decoration: none; }
+  body { font-size: 10pt; margin: 0; max-width: none; } h2 { break-after: avoid; }
   section.figure { break-before: page; } thead { display: table-header-group; } tr { break-inside: avoid; }
 }
 """
@@ -125,7 +125,7 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
             "paper": claim["paper"],
             "here": claim["ours"],
             "uncertainty": claim["uncertainty"],
-            "samples": f"{claim['samples']:,}, of {claim['samples_needed']:,} that a verdict needs",
+            "samples": f"{claim['samples']:,}; a verdict needs {claim['samples_needed']:,}",
             "rests on": f"{claim['kind']}: {KINDS[claim['kind']]}",
             "chosen after the data": claim["chosen_after_the_data"],
         }
