@@ -19,7 +19,8 @@ h3 { font-size: 1rem; margin: 0 0 .4rem; }
 a { color: inherit; text-decoration: none; } a:hover { text-decoration: underline; }
 table { border-collapse: collapse; width: 100%; font-size: .85rem; line-height: 1.35; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem .3rem 0; border-bottom: 1px solid #e3e3e3; }
-td.number { white-space: nowrap; } tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; }
+td.number { white-space: nowrap; } tr.figure { break-after: avoid; }
+tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; }
 img { max-width: 100%; height: auto; display: block; margin: 1rem auto; }
 article { margin: 1.4rem 0; padding-left: 1rem; border-left: 4px solid #bbb; break-inside: avoid; }
 dl.facts { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; font-size: .85rem; margin: .4rem 0; }
