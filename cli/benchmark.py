@@ -1,8 +1,9 @@
 """bearings benchmark"""
 
 import json
-from dataclasses import asdict
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 from taichi_bearings_cli.options import json_option
@@ -14,47 +15,104 @@ def command() -> None:
     """Measure speed and accuracy."""
 
 
-@command.command()
-@click.option("--shape", default="32,32,32", show_default=True, metavar="NX,NY,NZ", help="Cubic lattice.")
-@click.option("--threads", default=None, metavar="N[,N...]", help="Thread counts. [default: 1 and all]")
-@json_option
-def throughput(shape: str, threads: str | None, as_json: bool) -> None:
-    """Time of one sweep and one time step, and the ratio to vectorised NumPy in the same process.
+def _of_speed(parts: str | None) -> Callable[[Callable[..., None]], click.Command]:
+    """A command that measures speed: these parts of it, or those that are asked for."""
+
+    def made(function: Callable[..., None]) -> click.Command:
+        options = [
+            click.option(
+                "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice instead of the usual ones; repeat."
+            ),
+            click.option("--threads", metavar="N[,N...]", help="Thread counts. [default: 1 and all]"),
+            click.option("--precision", metavar="f64|f32", help="One precision only. [default: both, --quick f64]"),
+            click.option("--quick", "budget", flag_value="quick", help="Small lattices, about two minutes."),
+            click.option(
+                "--full", "budget", flag_value="full", help="Up to 128,128,128 and 4096,4096; an hour or more."
+            ),
+            click.option("--out", metavar="DIR", help="Folder for the files. [default: outputs/<time>-speed-<id>]"),
+            click.option("--force", is_flag=True, help="Replace existing files."),
+            json_option,
+            click.pass_context,
+        ]
+        if parts is None:
+            names = "memory, kernels, methods, scans, dynamics"
+            options.insert(0, click.option("--parts", metavar="NAME[,NAME...]", help=f"Of {names}. [default: all]"))
+
+        def run(context: click.Context, **asked: Any) -> None:
+            _measure_speed(context, **{"parts": parts, **asked})
+
+        run.__doc__, run.__name__ = function.__doc__, function.__name__
+        for option in reversed(options):
+            run = option(run)
+        return command.command()(run)
+
+    return made
+
+
+@_of_speed(None)
+def speed() -> None:
+    """Time of every kernel and method beside what the machine allows, and beside other programs.
+
+    Times are medians of rounds that time everything once, wall and processor, compilation apart; bytes and operations
+    are counted. Writes speed.csv and roofline.png. Peers that are not installed are named. Lattices that do not fit
+    into the memory are left out.
+
+    \b
+    Examples:
+      bearings benchmark speed --quick
+      bearings benchmark speed --parts kernels,memory --shape 64,64,64 --threads 1,2
+    """
+
+
+@_of_speed("memory,kernels")
+def throughput() -> None:
+    """Sweeps, time steps and splitting iterations beside NumPy, plain C and the memory: a part of `speed`.
 
     \b
     Example:
       bearings benchmark throughput --shape 32,32,32 --threads 1,2
     """
+
+
+@_of_speed("methods,scans,dynamics")
+def peers() -> None:
+    """Methods, scans and dynamics beside Clarabel, moreau, SCS, LAMMPS and YADE: a part of `speed`.
+
+    \b
+    Example:
+      bearings benchmark peers --quick
+    """
+
+
+def _measure_speed(
+    context: click.Context,
+    parts: str | None,
+    budget: str | None,
+    out: str | None,
+    force: bool,
+    as_json: bool,
+    **asked: Any,
+) -> None:
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.benchmarks.throughput import measure
-    from taichi_bearings.errors import InputError
-    from taichi_bearings.runs.settings import RunSettings
-    from taichi_bearings.runtime import available_threads
-    from taichi_bearings.stages import each
+    from taichi_bearings.benchmarks import speed_report
+    from taichi_bearings.benchmarks.speed import BUDGETS, chosen_parts, chosen_threads, measure, only
+    from taichi_bearings.runs.run_directory import default_run_path
 
-    sides = RunSettings(shape=shape).shape  # type: ignore[arg-type]
-    if len(sides) != 3:
-        raise InputError(f"shape is {shape!r}; the throughput benchmark needs three numbers")
-    most = available_threads()
-    try:
-        counts = [int(word) for word in threads.split(",")] if threads else sorted({1, most})
-    except ValueError:
-        raise InputError(f"threads is {threads!r}; it must be whole numbers such as 1,2") from None
-    if not all(1 <= number <= most for number in counts):
-        raise InputError(f"threads is {threads!r}; this process may use 1 to {most}")
+    chosen, threads = chosen_parts(parts), chosen_threads(asked["threads"])
+    plan = only(BUDGETS[budget or "usual"], asked["shape"], asked["precision"])
+    files = speed_report.SpeedFiles(Path(out) if out else default_run_path("speed"), force)
     with Display():
-        rows = [row for number in each(counts, "measuring, thread count") for row in measure(sides, number)]
+        report = measure(plan, chosen, threads)
+    if not report.rows:
+        files.clear()
+        context.exit(130 if report.interrupted else 1)
+    written = files.write(report)
     if as_json:
-        click.echo(json.dumps({"shape": list(sides), "rows": [asdict(row) for row in rows]}))
-        return
-    click.echo(f"{'':22} {'components':>10} {'threads':>8} {'time':>10} {'contacts/s':>12} {'NumPy / this':>13}")
-    for row in rows:
-        ratio = f"{row.ratio:.1f}" if row.ratio is not None else ""
-        click.echo(
-            f"{row.what:22} {row.components:>10} {row.threads:>8} {row.seconds * 1e6:>7.1f} us"
-            f" {row.contact_updates / 1e6:>10.0f} M {ratio:>13}"
-        )
+        click.echo(json.dumps(speed_report.as_json(report, written), allow_nan=False))
+    else:
+        click.echo("\n".join([speed_report.table(report), "", *map(str, written)]))
+    context.exit(130 if report.interrupted else 0)
 
 
 @command.command()

@@ -13,7 +13,7 @@ The multipliers z of the rows are the contact forces along D: for Coulomb, in un
 pair and minus the last two of a cone; for viscous contacts half of z, in units of R times the jump.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -56,7 +56,6 @@ def build_differences(scene: Scene) -> Differences:
     system = lattice_system(scene.lattice, axes, scene.driven_values(axes)[1] / (scene.jump or 1.0))
     components = each(lambda z: np.full(z.shape, len(z)), system.offset)
     part = each(lambda z: np.indices(z.shape)[0], system.offset)
-    coefficient = each(np.broadcast_to, system.gather(scene.coefficient, 0), each(np.shape, system.offset))
     order = np.lexsort((_flat(part), _flat(components)))
     by_component = np.arange(system.unknowns).reshape(-1, len(axes)).T.ravel()
     return Differences(
@@ -64,9 +63,14 @@ def build_differences(scene: Scene) -> Differences:
         order,
         system.operator[order][:, by_component],
         _flat(system.offset)[order],
-        _flat(coefficient)[order],
+        _coefficients(system, scene)[order],
         scalars=int((_flat(components) == 1).sum()),
     )
+
+
+def _coefficients(system: ContactSystem, scene: Scene) -> np.ndarray:
+    """Of the contact of each difference, group by group."""
+    return _flat(each(np.broadcast_to, system.gather(scene.coefficient, 0), each(np.shape, system.offset)))
 
 
 def _flat(values: Arrays) -> np.ndarray:
@@ -108,6 +112,17 @@ class ConicProgramme:
         forces = scene.no_force(scene.minimum_spin_axes)
         self.differences.system.scatter(self.differences.on_contacts(along), forces, 0)
         return forces
+
+
+def with_coefficients(programme: ConicProgramme, scene: Scene) -> ConicProgramme:
+    """The Coulomb programme of another sample of the same lattice and driving: nothing but the costs changes."""
+    rows = programme.differences
+    coefficient = _coefficients(rows.system, scene)[rows.order]
+    linear = programme.linear.copy()
+    linear[rows.matrix.shape[1] :] = coefficient[: rows.scalars + rows.vectors]
+    return replace(
+        programme, scene=scene, linear=linear, differences=replace(programme.differences, coefficient=coefficient)
+    )
 
 
 def conic_programme(scene: Scene) -> ConicProgramme:

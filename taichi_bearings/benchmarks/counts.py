@@ -110,19 +110,22 @@ def gather_pass(stencil: Stencil) -> Work:
     return Work(forces, stencil.components, 2 * forces, 0, 1)
 
 
-def torque_balance(stencil: Stencil, shape: tuple[int, ...]) -> Work:
-    """A Poisson solve: sines along the height, chains beside it to and fro, sines back."""
+def torque_balance(stencil: Stencil, shape: tuple[int, ...], modes: float = 1.0) -> Work:
+    """A Poisson solve: sines along the height, chains beside it to and fro, sines back.
+
+    modes : size of a number there over that of a number of the fields.
+    """
     free, components = shape[-1] - 2, stencil.components
     products = 2 * 2 * free * free / shape[-1]
     return Work(
-        read=components * (1 + 2 + 1 + 1),  # pulls; modes three times; potential
-        written=components * (1 + 2 + 1),
+        read=components * (2 + 3 * modes),  # pulls and potential; modes by either half of the chains and at the end
+        written=components * (1 + 3 * modes),
         operations=components * (products + 6 + free / shape[-1]),
         roots=0,
         passes=4,
     )
 
 
-def splitting_iteration(stencil: Stencil, shape: tuple[int, ...]) -> Work:
+def splitting_iteration(stencil: Stencil, shape: tuple[int, ...], modes: float = 1.0) -> Work:
     """An iteration of operator splitting."""
-    return limit_pass(stencil) + gather_pass(stencil) + torque_balance(stencil, shape)
+    return limit_pass(stencil) + gather_pass(stencil) + torque_balance(stencil, shape, modes)

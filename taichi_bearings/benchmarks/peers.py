@@ -1,4 +1,5 @@
-"""General conic solvers on the same scene: Clarabel (interior point) and SCS (operator splitting), judged by our ruler.
+"""General conic solvers on the same scene: Clarabel and moreau (interior point) and SCS (operator splitting), judged by
+our ruler.
 
 Both are optional (`pip install taichi-bearings[peers]`). Each is run with every linear solver that it has here:
 
@@ -6,6 +7,7 @@ Both are optional (`pip install taichi-bearings[peers]`). Each is run with every
   (MKL: MKL_PARDISO_PATH must name a folder that holds libmkl_rt.so).
 * SCS: `qdldl` (one thread) and `mkl` (bundled on Linux; its threads follow MKL_NUM_THREADS). Its conjugate gradients,
   which need no factorisation, took 26 to 55 times as long at 10x10x10 and are left out.
+* moreau, made for many problems of one pattern at a time: `qdldl` and `faer-nt`; it takes all threads that it finds.
 
 The time is that of setting up and solving; building the matrices is left out. What a peer says about its own accuracy
 is not used: its spins and multipliers go through the certificate.
@@ -48,12 +50,15 @@ class Peer:
 
     def solve(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int = 0) -> Answer:
         """Solve to `tolerance` within `seconds`; threads : 0 for all, as far as the solver can be told."""
-        run = _RUNS[self.name]
-        x, z, took, iterations, status, done = run(programme, self.linear_solver, tolerance, seconds, threads)
+        x, z, took, iterations, status, done = self.run(programme, tolerance, seconds, threads)
         scene, axes = programme.scene, programme.scene.minimum_spin_axes
         power = scene.power(programme.spins(x), axes)[0]
         bound = lower_bound(scene, programme.forces(z), axes)[0]
         return Answer(float(power), float(bound), took, iterations, status, done)
+
+    def run(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int) -> "Raw":
+        """The same without judging the answer: unknowns, multipliers, seconds, iterations, status, done."""
+        return _RUNS[self.name](programme, self.linear_solver, tolerance, seconds, threads)
 
 
 Raw = tuple[np.ndarray, np.ndarray, float, int, str, bool]
@@ -110,8 +115,54 @@ def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, second
     return answer["x"], answer["y"], took, end["iter"], status, solved
 
 
-_RUNS: dict[str, Callable[[ConicProgramme, str, float, float, int], Raw]] = {"clarabel": _clarabel, "scs": _scs}
-LINEAR_SOLVERS = {"clarabel": ("qdldl", "faer", "mkl", "panua"), "scs": ("qdldl", "mkl")}
+def _moreau(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
+    began = time.perf_counter()
+    solver = moreau_solver(programme, 1, linear_solver, tolerance, seconds)
+    answer = solver.solve(programme.linear[None], programme.offset[None])
+    took = time.perf_counter() - began
+    status = str(solver.info.status[0])
+    return answer.x[0], answer.z[0], took, int(solver.info.iterations[0]), status.lower(), status == "Solved"
+
+
+def moreau_solver(
+    programme: ConicProgramme, batch: int, linear_solver: str = "auto", tolerance: float = 1e-8, seconds: float = np.inf
+) -> Any:
+    """A solver of so many programmes at a time that differ from this one in their costs only."""
+    import moreau
+
+    matrix, quadratic = programme.matrix.tocsr(), programme.quadratic.tocsr()
+    tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
+    solver = moreau.CompiledSolver(
+        *reversed(matrix.shape),
+        *(quadratic.indptr, quadratic.indices, matrix.indptr, matrix.indices),
+        moreau.Cones(
+            num_zero_cones=programme.equalities,
+            num_nonneg_cones=programme.inequalities,
+            so_cone_dims=[3] * programme.cones,
+        ),
+        moreau.Settings(
+            solver="ipm",
+            device="cpu",
+            batch_size=batch,
+            time_limit=seconds,
+            ipm_settings=moreau.IPMSettings(direct_solve_method=linear_solver, **tolerances),
+        ),
+    )
+    solver.setup(quadratic.data, matrix.data)
+    return solver
+
+
+_RUNS: dict[str, Callable[[ConicProgramme, str, float, float, int], Raw]] = {
+    "clarabel": _clarabel,
+    "scs": _scs,
+    "moreau": _moreau,
+}
+LINEAR_SOLVERS = {
+    "clarabel": ("qdldl", "faer", "mkl", "panua"),
+    "scs": ("qdldl", "mkl"),
+    "moreau": ("qdldl", "faer-nt"),
+}
+HOW_TO_INSTALL = "pip install taichi-bearings[peers]"
 
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
@@ -120,7 +171,7 @@ def find_peers() -> tuple[list[Peer], dict[str, str]]:
     missing: dict[str, str] = {}
     for name, linear_solvers in LINEAR_SOLVERS.items():
         if find_spec(name) is None:
-            missing[name] = "not installed; pip install taichi-bearings[peers]"
+            missing[name] = f"not installed; {HOW_TO_INSTALL}"
             continue
         for linear_solver in linear_solvers:
             reason = _why_not(name, linear_solver)

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from taichi_bearings.plots.style import DOUBLE, in_our_style, new_figure
 from taichi_bearings.solvers import METHODS, MethodOptions
 
-PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
+PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X"), "moreau": ("#5a5a5a", "d")}
 MOST_MARKERS = 12  # a curve, so that long histories stay lines
 MOST_COLUMNS = 3
 LEAST = 1e-17  # below anything that double precision can tell

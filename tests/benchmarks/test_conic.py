@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from taichi_bearings.benchmarks.conic import build_differences, conic_programme
+from taichi_bearings.benchmarks.conic import build_differences, conic_programme, with_coefficients
 from taichi_bearings.benchmarks.peers import Peer, find_peers
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.incidence import contact_differences
@@ -88,12 +88,23 @@ def test_discs_are_a_linear_programme(entry):
     assert bound == pytest.approx(entry["power_minimum"], rel=1e-10)
 
 
+def test_another_sample_changes_the_costs_alone():
+    scene, other = (make_scene((4, 5, 6), seeds=(seed,)) for seed in (1, 2))
+    found, true = with_coefficients(conic_programme(scene), other), conic_programme(other)
+    assert found.scene is other
+    assert (found.linear == true.linear).all()
+    assert (found.linear != conic_programme(scene).linear).any()
+    assert (found.differences.coefficient == true.differences.coefficient).all()
+    assert (found.matrix != true.matrix).nnz == 0
+    assert (found.offset == true.offset).all()
+
+
 def test_replicas_are_refused():
     with pytest.raises(InputError, match="3 replicas"):
         conic_programme(make_scene((3, 4), seeds=(1, 2, 3)))
 
 
-@pytest.mark.parametrize("name", ["clarabel", "scs"])
+@pytest.mark.parametrize("name", ["clarabel", "scs", "moreau"])
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])
 @pytest.mark.parametrize(
     ("shape", "driving"), [((9, 7), {}), ((5, 5, 5), {}), ((4, 5, 6), {"direction": (1, -2, 3), "spin_bottom": -0.4})]
@@ -106,7 +117,7 @@ def test_spins_and_forces_of_a_peer_are_certified(name, law, shape, driving):
     assert 0 <= answer.power - answer.lower_bound <= 1e-7 * answer.power
 
 
-@pytest.mark.parametrize("name", ["clarabel", "scs"])
+@pytest.mark.parametrize("name", ["clarabel", "scs", "moreau"])
 @pytest.mark.parametrize("entry", minima((3, 3, 3), (5, 5, 5)), ids=name_of)
 def test_a_peer_finds_the_exact_minimum(name, entry):
     pytest.importorskip(name)
@@ -127,7 +138,7 @@ def test_peers_that_do_not_work_here_are_named(monkeypatch):
     monkeypatch.setattr("taichi_bearings.benchmarks.peers.find_spec", lambda name: None)
     here, missing = find_peers()
     assert here == []
-    assert set(missing) == {"clarabel", "scs"}
+    assert set(missing) == {"clarabel", "scs", "moreau"}
 
 
 def test_a_linear_solver_without_its_library_is_left_out(monkeypatch):

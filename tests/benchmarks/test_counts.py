@@ -14,7 +14,7 @@ from tests.benchmarks.one_block import OneBlock
 from tests.scenes import make_scene
 
 BLOCK, DRAWS = 4, 20
-SHAPES = [(5, 6), (4, 5, 6)]  # of one and of two components
+SHAPE = (4, 5, 6)  # with contacts of one component and of two
 PASSES = {
     "sweep": (GradientDescent(momentum=False), lambda s: counts.descent_sweep(s, momentum=False)),
     "sweep with momentum": (GradientDescent(), lambda s: counts.descent_sweep(s, momentum=True)),
@@ -25,7 +25,7 @@ PASSES = {
 }
 
 
-def begun(options, shape, block):
+def begun(options, block, shape=SHAPE):
     """A method at its start, in blocks of so many sites, from spins with as many components as its start has."""
     scene = make_scene(shape, seeds=(0,))
     spin = initial_spin(scene, "linear")
@@ -39,10 +39,10 @@ def kernels_of(method):
     return next(getattr(method, name) for name in ("sweeps", "steps", "contacts") if hasattr(method, name))
 
 
-def one_pass(name, shape, block):
+def one_pass(name, block):
     """A pass on a block in the middle: its work as it is counted, its kernel and their arguments."""
     options, count = PASSES[name]
-    method = begun(options, shape, block)
+    method = begun(options, block)
     fields, layout = method.fields, method.fields.layout
     kernel = getattr(OneBlock(kernels_of(method)), name.split()[0])
     row, margin, _, stride_x, stride_y = layout.measures
@@ -64,19 +64,17 @@ ONCE = {
 @pytest.mark.skipif(compiler_name() != "taichi", reason="reads what Taichi's compiler prints")
 @pytest.mark.parametrize("name", ONCE)
 def test_operations_are_those_of_the_compiled_program(name, capfd):
-    """With contacts of one component and of two."""
-    work, kernel, arguments = one_pass(name, (4, 5, 6), BLOCK)
+    work, kernel, arguments = one_pass(name, BLOCK)
     operations, roots = ONCE[name]
     found = counted(printed_program(kernel, arguments, capfd), BLOCK)
     assert found == (work.operations + operations / BLOCK, work.roots + roots / BLOCK)
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize("name", PASSES)
-def test_rows_are_those_that_results_depend_on(name, shape):
+def test_rows_are_those_that_results_depend_on(name):
     """A row is written if it changes; it is read if the others, or what it becomes itself, depend on it: in some of the
     states, with friction large and small beside all else."""
-    work, kernel, arguments = one_pass(name, shape, 1)
+    work, kernel, arguments = one_pass(name, 1)
     values = arguments[0].reshape(-1, arguments[2])
     rng = np.random.default_rng(5)
 

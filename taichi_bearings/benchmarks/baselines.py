@@ -1,0 +1,154 @@
+"""The same sweep by other means: the best NumPy that we could write, and plain C compiled on the spot."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.incidence import weights
+from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.initial_spins import initial_spin
+
+SHARPNESS = 1e12  # contacts with a smaller difference than its inverse do not slip
+LEAST_SQUARE = {8: 1e-300, 4: 1e-30}  # by the size of a number
+SOURCE = Path(__file__).parent / "others" / "sweep.c"
+COMPILERS = ("cc", "gcc", "clang")
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", "-shared", "-fPIC")
+
+
+class Arrays:
+    """Flat arrays of a scene in the layout of the kernels, a row each: spins, friction and, of each sphere, the step.
+
+    kept : for each axis, the spin components that its contacts feel.
+    """
+
+    def __init__(self, scene: Scene, precision: str) -> None:
+        axes, dtype = scene.minimum_spin_axes, np.dtype(np.float64 if precision == "f64" else np.float32)
+        self.dtype, self.layout = dtype, Layout(1, scene.lattice.shape, block=1)
+        self.kept = [tangential(axis, axes) for axis in range(scene.lattice.dimension)]
+        spin = scene.staggered_spin(initial_spin(scene, "random"), axes)
+        self.spin = self.layout.rows(spin).astype(dtype)
+        self.friction = self.layout.rows(self.layout.at_lower_sphere(scene.acting_coefficient)).astype(dtype)
+        weight = weights(scene.acting_coefficient, scene.lattice, axes)
+        weight[..., scene.lattice.is_driven] = np.inf
+        self.step = self.layout.rows(1e-3 / weight).astype(dtype)
+
+
+class NumpySweep:
+    """The Coulomb subgradient sweep in vectorised NumPy, as fast as we could write it.
+
+    Every operation runs over one contiguous stretch, in place, with no temporaries; one square root and one division a
+    contact, none where a contact has one component. (Written with slices of three-dimensional arrays it takes 1.2 to
+    1.6 times as long.)
+    """
+
+    def __init__(self, arrays: Arrays) -> None:
+        self.arrays, self.layout, self.kept = arrays, arrays.layout, arrays.kept
+        most = self.layout.sites + self.layout.strides[0]
+        self.force = [[np.empty(most, arrays.dtype) for _ in kept] for kept in self.kept]
+        self.square, self.scratch = np.empty((2, most), arrays.dtype)
+        self.pull = np.empty(self.layout.sites, arrays.dtype)
+
+    def repeat(self, sweeps: int) -> None:
+        for _ in range(sweeps):
+            self._find_forces()
+            self._move()
+
+    def _find_forces(self) -> None:
+        start, sites = self.layout.margin, self.layout.sites
+        for axis, (kept, stride) in enumerate(zip(self.kept, self.layout.strides, strict=True)):
+            count = sites + stride  # from one stride below the first site on, so that each contact is computed once
+            below, above = slice(start - stride, start + sites), slice(start, start + count)
+            forces = [buffer[:count] for buffer in self.force[axis]]
+            for slot, force in zip(kept, forces, strict=True):
+                np.subtract(self.arrays.spin[slot][above], self.arrays.spin[slot][below], out=force)
+            friction = self.arrays.friction[axis][below]
+            if len(kept) == 1:
+                np.multiply(forces[0], SHARPNESS, out=forces[0])  # np.sign mispredicts its branches: 5 times as long
+                np.maximum(forces[0], -1.0, out=forces[0])
+                np.minimum(forces[0], 1.0, out=forces[0])
+                np.multiply(forces[0], friction, out=forces[0])
+                continue
+            square, scratch = self.square[:count], self.scratch[:count]
+            np.multiply(forces[0], forces[0], out=square)
+            np.multiply(forces[1], forces[1], out=scratch)
+            np.add(square, scratch, out=square)
+            np.maximum(square, LEAST_SQUARE[self.arrays.dtype.itemsize], out=square)
+            np.sqrt(square, out=square)
+            np.divide(friction, square, out=square)
+            for force in forces:
+                np.multiply(force, square, out=force)
+
+    def _move(self) -> None:
+        start, sites = self.layout.margin, self.layout.sites
+        for slot, (spin, step) in enumerate(zip(self.arrays.spin, self.arrays.step, strict=True)):
+            first = True
+            for kept, stride, forces in zip(self.kept, self.layout.strides, self.force, strict=True):
+                if slot not in kept:
+                    continue
+                force = forces[kept.index(slot)]
+                if first:
+                    np.subtract(force[stride : stride + sites], force[:sites], out=self.pull)
+                    first = False
+                else:
+                    np.add(self.pull, force[stride : stride + sites], out=self.pull)
+                    np.subtract(self.pull, force[:sites], out=self.pull)
+            np.multiply(self.pull, step[start : start + sites], out=self.pull)
+            inside = spin[start : start + sites]
+            np.add(inside, self.pull, out=inside)
+
+
+class CSweep:
+    """The same sweep in C, each contact reckoned with from both of its ends; pairs of sweeps."""
+
+    def __init__(self, arrays: Arrays, folder: Path) -> None:
+        """folder : for the machine code. Raises OSError where it cannot be made or loaded."""
+        self.arrays, layout = arrays, arrays.layout
+        self.other = arrays.spin.copy()
+        real = "double" if arrays.dtype.itemsize == 8 else "float"
+        counts = ",".join(str(len(kept)) for kept in arrays.kept)
+        slots = ",".join(
+            "{{{},{}}}".format(
+                *kept,
+                0,
+            )
+            for kept in arrays.kept
+        )
+        options = {
+            "REAL": real, "DIMENSION": len(arrays.kept), "COMPONENTS": len(arrays.spin),
+            "COUNT": f"{{{counts}}}", "KEPT": f"{{{slots}}}",
+        }  # fmt: skip
+        library = ctypes.CDLL(str(compiled(tuple(f"-D{name}={value}" for name, value in options.items()), folder)))
+        self._sweeps, self._stride = library.sweeps, np.array(layout.strides, np.int64)
+
+    def repeat(self, sweeps: int) -> None:
+        layout, rows = self.arrays.layout, (self.arrays.spin, self.other, self.arrays.friction, self.arrays.step)
+        numbers = (2 * -(-sweeps // 2), layout.margin, layout.sites, layout.length)
+        pointers = [ctypes.c_void_p(values.ctypes.data) for values in (self._stride, *rows)]
+        self._sweeps(*(ctypes.c_long(number) for number in numbers), *pointers)
+
+
+def find_compiler() -> str | None:
+    """The C compiler of this machine."""
+    named = [os.environ["CC"]] if os.environ.get("CC") else []
+    return next((found for name in (*named, *COMPILERS) if (found := shutil.which(name))), None)
+
+
+@lru_cache
+def compiled(options: tuple[str, ...], folder: Path) -> Path:
+    """The shared library of sweep.c with these options. Raises OSError where it cannot be made."""
+    compiler = find_compiler()
+    if compiler is None:
+        raise FileNotFoundError("no C compiler was found")
+    library = folder / f"sweep-{abs(hash(options))}.so"
+    command = [compiler, *FLAGS, *options, str(SOURCE), "-o", str(library), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError(f"{compiler} failed: {done.stderr.strip()[:200]}")
+    return library
