@@ -1,0 +1,164 @@
+"""Work that does not depend on the machine, for every method: kernel launches, passes, factorisations, memory taken."""
+
+import gc
+import tracemalloc
+from collections import Counter
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from taichi_bearings.benchmarks import counts
+from taichi_bearings.compiler import name as compiler_name
+from taichi_bearings.compiler import ti
+from taichi_bearings.conic import central_path
+from taichi_bearings.conic.friction_stage import FrictionStage
+from taichi_bearings.fields import CPU_BLOCK, Fields, make_layout
+from taichi_bearings.kernels.elimination import LANES
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.numerics.cholesky import Cholesky, WholeCholesky
+from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import METHODS, linear_solver, planar_cut, torque_balance
+from tests.scenes import make_scene
+
+FACTORISING = (Cholesky, WholeCholesky, CholeskySideBySide)
+
+
+def begun(name, shape=(6, 7, 8), seeds=(0,), **options):
+    """A method at its start, on a scene that it solves."""
+    law = "viscous" if name == "linear-solver" else "coulomb"
+    driving = {"direction": (1, 0, 0)} if name == "planar-cut" else {}
+    scene = make_scene(shape, law, seeds=seeds, **driving)
+    method, spin = METHODS[name](**options).build(), initial_spin(scene, "linear")
+    spec = method.plan(scene, spin)
+    layout = make_layout(len(seeds), shape, getattr(method, "block", CPU_BLOCK))
+    method.begin(scene, spin, Fields(layout, spec) if spec else None)
+    if hasattr(method, "aim_at"):
+        method.aim_at(np.inf)
+    return method
+
+
+@contextmanager
+def counting(monkeypatch):
+    """What is called inside: launches of kernels, and of what they told the arrivals at barriers; factorisations and
+    solves with them; products with sines; cuts; Newton steps."""
+    seen = Counter()
+
+    def watch(owner, attribute, key):
+        true = getattr(owner, attribute)
+
+        def called(*arguments, **others):
+            seen[key] += 1
+            found = true(*arguments, **others)
+            for value in arguments if key == "launches" else ():
+                if isinstance(value, np.ndarray) and value.dtype == np.int32 and value.size == 1:
+                    seen["arrivals"] += int(value[0])
+            return found
+
+        context.setattr(owner, attribute, called)
+
+    with monkeypatch.context() as context:
+        if compiler_name() == "taichi":
+            watch(ti.lang.kernel_impl.Kernel, "launch_kernel", "launches")
+        for kind in FACTORISING:
+            watch(kind, "factorise", "factorisations")
+            watch(kind, "solve", "solves")
+        watch(linear_solver, "factorised", "factorisations")
+        watch(planar_cut, "minimum_cuts", "cuts")
+        watch(torque_balance, "_to_modes", "products with sines")
+        watch(torque_balance, "_from_modes", "products with sines")
+        watch(central_path, "newton_steps", "Newton steps")
+        watch(FrictionStage, "_prepare", "Newton steps with springs")
+        yield seen
+
+
+def seen_while(method, steps, monkeypatch):
+    """What `steps` iterations call, once others have warmed up."""
+    method.advance(2)
+    if hasattr(method, "team"):
+        method.team.seconds = 1e-9  # quick enough for a single launch, whatever the machine was doing
+    with counting(monkeypatch) as seen:
+        method.advance(steps)
+    return seen
+
+
+needs_taichi = pytest.mark.skipif(compiler_name() != "taichi", reason="counts launches where Taichi makes them")
+
+
+@needs_taichi
+@pytest.mark.parametrize(("name", "passes"), [("gradient-descent", 1), ("cundall-strack", 2)])
+def test_many_iterations_are_one_launch_and_as_few_passes_as_can_be(name, passes, monkeypatch):
+    """Threads meet after each pass, so that a single one arrives once a pass."""
+    seen = seen_while(begun(name), 20, monkeypatch)
+    assert seen == {"launches": 1, "arrivals": 20 * passes}
+    count = {"gradient-descent": lambda s: counts.descent_sweep(s, True), "cundall-strack": counts.cundall_strack_step}
+    assert count[name](Stencil((0, 1), 3, 1)).passes == passes
+
+
+@needs_taichi
+def test_a_splitting_iteration_is_two_launches_and_two_products(monkeypatch):
+    seen = seen_while(begun("operator-splitting"), 10, monkeypatch)
+    assert seen == {"launches": 20, "products with sines": 20}
+
+
+def test_a_newton_step_factorises_once(monkeypatch):
+    """And solves for the predictor, the corrector, at most three more, and at most four times for what they left."""
+    seen = seen_while(begun("interior-point"), 4, monkeypatch)
+    assert seen["factorisations"] == 4
+    assert 4 * 2 <= seen["solves"] <= 4 * 9
+
+
+def test_samples_of_a_lattice_are_factorised_together(monkeypatch):
+    seen = seen_while(begun("interior-point", seeds=tuple(range(LANES + 1))), 2, monkeypatch)
+    assert seen["factorisations"] == 2 * 2
+
+
+@pytest.mark.parametrize("seeds", [(0,), (0, 1, 2)])
+def test_exact_methods_factorise_or_cut_once(seeds, monkeypatch):
+    linear, cut = begun("linear-solver", seeds=seeds), begun("planar-cut", seeds=seeds)
+    with counting(monkeypatch) as seen:
+        linear.advance(len(linear.bundles))
+        cut.advance(1)
+    assert len(linear.bundles) == len(linear.spin_axes)  # each component on its own, of all samples together
+    assert (seen["factorisations"], seen["cuts"]) == (len(linear.bundles), 1)
+
+
+def test_a_step_of_the_rigid_limit_factorises_once_a_newton_step(monkeypatch):
+    """And at most twice more a step: where it begins, and for the forces that are left."""
+    seen = seen_while(begun("rigid-limit"), 2, monkeypatch)
+    assert 2 <= seen["Newton steps"] <= seen["factorisations"] <= seen["Newton steps"] + 2 * 2
+
+
+def test_short_steps_with_springs_factorise_nothing_and_long_ones_once_a_newton_step(monkeypatch):
+    for time_step, factorises in ((1e-5, False), (0.1, True)):
+        method = begun("implicit-cundall-strack", time_step=time_step)
+        seen = seen_while(method, 2, monkeypatch)
+        assert (seen["factorisations"] > 0) == factorises
+        assert seen["factorisations"] <= seen["Newton steps with springs"]
+        assert seen["Newton steps with springs"] > 0
+
+
+# bytes that iterations take beside what is there, of a lattice of any size and a sphere; in a kernel nothing is taken
+TAKEN = {
+    "gradient-descent": (16e3, 0), "cundall-strack": (16e3, 0), "operator-splitting": (250e3, 0),
+    "interior-point": (100e3, 400), "rigid-limit": (100e3, 800), "implicit-cundall-strack": (100e3, 800),
+    "linear-solver": (100e3, 800), "planar-cut": (100e3, 200),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_iterations_take_no_more_memory_than_they_need(name):
+    fixed, each = TAKEN[name]
+    shape = (8, 9, 10) if each else (16, 18, 20)
+    method = begun(name, shape)
+    method.advance(2)
+    gc.collect()
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        method.advance(2)
+        taken = tracemalloc.get_traced_memory()[1] - before
+    finally:
+        tracemalloc.stop()
+    assert taken <= fixed + each * np.prod(shape)
