@@ -23,7 +23,9 @@ def _of_speed(parts: str | None) -> Callable[[Callable[..., None]], click.Comman
             click.option(
                 "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice instead of the usual ones; repeat."
             ),
-            click.option("--threads", metavar="N[,N...]", help="Thread counts. [default: 1 and all]"),
+            click.option(
+                "--threads", metavar="N[,N...]", help="Thread counts. [default: 1 and all; --full: 1, 2, 4 ...]"
+            ),
             click.option("--precision", metavar="f64|f32", help="One precision only. [default: both, --quick f64]"),
             click.option("--quick", "budget", flag_value="quick", help="Small lattices, about two minutes."),
             click.option(
@@ -99,8 +101,8 @@ def _measure_speed(
     from taichi_bearings.benchmarks.speed import BUDGETS, chosen_parts, chosen_threads, measure, only
     from taichi_bearings.runs.run_directory import default_run_path
 
-    chosen, threads = chosen_parts(parts), chosen_threads(asked["threads"])
-    plan = only(BUDGETS[budget or "usual"], asked["shape"], asked["precision"])
+    chosen, usual = chosen_parts(parts), BUDGETS[budget or "usual"]
+    threads, plan = chosen_threads(asked["threads"], usual), only(usual, asked["shape"], asked["precision"])
     files = speed_report.SpeedFiles(Path(out) if out else default_run_path("speed"), force)
     with Display():
         report = measure(plan, chosen, threads)

@@ -128,11 +128,15 @@ def chosen_parts(names: str | None) -> tuple[str, ...]:
     return chosen("parts", names, PARTS)
 
 
-def chosen_threads(text: str | None) -> tuple[int, ...]:
-    """Thread counts, separated by commas; one and all for None. InputError for others than this process may use."""
+def chosen_threads(text: str | None, budget: Budget) -> tuple[int, ...]:
+    """Thread counts, separated by commas; for None one and all, and those in between in doubles if there is time.
+
+    InputError for others than this process may use.
+    """
     most = runtime.available_threads()
+    between = {2**k for k in range(most.bit_length())} if budget is FULL else set()
     try:
-        counts = {int(word) for word in text.split(",")} if text is not None else {1, most}
+        counts = {int(word) for word in text.split(",")} if text is not None else {1, most} | between
     except ValueError:
         raise InputError(f"threads is {text!r}; it must be whole numbers such as 1,2") from None
     if not all(1 <= number <= most for number in counts):

@@ -21,7 +21,7 @@ TIMES: dict[str, Cell] = {
 }
 PROCESSOR: dict[str, Cell] = {"processor": lambda row: duration(row.seconds_processor)}
 CONTACTS: dict[str, Cell] = {"contacts/s": lambda row: millions(row.contact_updates)}
-SLOWER: dict[str, Cell] = {"this program is": lambda row: f"{row.ratio:.2g} times as fast" if row.ratio else ""}
+SLOWER: dict[str, Cell] = {"this program is": lambda row: f"{short(row.ratio)} times as fast" if row.ratio else ""}
 TABLES: dict[str, dict[str, Cell]] = {
     "memory": {
         "precision": lambda row: row.precision,
@@ -45,7 +45,7 @@ TABLES: dict[str, dict[str, Cell]] = {
         "roof": lambda row: f"{row.roof:.0%} ({row.limit})" if row.roof else "",
         "B/sphere": lambda row: f"{row.bytes_per_sphere:.0f}" if row.bytes_per_sphere else "",
         "compile": lambda row: duration(row.seconds_compile),
-        "sweep is": lambda row: f"{row.ratio:.2g} times as fast" if row.ratio else "",
+        "sweep is": lambda row: f"{short(row.ratio)} times as fast" if row.ratio else "",
     },
     "methods": {
         "": lambda row: row.what,
@@ -83,6 +83,11 @@ TABLES: dict[str, dict[str, Cell]] = {
 }
 
 
+def short(value: float) -> str:
+    """Three digits, never a power of ten."""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+
+
 def duration(seconds: float | None) -> str:
     if seconds is None:
         return ""
@@ -91,7 +96,7 @@ def duration(seconds: float | None) -> str:
 
 
 def millions(rate: float | None) -> str:
-    return f"{rate / 1e6:.3g} M" if rate else ""
+    return f"{short(rate / 1e6)} M" if rate else ""
 
 
 def size(count: float | None) -> str:
@@ -113,7 +118,7 @@ def table(report: Report) -> str:
     parts = [f"{head}\nLoad at the start {machine['load']:.1f}" if machine["load"] is not None else head]
     for part, title in PARTS.items():
         if rows := report.of(part):
-            parts.append(f"{title.capitalize()}\n{_lines(rows, TABLES[part])}")
+            parts.append(f"{title[0].upper()}{title[1:]}\n{_lines(rows, TABLES[part])}")
     notes = [*report.notes, *(f"Without {name}: {reason}" for name, reason in report.missing.items())]
     return "\n\n".join([*parts, "\n".join(notes)] if notes else parts)
 
@@ -176,7 +181,8 @@ def figure_of(report: Report) -> Any:
     )
     measured = [
         Measured(
-            f"{row.what}, {row.components} component{'s' if row.components != 1 else ''}",
+            row.what,
+            row.components or 1,
             (row.operations or 0.0) / (row.bytes or 1.0),
             (row.operations or 0.0) / row.seconds,
             row.bandwidth or 0.0,

@@ -7,10 +7,9 @@ from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK
 
 ROWS = 3  # that a stream works on: two are read and one is written in a pass
 CHAINS = 8  # sums that do not wait for each other, enough to hide how long one takes
-LENGTH = 64  # of a chain
-STREAM_FLOPS = 2  # a site of a pass
+LENGTH, ROOTS_LENGTH = 4096, 512  # of a chain, so that a launch costs little beside one
 ARITHMETIC_FLOPS = 2 * CHAINS * LENGTH  # a site of a call
-ROOTS = 2 * CHAINS * LENGTH
+ROOTS = 2 * CHAINS * ROOTS_LENGTH
 
 
 @ti.kernel
@@ -63,7 +62,7 @@ def roots(arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, 
             first = in_range(item // LEAST_CHUNK * block)
             start = load(values, first, block)
             total = [start + float(chain + 1) for chain in ti.static(range(CHAINS))]
-            for _ in range((end - begin) * LENGTH):
+            for _ in range((end - begin) * ROOTS_LENGTH):
                 for chain in ti.static(range(CHAINS)):
                     total[chain] = 2.0 / ti.sqrt(total[chain])
             for chain in ti.static(range(1, CHAINS)):

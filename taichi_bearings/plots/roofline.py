@@ -9,19 +9,21 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, label_in_plain_text, new_figure
+from taichi_bearings.words import counted
 
 COLOURS = (BLUE, ORANGE, GREEN, "#8C6BB1", "#7A5230", "#CC79A7")
-MARKERS = "osD^v>"
+MARKERS = {1: "o", 2: "s", 3: "^"}  # by components
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A kernel on one lattice. intensity : operations a byte. speed : operations a second. bandwidth : bytes a second.
+    """A kernel on one lattice, with so many spin components.
 
-    working_set : bytes.
+    intensity : operations a byte. speed : operations a second. bandwidth : bytes a second. working_set : bytes.
     """
 
     name: str
+    components: int
     intensity: float
     speed: float
     bandwidth: float
@@ -50,20 +52,24 @@ class Ceilings:
 
 @in_our_style
 def draw_roofline(measured: Sequence[Measured], ceilings: Ceilings, title: str) -> Figure:
-    """Left the roofline, right the bandwidth by working set; a colour and a marker a kernel."""
+    """Left the roofline, right the bandwidth by working set; a colour a kernel, a marker a number of components."""
     figure = new_figure(7.6, 4.2)
     left, right = figure.subplots(1, 2)
     names = list(dict.fromkeys(one.name for one in measured))
     _draw_roof(left, measured, ceilings)
     _draw_bandwidth(right, ceilings)
     for one in measured:
-        n = names.index(one.name)
-        look = {"color": COLOURS[n % len(COLOURS)], "marker": MARKERS[n % len(MARKERS)], "ms": 4.5, "mew": 0, "ls": ""}
+        colour = COLOURS[names.index(one.name) % len(COLOURS)]
+        look = {"color": colour, "marker": MARKERS[one.components], "ms": 4.5, "mew": 0, "ls": ""}
         left.plot(one.intensity, one.speed / 1e9, **look)
         right.plot(one.working_set, one.bandwidth / 1e9, **look)
     handles = [
-        Line2D([], [], color=COLOURS[n % len(COLOURS)], marker=MARKERS[n % len(MARKERS)], ls="", ms=4.5, label=name)
+        Line2D([], [], color=COLOURS[n % len(COLOURS)], lw=4, label=name, solid_capstyle="butt")
         for n, name in enumerate(names)
+    ]
+    handles += [
+        Line2D([], [], color=GREY, marker=MARKERS[number], ls="", ms=4.5, mew=0, label=counted(number, "component"))
+        for number in sorted({one.components for one in measured})
     ]
     handles.append(Line2D([], [], color="black", lw=1.2, label="what the machine does at most"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8)

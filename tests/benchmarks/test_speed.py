@@ -94,11 +94,18 @@ def test_parts_and_threads_that_are_not_there_are_refused():
     assert speed.chosen_parts(None) == tuple(PARTS)
     for text in ("0", "4096", "two"):
         with pytest.raises(InputError, match=f"threads is '{text}'"):
-            chosen_threads(text)
+            chosen_threads(text, QUICK)
     with pytest.raises(InputError, match="shape"):
         only(QUICK, ["3"], None)
     assert only(QUICK, ["4,5,6"], "f32").moved == ((4, 5, 6),)
     assert only(QUICK, ["4,5"], "f32").precisions == ("f32",)
+
+
+def test_threads_in_between_take_the_time_for_all(monkeypatch):
+    monkeypatch.setattr("taichi_bearings.runtime.available_threads", lambda: 12)
+    assert chosen_threads(None, QUICK) == (1, 12)
+    assert chosen_threads(None, speed.FULL) == (1, 2, 4, 8, 12)
+    assert chosen_threads("3,5", speed.FULL) == (3, 5)
 
 
 def test_a_part_that_fails_costs_nothing_else(monkeypatch):
