@@ -16,7 +16,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.benchmarks import counts
 from taichi_bearings.benchmarks.baselines import Arrays, CSweep, NumpySweep
-from taichi_bearings.benchmarks.machine import Stream, chains, sizes_below
+from taichi_bearings.benchmarks.machine import chains, sizes_below, streams
 from taichi_bearings.benchmarks.rows import Row, timing
 from taichi_bearings.benchmarks.timing import Times, timed
 from taichi_bearings.fields import CPU_BLOCK, Fields, make_layout
@@ -30,8 +30,8 @@ from taichi_bearings.solvers.method import Method
 
 SIZES = {"f64": 8, "f32": 4}  # bytes of a number
 PLAIN, NUMPY, C = "sweep", "NumPy sweep", "C sweep"
-BYTES = {2: 900.0, 3: 2500.0}  # a sphere at most while all candidates of a lattice are there, by its dimension
-SPARE = 0.7  # share of the free memory that a lattice may take
+BYTES = {2: 800.0, 3: 1800.0}  # a sphere at most while all candidates of a lattice are there, by its dimension
+SPARE = 0.8  # share of the free memory that a lattice may take
 FOREVER = 2**40  # sweeps
 
 
@@ -78,10 +78,9 @@ def measure(task: Task) -> Iterator[Row | str]:
 
 
 def _bandwidths(task: Task) -> Iterator[Row]:
-    streams = [Stream(size, task.threads) for size in sizes_below(task.largest_stream)]
-    calls = {str(n): stream.repeat for n, stream in enumerate(streams)}
-    found = timed(calls, task.rounds, task.slice_seconds)
-    for stream, times in zip(streams, found.values(), strict=True):
+    known = streams(sizes_below(task.largest_stream), task.threads)
+    found = timed({str(n): stream.repeat for n, stream in enumerate(known)}, task.rounds, task.slice_seconds)
+    for stream, times in zip(known, found.values(), strict=True):
         speed = stream.bytes / times.seconds
         kept: dict[str, Any] = {"precision": task.precision, "threads": task.threads, "bytes": stream.bytes}
         yield Row(part="memory", what="stream", working_set=stream.bytes, bandwidth=speed, **kept, **timing(times))
@@ -91,18 +90,19 @@ def _of_shape(task: Task, shape: tuple[int, ...], folder: Path) -> Iterator[Row]
     """All candidates of a lattice in the same rounds."""
     scene = Scene.random(shape)
     candidates = list(_candidates(scene, task, folder))
-    streams = {n: Stream(one.held, task.threads) for n, one in enumerate(candidates) if one.held}
+    counted = [n for n, one in enumerate(candidates) if one.held]
+    alike = dict(zip(counted, streams([candidates[n].held for n in counted], task.threads), strict=True))
     limits = chains(task.threads)
     calls = {str(n): one.call for n, one in enumerate(candidates)}
-    calls |= {f"stream {n}": stream.repeat for n, stream in streams.items()}
+    calls |= {f"stream {n}": stream.repeat for n, stream in alike.items()}
     calls |= {name: limit.repeat for name, limit in limits.items()}
     found = timed(calls, task.rounds, task.slice_seconds)
     rates = {name: limit.number / found[name].each for name, limit in limits.items()}
     plain = next(str(n) for n, one in enumerate(candidates) if one.name == PLAIN)
     for n, one in enumerate(candidates):
         row = _row(one, scene, task, found[str(n)])
-        if n in streams:
-            delivered = streams[n].bytes / found[f"stream {n}"].each
+        if n in alike:
+            delivered = alike[n].bytes / found[f"stream {n}"].each
             row = _beside_the_machine(row, found[str(n)].each, {"bandwidth": delivered, **rates})
         if one.name in (NUMPY, C):
             row = replace(row, ratio=float(np.median(found[str(n)].each / found[plain].each)))

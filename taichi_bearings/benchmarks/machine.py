@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.fields import CPU_BLOCK
+from taichi_bearings.fields.fields import number_type
 from taichi_bearings.kernels import probe
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.memory import aligned_zeros, free_bytes
@@ -23,12 +24,14 @@ CONFLICTS = 512  # numbers: rows so far apart beyond a multiple of that do not c
 class Stream:
     """Passes over three rows of numbers, `total_bytes` in all: what memory or the cache that holds them delivers."""
 
-    def __init__(self, total_bytes: float, threads: int) -> None:
-        dtype = np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
+    def __init__(self, total_bytes: float, threads: int, memory: np.ndarray | None = None) -> None:
+        """memory : that it may use, of a stream at least as large."""
+        dtype = number_type()
         self.count = max(threads, int(total_bytes) // (probe.ROWS * CPU_BLOCK * dtype.itemsize))
         sites = self.count * CPU_BLOCK
         self.row = sites + (5 * CPU_BLOCK - sites) % CONFLICTS
-        self.values = aligned_zeros(probe.ROWS * self.row, CPU_BLOCK, dtype)
+        needed = probe.ROWS * self.row
+        self.values = aligned_zeros(needed, CPU_BLOCK, dtype) if memory is None else memory[:needed]
         self.values[:] = 1.0
         self.bytes = probe.ROWS * sites * dtype.itemsize  # moved by a pass, and held
         self.team = Team(threads)
@@ -39,12 +42,20 @@ class Stream:
         self.team.launch(probe.stream, passes, self.values, blocks, self.row, self.count, CPU_BLOCK)
 
 
+def streams(sizes: Sequence[float], threads: int) -> list[Stream]:
+    """Streams of these sizes, which take turns in the memory of the largest."""
+    if not sizes:
+        return []
+    largest = Stream(max(sizes), threads)
+    return [Stream(size, threads, largest.values) for size in sizes]
+
+
 class Chains:
     """Chains of arithmetic, or of roots, on a block of numbers for each thread."""
 
     def __init__(self, kernel: Any, each: int, threads: int) -> None:
         """each : what one call does a number."""
-        dtype = np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
+        dtype = number_type()
         self.kernel, self.team, self.number = kernel, Team(threads), each * CPU_BLOCK * threads
         self.values = aligned_zeros(threads * CPU_BLOCK, CPU_BLOCK, dtype)
         self.repeat(0)
