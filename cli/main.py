@@ -25,7 +25,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "export": "A file of a run for ParaView.",
     "movie": "A film of the snapshots of a dynamics.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
-    "benchmark": "Measure speed, as ratios within one run.",
+    "benchmark": "Measure speed and accuracy, beside the machine and other programs.",
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
     "info": "Versions, devices, precision and cache.",
 }

@@ -36,7 +36,8 @@ def test_things_are_timed_in_turns_after_a_warm_up():
     found = timed({"short": sleeper("short", 1e-4), "long": sleeper("long", 4e-4)}, rounds=3, slice_seconds=4e-3)
     assert calls[-6:] == ["short", "long"] * 3
     assert len(calls) > 8
-    assert found["long"].seconds > 1.5 * found["short"].seconds >= 1.5e-4
+    assert found["short"].quickest >= 1e-4  # no sleep is shorter than asked for
+    assert found["long"].quickest >= 4e-4
     assert found["long"].quickest <= found["long"].seconds <= found["long"].slowest
     assert found["long"].processor < found["long"].seconds  # it slept
 
@@ -51,10 +52,11 @@ def test_lattices_that_do_not_fit_are_left_out_before_they_are_made(monkeypatch,
 def test_methods_have_their_rows_as_far_as_they_solve_a_scene(monkeypatch, needs_f64):
     few = {name: one for name, one in methods.all_methods().items() if name in SOME}
     monkeypatch.setattr(methods, "all_methods", lambda: few)
-    rows = list(methods.measure(methods.Task(((4, 5),), ("coulomb",), 1, rounds=2, seconds=0.1, peers=False)))
+    monkeypatch.setattr(methods, "TOLERANCE", 1e-4)
+    rows = list(methods.measure(methods.Task(((4, 5),), ("coulomb",), 1, rounds=2, seconds=20.0, peers=False)))
     by_name = {row.what: row for row in rows}
     assert set(by_name) == set(SOME) - {"linear-solver"}
-    assert by_name["interior-point"].gap <= methods.TOLERANCE
+    assert all(row.gap <= 1e-4 for row in rows)
     assert by_name["interior-point"].rounds == 2
     sweeps = by_name["gradient-descent"]
     assert sweeps.operations == 27 * 20 * sweeps.iterations  # tests/benchmarks/test_counts.py
