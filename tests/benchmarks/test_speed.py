@@ -110,6 +110,26 @@ def test_threads_in_between_take_the_time_for_all(monkeypatch):
     assert chosen_threads("3,5", speed.FULL) == (3, 5)
 
 
+def test_what_is_missing_is_named_for_the_parts_that_want_it(monkeypatch):
+    monkeypatch.setattr(speed, "find_compiler", lambda: None)
+    monkeypatch.setattr(speed, "find_peers", lambda: ([], {"clarabel": "not installed; pip install it"}))
+    monkeypatch.setattr(speed.dynamics, "missing", lambda threads: {"YADE": "not installed; apt install yade"})
+    monkeypatch.setattr(speed, "_work", lambda *_: [])
+    named = {part: set(measure(TINY, (part,), (1,)).missing) for part in PARTS}
+    assert named == {
+        "memory": set(), "kernels": {"C sweep"}, "methods": {"clarabel"}, "scans": {"clarabel"}, "dynamics": {"YADE"},
+    }  # fmt: skip
+
+
+def test_without_a_c_compiler_the_others_are_timed(monkeypatch, tmp_path, needs_f64):
+    monkeypatch.setattr("taichi_bearings.benchmarks.baselines.find_compiler", lambda: None)
+    monkeypatch.setattr(kernels, "_candidate", lambda name, *_: kernels.Candidate(name, None, 1))  # none is begun
+    task = kernels.Task(((3, 4),), "f64", 1, 1, 1e-4, largest_stream=0)
+    names = [one.name for one in kernels._candidates(make_scene((3, 4)), task, tmp_path)]
+    assert kernels.NUMPY in names
+    assert kernels.C not in names
+
+
 def test_a_part_that_fails_costs_nothing_else(monkeypatch):
     def rows():
         yield Row(part="kernels", what="sweep", seconds=1.0)
