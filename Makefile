@@ -11,7 +11,7 @@ CALL := $(BIN)/bearings
 ACTIVATE := . $(BIN)/activate
 endif
 
-.PHONY: run test lint check format clean
+.PHONY: run test lint check format docs release clean
 
 run: $(VENV)/installed
 	$(BIN)/bearings run --shape 32,32,32
@@ -36,6 +36,17 @@ format: $(VENV)/installed-dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+docs: $(VENV)/installed-docs
+	$(BIN)/python -m sphinx -q -W --keep-going docs docs/_build
+	@echo "Open docs/_build/index.html"
+
+# What is uploaded, in dist/, tried in an environment of its own.
+release: $(VENV)/installed-release
+	$(PYTHON) -c "import shutil; [shutil.rmtree(name, ignore_errors=True) for name in ('dist', 'build')]"
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/python -m tests.try_wheel dist
+
 $(VENV)/bare:
 	$(PYTHON) -m venv $(VENV)
 	$(PYTHON) -c "open('$@', 'w')"
@@ -46,6 +57,14 @@ $(VENV)/installed: $(VENV)/bare pyproject.toml
 
 $(VENV)/installed-dev: $(VENV)/bare pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+	$(PYTHON) -c "open('$@', 'w'); open('$(VENV)/installed', 'w')"
+
+$(VENV)/installed-docs: $(VENV)/bare pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
+	$(PYTHON) -c "open('$@', 'w'); open('$(VENV)/installed', 'w')"
+
+$(VENV)/installed-release: $(VENV)/bare pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[release]"
 	$(PYTHON) -c "open('$@', 'w'); open('$(VENV)/installed', 'w')"
 
 clean:
