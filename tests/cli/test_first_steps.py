@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_example_scene_runs_as_the_readme_calls_it(tmp_path):
-    (words,) = re.findall(r"bearings run (examples/scene.toml \S+ \d+)", (ROOT / "docs/scenes.md").read_text())
+    (words,) = re.findall(r"bearings run (examples/coulomb.toml \S+ \d+)", (ROOT / "docs/scenes.md").read_text())
     done = bearings("run", *words.split(), "--out", tmp_path / "a", cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "10x10x10 coulomb" in done.stdout
