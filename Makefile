@@ -11,7 +11,7 @@ CALL := $(BIN)/bearings
 ACTIVATE := . $(BIN)/activate
 endif
 
-.PHONY: run test lint check format docs release clean
+.PHONY: run test lint check format docs notebooks release clean
 
 run: $(VENV)/installed
 	$(BIN)/bearings run --shape 32,32,32
@@ -37,8 +37,11 @@ format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .
 
 docs: $(VENV)/installed-docs
-	$(BIN)/python -m sphinx -q -W --keep-going docs docs/_build
-	@echo "Open docs/_build/index.html"
+	$(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
+notebooks: $(VENV)/installed-docs
+	$(BIN)/python docs/run_notebooks.py
 
 # What is uploaded, in dist/, tried in an environment of its own.
 release: $(VENV)/installed-release

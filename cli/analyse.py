@@ -5,20 +5,22 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 from taichi_bearings.words import counted, share
 
 
 @click.command()
-@click.argument("run", metavar="RUN")
+@click.argument("run", metavar="RUN", type=FILES)
 @click.option(
     "--threshold", type=float, default=None, metavar="SPEED",
     help="Count contacts that slip no faster as slipless. [default: the contact states of the run]",
 )  # fmt: skip
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn.")
 @click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
-@click.option("--out", metavar="DIR", default=None, help="Folder for analysis.h5 and figures. [default: into the run]")
+@click.option(
+    "--out", metavar="DIR", type=FILES, default=None, help="Folder for analysis.h5 and figures. [default: into the run]"
+)
 @click.option("--force", is_flag=True, help="Replace existing files in --out.")
 @json_option
 def command(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 from taichi_bearings_cli.suggestions import Group
 
 
@@ -128,7 +128,11 @@ def _measure_speed(
 @click.option("--time-limit", default="20", show_default=True, metavar="SECONDS", help="For each method and scene.")
 @click.option("--threads", default="0", show_default=True, metavar="N", help="CPU threads; 0 for all.")
 @click.option(
-    "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-accuracy-<id>]"
+    "--out",
+    metavar="DIR",
+    type=FILES,
+    default=None,
+    help="Folder for the files. [default: outputs/<time>-accuracy-<id>]",
 )
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @json_option

@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 from taichi_bearings_cli.suggestions import Choice
 
 
 @click.command()
-@click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...")
+@click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...", type=FILES)
 @click.option(
     "--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True,
     help="Width of the bins; with a scan 1, 2, 4, 5, 10 or 20.",
@@ -22,7 +22,11 @@ from taichi_bearings_cli.suggestions import Choice
     "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
 )
 @click.option(
-    "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-histogram-<id>]"
+    "--out",
+    metavar="DIR",
+    type=FILES,
+    default=None,
+    help="Folder for the files. [default: outputs/<time>-histogram-<id>]",
 )
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @json_option

@@ -3,11 +3,27 @@
 from functools import lru_cache
 
 import click
+from click.shell_completion import CompletionItem
 
-from taichi_bearings.options import Option, options_of
+from taichi_bearings.options import FILE, Kind, OneOf, Option, options_of
 from taichi_bearings.runs.settings import settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
+
+
+class Text(click.types.StringParamType):
+    """A text that others read. The shell completes it to one of the names, or, where there are none, to a file."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def shell_complete(self, context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        if not self.names:
+            return [CompletionItem(incomplete, type="file")]
+        return [CompletionItem(name) for name in self.names if name.startswith(incomplete)]
+
+
+FILES = Text()
 
 
 class SettingsCommand(click.Command):
@@ -43,7 +59,13 @@ def _click_option(key: str, item: Option) -> click.Option:
     text = f"{item.help} [{'; '.join(facts)}]" if (facts := _facts(key, item)) else item.help
     if isinstance(item.default, bool):
         return click.Option([f"{name}/--no-{key.replace('_', '-')}", key], default=None, help=text)
-    return click.Option([name, key], default=None, metavar=item.kind.metavar, help=text)
+    return click.Option([name, key], default=None, metavar=item.kind.metavar, help=text, type=_completed(item.kind))
+
+
+def _completed(kind: Kind) -> click.ParamType:
+    if isinstance(kind, OneOf):
+        return Text(*kind.names, *kind.table)
+    return FILES if kind is FILE else click.STRING
 
 
 def _facts(key: str, item: Option) -> list[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from taichi_bearings_cli.options import FILES
 from taichi_bearings_cli.suggestions import Choice
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 
 @click.command()
 @click.argument("kind", type=Choice(KINDS), metavar="KIND")
-@click.argument("run", metavar="RUN")
+@click.argument("run", metavar="RUN", type=FILES)
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
 @click.option(
     "--time", type=float, default=None, help="spins: the snapshot nearest to this simulated time, and what slips in it."
@@ -51,6 +52,7 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 @click.option(
     "--out",
     metavar="FILE",
+    type=FILES,
     default=None,
     help="PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]",
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 
 @click.command()
@@ -17,7 +17,11 @@ from taichi_bearings_cli.options import json_option
 )  # fmt: skip
 @click.option("--quick", is_flag=True, help="Within five minutes: fewer samples, sizes and iterations.")
 @click.option(
-    "--out", metavar="DIR", default=None, help="Folder for the files. [default: outputs/<time>-reproduce-<id>]"
+    "--out",
+    metavar="DIR",
+    type=FILES,
+    default=None,
+    help="Folder for the files. [default: outputs/<time>-reproduce-<id>]",
 )
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @json_option

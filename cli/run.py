@@ -5,17 +5,25 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import SettingsCommand, json_option
+from taichi_bearings_cli.options import FILES, SettingsCommand, json_option
 
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.words import counted
 
 
 @click.command(cls=SettingsCommand)
-@click.argument("scene", required=False, metavar="[SCENE.toml]")
-@click.option("--out", metavar="DIR", default=None, help="Run directory. [default: outputs/<time>-run-<id>]")
+@click.argument("scene", required=False, metavar="[SCENE.toml]", type=FILES)
+@click.option(
+    "--out", metavar="DIR", type=FILES, default=None, help="Run directory. [default: outputs/<time>-run-<id>]"
+)
 @click.option("--force", is_flag=True, help="Replace an existing run directory.")
-@click.option("--resume", metavar="RUN", default=None, help="Go on with a run that has a checkpoint, in its directory.")
+@click.option(
+    "--resume",
+    metavar="RUN",
+    type=FILES,
+    default=None,
+    help="Go on with a run that has a checkpoint, in its directory.",
+)
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
 )

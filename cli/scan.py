@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 from taichi_bearings_cli.suggestions import Choice
 
 from taichi_bearings.errors import InputError
@@ -15,7 +15,7 @@ from taichi_bearings.words import counted
 
 
 @click.command()
-@click.argument("scan", metavar="SCAN")
+@click.argument("scan", metavar="SCAN", type=FILES)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
     help="Fix a key of run for all samples, or scan it with scan.KEY=LIST or RANGE; wins over the file. Repeatable.",
@@ -53,7 +53,7 @@ from taichi_bearings.words import counted
     help="Time between two lines of progress on stderr, 0 for none. [default: 30 in a file, none in a pipe]",
 )  # fmt: skip
 @click.option(
-    "--out", metavar="DIR", default=None,
+    "--out", metavar="DIR", type=FILES, default=None,
     help="Folder of the scan; one that is there is completed. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
 @json_option

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 
 @click.command()
@@ -16,7 +16,9 @@ from taichi_bearings_cli.options import json_option
 @click.option("--time-limit", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
               help="For a solve; some axes take a multiple. [default: 2, 1 with --quick]")  # fmt: skip
 @click.option("--workers", default=0, metavar="N", type=click.IntRange(0), help="Processes. [default: one a processor]")
-@click.option("--out", metavar="DIR", help="Folder; goes on with what it holds. [default: outputs/<time>-stress-<id>]")
+@click.option(
+    "--out", metavar="DIR", type=FILES, help="Folder; goes on with what it holds. [default: outputs/<time>-stress-<id>]"
+)
 @json_option
 @click.pass_context
 def command(

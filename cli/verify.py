@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 from taichi_bearings.scene.law import LAWS
 
 
 @click.command()
-@click.argument("run", metavar="RUN")
+@click.argument("run", metavar="RUN", type=FILES)
 @json_option
 @click.pass_context
 def command(context: click.Context, run: str, as_json: bool) -> None:

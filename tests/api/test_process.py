@@ -87,11 +87,3 @@ print('solve' in dir(tb), tb.CundallStrack(stiffness=1e6).stiffness, {'taichi', 
 def test_importing_the_package_takes_no_time_and_loads_nothing(tmp_path):
     done = script(LIGHT, tmp_path)
     assert done.stdout.splitlines() == ["True set()", "True 1000000.0 set()"], done.stderr
-
-
-@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
-def test_the_examples_of_the_docs_run(tmp_path, page):
-    text = (ROOT / page).read_text(encoding="utf-8")
-    code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
-    done = script(code, tmp_path)
-    assert done.returncode == 0, done.stderr

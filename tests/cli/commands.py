@@ -21,9 +21,17 @@ LONGEST = 300  # seconds
 
 def bearings(*words, cwd=None, **settings):
     """What `bearings` makes of the words: a CompletedProcess with its texts."""
-    words = [str(word) for word in words]
+    return _call(["-m", "taichi_bearings_cli", *map(str, words)], cwd, **settings)
+
+
+def script(path, *words, cwd=None):
+    """What a script of a user makes of the words, in the same way."""
+    return _call([str(path), *map(str, words)], cwd)
+
+
+def _call(words, cwd, **settings):
     if settings or not hasattr(os, "fork"):
-        command = [sys.executable, "-m", "taichi_bearings_cli", *words]
+        command = [sys.executable, *words]
         return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=LONGEST, **settings)
     with tempfile.TemporaryDirectory() as folder:
         out, err = Path(folder, "out"), Path(folder, "err")
@@ -50,7 +58,7 @@ def _serve():
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
-            _become_bearings(json.loads(line))
+            _become(json.loads(line))
             return
         _, status = os.waitpid(child, 0)
         print(os.waitstatus_to_exitcode(status), flush=True)
@@ -64,13 +72,18 @@ def import_everything():
     gc.freeze()  # what is shared stays shared
 
 
-def _become_bearings(request):
+def _become(request):
     os.chdir(request["cwd"])
     for stream, number in (("out", 1), ("err", 2)):
         os.dup2(os.open(request[stream], os.O_WRONLY | os.O_CREAT), number)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    sys.argv[1:] = request["words"]
-    runpy.run_module("taichi_bearings_cli", run_name="__main__", alter_sys=True)
+    first, *rest = request["words"]
+    if first == "-m":
+        sys.argv[1:] = rest[1:]
+        runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
+    else:
+        sys.argv, sys.path[0] = [first, *rest], str(Path(first).parent)
+        runpy.run_path(first, run_name="__main__")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,142 @@
+"""Every example of the README, the handbook and its notebooks does what the page says, in a quick form."""
+
+import re
+import shlex
+import shutil
+
+import click
+import numpy as np
+import pytest
+from taichi_bearings_cli.main import bearings as program
+
+from tests.cli.commands import bearings, script
+from tests.handbook.pages import NOTEBOOKS, PAGES, ROOT, files, matches, steps
+
+SMALLER = {  # in commands, files of scans and Python: the same with less work
+    r"--shape 10,10,10( .*--out outputs/cube)": r"--shape 3,3,4\1",
+    r"\b10,10,10\b": "4,5",
+    r"\b200,100\b": "6,5",
+    r"\[4, 4, 4\].*\]\]": "[3, 4]]",
+    r'"uniform:0.1,1.0", "lognormal:0.4,0.8"': '"uniform:0.1,1.0"',
+    r"\bstart ?= ?0, stop ?= ?\d+": "start = 0, stop = 2",
+    r"\(10, 10, 10\)": "(3, 3, 4)",
+    r"\(4, 6, 8, 10\), 12": "(3, 4), 2",
+    r"solve_many\(([^()]+)\)": r"solve_many(\1, workers=1)",
+    r"duration=2\b": "duration=0.002",
+    r"log:1e-4,2,80": "log:1e-4,0.002,5",
+    r"duration=0.03": "duration=0.001",
+    r"log:1e-3,3e-2,12": "log:5e-4,1e-3,2",
+    r"error_tolerance=1e-4": "error_tolerance=1e-2",
+    r"\(1, 10, 100\)": "(1,)",
+    r"--replicas 100\b": "--replicas 2",
+    r"--duration 10\b": "--duration 0.001",
+    r"--record log:1e-4,10,100": "--record log:1e-4,1e-3,5",
+    r"--snapshots 0,0.1,1": "--duration 0.001 --snapshots 0,0.001",
+    r"(run examples/coulomb.toml)": r"\1 --shape 4,5",
+    r"(run examples/coulomb-viscous.toml)": r"\1 --shape 3,3,4",
+    r"(run examples/viscous.toml)": r"\1 --shape 6,5",
+    r"(run examples/dynamics.toml)": r"\1 --duration 0.001 --record 0.001 --snapshots 0,0.001",
+    r"(scan examples/scan.toml)": r"\1 --set scan.seed=[0] --set scan.shape=[[3,4]]",
+    r"^bearings scan( .*) --workers \d+": r"bearings scan\1",
+    r"^bearings scan": "bearings scan --workers 1",
+    r"^bearings run(?!.*--resume)": "bearings run --figures none",
+    r"^bearings analyse": "bearings analyse --no-figures",
+}
+NOT_RUN = {  # only read by the parser of the command line, and why
+    r"--cluster slurm|--scheduler|/shared/": "needs a queue, a scheduler or a folder that machines share",
+    r"--cluster local": "takes 10 s; tests/scans/test_scan_cluster.py runs it",
+    r"outputs/sizes": "scans.md has the same commands",
+    r"bearings (reproduce|benchmark|stress)": "takes minutes; tests of the commands run small forms",
+    r"--arch vulkan": "needs a GPU",
+}
+KEPT = ["--method", "cundall-strack", "--duration", "1e-4", "--checkpoint-every", "1e-9"]  # it can be resumed
+SCAN = """
+analyse = true
+[scan]
+shape = [[3, 4], [4, 5]]
+spin_bottom = [0.0, 0.5]
+seed = { start = 0, stop = 2 }
+"""
+
+
+def smaller(text):
+    for pattern, replacement in SMALLER.items():
+        text = re.sub(pattern, replacement, text)
+    return text
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory, needs_f64):
+    """A folder with what the pages take for granted: runs, a scan, their files, the examples."""
+    folder = tmp_path_factory.mktemp("prepared")
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    (folder / "SCAN.toml").write_text(SCAN)
+    (folder / "sizes.toml").write_text(SCAN)
+    rng = np.random.default_rng(3)
+    np.savez(folder / "mine.npz", x=rng.uniform(0.1, 1.0, (9, 10)), y=rng.uniform(0.1, 1.0, (10, 9)))
+    for name, more in (("a", []), ("b", []), ("some-run", KEPT)):
+        run = ["run", "--shape", "4,5", "--figures", "none", *more, "--out", f"outputs/{name}"]
+        assert bearings(*run, cwd=folder).returncode == 0
+    done = bearings("scan", "SCAN.toml", "--workers", "1", "--out", "outputs/scan", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    shutil.copytree(folder / "outputs/scan", folder / "outputs/some-scan")
+    return folder
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES + NOTEBOOKS if steps(page)], ids=lambda page: page.stem)
+def test_examples_of_a_page(page, prepared, tmp_path):
+    folder = tmp_path / "here"
+    shutil.copytree(prepared, folder)
+    for name, text in files(page).items():
+        (folder / name).write_text(smaller(text))
+    for number, step in enumerate(steps(page)):
+        if step.code:
+            (folder / f"step{number}.py").write_text(smaller(step.code), encoding="utf-8")
+            done = script(folder / f"step{number}.py", cwd=folder)
+            assert done.returncode == 0, f"{step.code}\n{done.stderr}"
+        elif step.words[0] == "python":
+            assert script(ROOT / step.words[1], *step.words[2:], cwd=folder).returncode == 0
+        else:
+            check_command(step, folder)
+
+
+def check_command(step, folder):
+    line = shlex.join(step.words)
+    if any(re.search(pattern, line) for pattern in NOT_RUN):
+        assert_is_understood(step.words[1:])
+        return
+    changed = smaller(line)
+    done = bearings(*shlex.split(changed)[1:], cwd=folder)
+    assert done.returncode == 0, f"{line}\n{done.stderr}"
+    if changed == line:
+        assert matches(step.printed, done.stdout), f"{line} prints\n{done.stdout}not\n{step.printed}"
+
+
+def assert_is_understood(words):
+    """The command is there, and all of its options."""
+    command, context = program, click.Context(program, info_name="bearings")
+    while isinstance(command, click.Group):
+        name, *words = words
+        command = command.get_command(context, name)
+        assert command is not None, name
+        context = click.Context(command, info_name=name, parent=context)
+    command.parse_args(context, list(words))
+
+
+def test_the_parser_refuses_what_is_not_there():
+    with pytest.raises(click.NoSuchOption):
+        assert_is_understood(["stress", "--quicker"])
+    with pytest.raises(AssertionError):
+        assert_is_understood(["benchmark", "nothing"])
+
+
+def test_printed_lines_are_compared():
+    assert matches("a ... c\nd", "x\na b c\nd\n")
+    assert not matches("a ... c\nd", "x\na b c\ne\n")
+
+
+def test_the_stored_coefficients_are_those_of_their_script(tmp_path):
+    assert script(ROOT / "examples/layers.py", "layers.npz", cwd=tmp_path).returncode == 0
+    with np.load(tmp_path / "layers.npz") as made, np.load(ROOT / "examples/layers.npz") as stored:
+        assert sorted(made) == sorted(stored) == ["x", "y"]
+        assert all((made[axis] == stored[axis]).all() for axis in "xy")
