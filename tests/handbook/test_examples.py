@@ -12,14 +12,16 @@ from taichi_bearings_cli.main import bearings as program
 from tests.cli.commands import bearings, script
 from tests.handbook.pages import NOTEBOOKS, PAGES, ROOT, files, matches, steps
 
-SMALLER = {  # in commands, files of scans and Python: the same with less work
-    r"--shape 10,10,10( .*--out outputs/cube)": r"--shape 3,3,4\1",
+SMALLER = {  # in commands, files of scans and Python: the same with less work, where it can be without Taichi
+    r"--shape 10,10,10( .*--out outputs/cube)": r"--shape 3,3,4 --direction 1,0,0\1",
+    r"--shape 10,10,10 --law coulomb-viscous": "--shape 4,5 --law coulomb-viscous --method gradient-descent --tolerance 0.1",
     r"\b10,10,10\b": "4,5",
     r"\b200,100\b": "6,5",
     r"\[4, 4, 4\].*\]\]": "[3, 4]]",
     r'"uniform:0.1,1.0", "lognormal:0.4,0.8"': '"uniform:0.1,1.0"',
     r"\bstart ?= ?0, stop ?= ?\d+": "start = 0, stop = 2",
-    r"\(10, 10, 10\)": "(3, 3, 4)",
+    r"\((10, 10, 10|3, 3, 3)\)": "(3, 3, 4), direction=(1, 0, 0)",
+    r"\(L, L, L\)": "(L, L, L), direction=(1, 0, 0)",
     r"\(4, 6, 8, 10\), 12": "(3, 4), 2",
     r"solve_many\(([^()]+)\)": r"solve_many(\1, workers=1)",
     r"duration=2\b": "duration=0.002",
@@ -33,7 +35,7 @@ SMALLER = {  # in commands, files of scans and Python: the same with less work
     r"--record log:1e-4,10,100": "--record log:1e-4,1e-3,5",
     r"--snapshots 0,0.1,1": "--duration 0.001 --snapshots 0,0.001",
     r"(run examples/coulomb.toml)": r"\1 --shape 4,5",
-    r"(run examples/coulomb-viscous.toml)": r"\1 --shape 3,3,4",
+    r"(run examples/coulomb-viscous.toml)": r"\1 --shape 4,5 --method gradient-descent --tolerance 0.1",
     r"(run examples/viscous.toml)": r"\1 --shape 6,5",
     r"(run examples/dynamics.toml)": r"\1 --duration 0.001 --record 0.001 --snapshots 0,0.001",
     r"(scan examples/scan.toml)": r"\1 --set scan.seed=[0] --set scan.shape=[[3,4]]",
