@@ -9,6 +9,7 @@ from taichi_bearings import __version__
 
 project = "taichi_bearings"
 author = "the taichi_bearings authors"
+project_copyright = f"2026, {author}"
 release = version = __version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "from_code"]
 exclude_patterns = ["_build"]

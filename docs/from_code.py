@@ -15,14 +15,17 @@ from taichi_bearings_cli.main import bearings
 from taichi_bearings.options import Option, options_of
 from taichi_bearings.solvers import MethodOptions
 
-WIDTH = 96  # columns of the help
+WIDTH = 84  # columns of the help
 
 
 class Commands(Directive):
     """`--help` of every command, in the words of the code: a section each."""
 
     def run(self) -> list[nodes.Node]:
-        return [_section(context) for context in contexts(click.Context(bearings, info_name="bearings"))]
+        return [
+            _section(context)
+            for context in contexts(click.Context(bearings, info_name="bearings", **bearings.context_settings))
+        ]
 
 
 def contexts(context: click.Context) -> Iterator[click.Context]:
