@@ -84,7 +84,7 @@ FIGURES = {
         "distributions",
         ("distributions.png", "distributions.pdf", "distributions.csv"),
         "All samples.",
-        (90, 10),
+        (190, 10),
     ),
     "drivings": PaperFigure(
         "Other imposed bearing states",
