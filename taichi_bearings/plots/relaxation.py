@@ -62,7 +62,7 @@ def _draw_curves(figure: Any, starts: Sequence[Relaxation], least_power: float, 
         ):
             later, excess = time > 0, power / least_power - 1
             for axes in (top, inset):
-                axes.plot(time[later], power[later] / initial, label=f"{start.name}, {dynamics}", **look)
+                axes.plot(time[later], power[later] / initial, label=f"from {start.name}, {dynamics}", **look)
             shown = later & (excess > 0)
             bottom.plot(time[shown], excess[shown], **look)
     cut, least = cut_power / initial, least_power / initial

@@ -142,7 +142,7 @@ def test_the_figure_shows_the_numbers():
     assert (curves[1].get_ydata() == rigid_power[1:] / 8).all()
     assert (curves[2].get_ydata() == power[1:] / 16).all()
     assert [line.get_ydata()[0] for line in curves[4:]] == [1.5 / 8, 1.0 / 8]
-    [legend] = figure.subfigs[0].legends
+    [legend] = figure.legends
     assert [text.get_text().split(",")[0] for text in legend.get_texts()[:2]] == [
         "from random spins",
         "from minimum cut",
