@@ -83,7 +83,7 @@ def fit(kind: str, x: np.ndarray, y: np.ndarray, error: np.ndarray | None = None
 
     With errors that of the slope follows from them, and is made larger where the points scatter more than they say
     (by the root of chi-square per degree of freedom); else from the scatter alone. slope : given, not fitted.
-    InputError for fewer than three points, or numbers whose logarithm there is not.
+    InputError for fewer than three points, for a guide for none, or numbers whose logarithm there is not.
     """
     row = KINDS[kind]
     for values, name, is_log in ((x, "x", row.log_x), (y, "y", row.log_y)):
@@ -91,19 +91,18 @@ def fit(kind: str, x: np.ndarray, y: np.ndarray, error: np.ndarray | None = None
             raise InputError(
                 f"fit is {kind!r}, but the least {name} is {values.min():g}; {row.words} needs numbers above 0"
             )
-    if len(np.unique(x)) < LEAST_POINTS:
-        raise InputError(
-            f"fit is {kind!r}, but a curve has {len(np.unique(x))} points in its range; it needs {LEAST_POINTS}"
-        )
+    points, needed = len(np.unique(x)), LEAST_POINTS if slope is None else 1
+    if points < needed:
+        raise InputError(f"fit is {kind!r}, but a curve has {points} points in its range; it needs {needed}")
     u, v = np.log(x) if row.log_x else x, np.log(y) if row.log_y else y
     weighs = error is not None and bool((np.isfinite(error) & (error > 0)).all())
     sigma = (error / y if row.log_y else error) if weighs and error is not None else np.ones(len(x))
     weight = sigma**-2
     middle = _mean(weight)
     spread = float((weight * (u - middle(u)) ** 2).sum())
-    fitted = float((weight * (u - middle(u)) * v).sum() / spread) if slope is None else slope
+    fitted = slope if slope is not None else float((weight * (u - middle(u)) * v).sum() / spread)
     offset = middle(v) - fitted * middle(u)
-    freedom = len(x) - (2 if slope is None else 1)
+    freedom = max(1, len(x) - (2 if slope is None else 1))
     chi_square = float((weight * (v - offset - fitted * u) ** 2).sum()) / freedom
     scatter = math.sqrt(max(1.0, chi_square) if weighs else chi_square)
     spread_of_slope = math.nan if slope is not None else scatter / math.sqrt(spread)

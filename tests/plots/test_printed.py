@@ -234,6 +234,9 @@ def test_guides_keep_their_slope_and_bad_data_are_refused():
             fit(kind, x, y)
     with pytest.raises(InputError, match="needs 3"):
         fit("power", X[:2], X[:2])
+    assert fit("power", X[:1], X[:1], slope=2.0)(X[:1]) == pytest.approx(X[:1])
+    with pytest.raises(InputError, match="needs 1"):
+        fit("power", X[:0], X[:0], slope=2.0)
 
 
 def test_a_fitted_line_is_drawn_over_its_range_and_named():
