@@ -52,11 +52,14 @@ NOT_RUN = {  # only read by the parser of the command line, and why
     r"bearings (reproduce|benchmark|stress)": "takes minutes; tests of the commands run small forms",
     r"--arch vulkan": "needs a GPU",
 }
-DYNAMICS = ["--method", "cundall-strack", "--duration", "1e-4", "--snapshots", "0,1e-4", "--checkpoint-every", "1e-9"]
+DYNAMICS = (  # a run that has everything: planes, snapshots, energies, a checkpoint
+    *("--shape", "2,2,6", "--method", "cundall-strack", "--energy"),
+    *("--duration", "1e-4", "--snapshots", "0,1e-4", "--checkpoint-every", "1e-9"),
+)
 SCAN = """
 analyse = true
 [scan]
-shape = [[3, 4], [4, 5]]
+shape = [[3, 4], [4, 5], [4, 6]]
 spin_bottom = [0.0, 0.5]
 seed = { start = 0, stop = 2 }
 """
@@ -77,13 +80,14 @@ def prepared(tmp_path_factory, needs_f64):
     (folder / "sizes.toml").write_text(SCAN)
     rng = np.random.default_rng(3)
     np.savez(folder / "mine.npz", x=rng.uniform(0.1, 1.0, (9, 10)), y=rng.uniform(0.1, 1.0, (10, 9)))
-    done = bearings("run", "--shape", "4,5", "--figures", "none", *DYNAMICS, "--out", "RUN", cwd=folder)
+    done = bearings("run", *DYNAMICS, "--figures", "none", "--out", "RUN", cwd=folder)
     assert done.returncode == 0, done.stderr
-    for name in ("a", "b", "some-run"):
+    for name in ("a", "b", "some-run", "my-run"):
         shutil.copytree(folder / "RUN", folder / "outputs" / name)
     done = bearings("scan", "SCAN.toml", "--workers", "1", "--out", "outputs/scan", cwd=folder)
     assert done.returncode == 0, done.stderr
-    shutil.copytree(folder / "outputs/scan", folder / "outputs/some-scan")
+    for name in ("some-scan", "my-scan"):
+        shutil.copytree(folder / "outputs/scan", folder / "outputs" / name)
     return folder
 
 

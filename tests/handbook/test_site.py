@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from fnmatch import fnmatch
 
 import pytest
 
@@ -66,13 +67,15 @@ def test_notebooks_have_been_run_to_the_end(page):
     assert page.stat().st_size < 500_000
 
 
-def test_every_folder_of_code_is_in_the_wheel():
+def test_every_file_of_the_packages_is_in_the_wheel():
     listed = subprocess.run(["git", "ls-files", "taichi_bearings"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
         pytest.skip("not a checkout of git")
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    folders = {name.rpartition("/")[0].replace("/", ".") for name in listed.stdout.splitlines() if name.endswith(".py")}
-    assert folders == set(settings["packages"]) - {"taichi_bearings_cli"}
+    data = [f"{name.replace('.', '/')}/{end}" for name, ends in settings["package-data"].items() for end in ends]
+    for name in listed.stdout.splitlines():
+        is_code = name.endswith(".py") and name.rpartition("/")[0].replace("/", ".") in settings["packages"]
+        assert is_code or any(fnmatch(name, pattern) for pattern in data), name
 
 
 def test_the_citation_names_this_version_and_licence():
