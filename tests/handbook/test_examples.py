@@ -33,8 +33,6 @@ SMALLER = {  # in commands, files of scans and Python: the same with less work, 
     r"--replicas 100\b": "--replicas 2",
     r"--duration [0-9.]+": "--duration 0.001",
     r"--record log:1e-4,10,100": "--record log:1e-4,1e-3,5",
-    r"--snapshots 0,0.1,1": "--duration 0.001 --snapshots 0,0.001",
-    r"--snapshots log:1e-3,2,40": "--snapshots 0,0.001",
     r"(run examples/coulomb.toml)": r"\1 --shape 4,5",
     r"(run examples/coulomb-viscous.toml)": r"\1 --shape 4,5 --method gradient-descent --tolerance 0.1",
     r"(run examples/viscous.toml)": r"\1 --shape 6,5",
@@ -51,6 +49,7 @@ NOT_RUN = {  # only read by the parser of the command line, and why
     r"outputs/sizes": "scans.md has the same commands",
     r"bearings (reproduce|benchmark|stress)": "takes minutes; tests of the commands run small forms",
     r"--arch vulkan": "needs a GPU",
+    r"--method rigid-limit": "takes 3 s; the notebook on a dynamics uses this method",
 }
 DYNAMICS = (  # a run that has everything: planes, snapshots, energies, a checkpoint
     *("--shape", "2,2,6", "--method", "cundall-strack", "--energy"),
