@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 
 @click.command()
-@click.argument("folder", metavar="[DIR]", default="outputs")
+@click.argument("folder", metavar="[DIR]", type=FILES, default="outputs")
 @json_option
 def command(folder: str, as_json: bool) -> None:
     """Runs and scans in DIR [default: outputs], newest first: what they hold, how they ended, their size and date.

@@ -4,14 +4,16 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 
 @click.command()
-@click.argument("run", metavar="RUN")
+@click.argument("run", metavar="RUN", type=FILES)
 @click.option("--fps", type=float, default=4.0, show_default=True, help="Snapshots shown in a second.")
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
-@click.option("--out", metavar="FILE", default=None, help="MP4 or GIF. [default: movie.mp4 in the run directory]")
+@click.option(
+    "--out", metavar="FILE", type=FILES, default=None, help="MP4 or GIF. [default: movie.mp4 in the run directory]"
+)
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(run: str, fps: float, replica: int, out: str | None, force: bool, as_json: bool) -> None:

@@ -4,14 +4,16 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILES, json_option
 
 
 @click.command()
-@click.argument("run", metavar="RUN")
+@click.argument("run", metavar="RUN", type=FILES)
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
 @click.option("--open", "opened", is_flag=True, help="Show it in the browser at once.")
-@click.option("--out", metavar="FILE", default=None, help="The page. [default: view.html in the run directory]")
+@click.option(
+    "--out", metavar="FILE", type=FILES, default=None, help="The page. [default: view.html in the run directory]"
+)
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(run: str, replica: int, opened: bool, out: str | None, force: bool, as_json: bool) -> None:

@@ -26,7 +26,8 @@ def test_commands_options_and_names_of_tables_are_completed(shell):
 @pytest.mark.parametrize(
     "words",
     [("run", ""), ("run", "--coefficients", ""), ("scan", ""), ("plot", "spins", ""), ("analyse", ""), ("verify", "")]
-    + [("histogram", "a", ""), ("run", "--out", ""), ("run", "--resume", "")],
+    + [("histogram", "a", ""), ("run", "--out", ""), ("run", "--resume", "")]
+    + [("view", ""), ("view", "a", "--out", ""), ("export", ""), ("movie", ""), ("list", "")],
 )
 def test_files_are_completed_where_files_are_wanted(words):
     assert offered(*words) == [("file", "")]
