@@ -26,7 +26,10 @@ from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 
-MOST_SLIPS = 0.9  # share of the contacts: where more slip, lines would hide the spins and say nothing
+MOST_SLIPS, FEW = (
+    0.9,
+    1_000,
+)  # share of more contacts than a few: lines at nearly all would hide the spins and say nothing
 BAR = 0.75  # inches of a colour bar with its label
 
 
@@ -34,7 +37,9 @@ BAR = 0.75  # inches of a colour bar with its label
 def draw_spins(
     scene: Scene, spin: np.ndarray, state: Sequence[np.ndarray], page: Page = PAGE, title: str = "", note: str = ""
 ) -> Figure:
-    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts), unless nearly all slip.
+    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts).
+
+    If many slip, and nearly all, they are counted in the title instead.
 
     spin : laboratory frame, (*N) or (*N, 3). state : of the contacts, one array (*contacts) an axis.
     note : what black lines mean.
@@ -45,7 +50,7 @@ def draw_spins(
     slipping = sum(int(values.sum()) for values in slips)
     movable = sum(int((values != ContactState.DRIVEN).sum()) for values in state)
     note = note or "slipping contacts in black"
-    if slipping > MOST_SLIPS * movable:
+    if slipping > max(MOST_SLIPS * movable, FEW):
         note = f"{slipping:,} of {movable:,} contacts slip"
         slips = tuple(np.zeros_like(values) for values in slips)
     figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)

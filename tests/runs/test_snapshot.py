@@ -26,7 +26,9 @@ def test_a_snapshot_shows_its_time_and_its_own_slipping_contacts(stored, time, n
     figure = draw_snapshot(stored, 1, time)
     (lines,) = (c for c in figure.axes[0].collections if type(c).__name__ == "LineCollection")
     assert len(lines.get_segments()) == slipping
-    assert figure.get_suptitle().startswith(f"t = {stored.snapshots.time[nearest]:.6g}; black: ")
+    when, what = figure.get_suptitle().split("\n")
+    assert f"$t = {stored.snapshots.time[nearest]:.6g}$" in when
+    assert what.startswith("black: ")
 
 
 def test_less_slips_as_time_goes_on(stored):

@@ -411,7 +411,7 @@ def test_records_come_in_the_order_of_the_samples(plan_of):
 
 def test_a_sample_is_the_same_beside_others_and_alone(plan_of):
     """Solved side by side: every number but the time, to the last bit."""
-    plan = plan_of("shape = [6, 6, 6]\n[scan]\nseed = { start = 0, stop = 11 }\n")
+    plan = plan_of("shape = [9, 9, 9]\n[scan]\nseed = { start = 0, stop = 11 }\n")
     together = solve_samples(plan.samples, Wanted(structure=True))
     assert {record["scalars"]["status"] for record in together} == {"certified"}
     assert len({record["scalars"]["iterations"] for record in together}) > 1
