@@ -40,7 +40,7 @@ HALF, NEARLY_ALL = 0.5, 0.95  # of a slip, by which a step may change it; if the
 COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
 LOST = 1e-25  # slip that double precision cannot follow: of a contact if Newton's method fails, or of a whole motion
 NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
-FAINTEST = 1e-17  # smallest slip that needs no second look from closer by, known in twice the precision
+FAINTEST, ROUGH = 1e-17, 1e-9  # smallest slip that needs no second look, known in twice the precision, and in one
 START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
 HARDLY = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
@@ -65,7 +65,7 @@ class Resolved:
     @property
     def sure(self) -> bool:
         """Can the states be proven? Slips at the level of rounding may be none, which is told from closer by."""
-        faintest = NEGLIGIBLE if self.rest is None else FAINTEST
+        faintest = ROUGH if self.rest is None else FAINTEST
         return self.borne and min(z.min(initial=np.inf) for z in self.difference.length()[self.slipping]) > faintest
 
     @property
