@@ -104,8 +104,8 @@ def _plot_run(
     kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: "Page", of_scan: Any
 ) -> None:
     from taichi_bearings.errors import InputError
-    from taichi_bearings.files.whole_file import refuse_standing
-    from taichi_bearings.plots.style import refuse_ending, save, save_small
+    from taichi_bearings.files.whole_file import refuse_ending, refuse_standing
+    from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
     from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_file import read_run_file
@@ -116,7 +116,7 @@ def _plot_run(
         )
     stored = read_run_file(run)
     if out:
-        refuse_ending(out)
+        refuse_ending(out, *ENDINGS)
         refuse_standing([out], force)
     figure = draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold, page)
     if out:

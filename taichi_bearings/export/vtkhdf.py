@@ -13,11 +13,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding
-from taichi_bearings.files.whole_file import refuse_standing, storable, write_hdf5
-from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, points_and_lines
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
+from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, open_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 
 NAME = "run.vtkhdf"
@@ -35,12 +33,8 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     out : the file, an earlier one is replaced with `force` only; default: run.vtkhdf in the run directory, which is.
     Raises InputError or FileError before anything is computed.
     """
-    if out is not None and out.suffix != ".vtkhdf":
-        raise InputError(f"out is {str(out)!r}; it must end in .vtkhdf")
-    with stage("reading"):
-        stored = read_run_file(run)
-    path = stored.path.parent / NAME if out is None else out
-    refuse_standing([path], force or out is None)
+    refuse_ending(out, ".vtkhdf")
+    stored, path = open_to_draw(run, out, NAME, force)
     drawn = points_and_lines(stored, replica)
     told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
     if drawn.moments is not None:

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.checksums import check, seal
-from taichi_bearings.errors import FileError, WriteError
+from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 
 Buffer = bytes | memoryview
@@ -24,6 +24,13 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def refuse_ending(out: Path | None, *endings: str) -> None:
+    """InputError for a file that is asked for under another ending."""
+    if out is not None and out.suffix not in endings:
+        names = " or ".join(filter(None, (", ".join(endings[:-1]), endings[-1])))
+        raise InputError(f"out is {str(out)!r}; it must end in {names}")
 
 
 def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:

@@ -10,7 +10,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import replace_file
 from taichi_bearings.plots.page import PAGE
 
@@ -111,12 +110,6 @@ def shades(number: int) -> list[Any]:
 
 MOST_VECTOR = 2**20  # bytes of a PDF that is written where no file is named
 ENDINGS = (".png", ".pdf", ".svg")
-
-
-def refuse_ending(path: Path) -> None:
-    """InputError for the name of a figure of a kind that is not written."""
-    if path.suffix not in ENDINGS:
-        raise InputError(f"out is {str(path)!r}; it must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
 
 
 @in_our_style

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from taichi_bearings.errors import InputError, WriteError
-from taichi_bearings.files.whole_file import refuse_standing, replace_file
+from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, replace_file
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_file import StoredRun, read_run_file
@@ -35,7 +35,8 @@ def movie(
     out : the file, MP4 or GIF by its ending; default: movie.mp4 in the run directory, or movie.gif without ffmpeg.
     Raises InputError or FileError before anything is drawn.
     """
-    ending, encoder = _ending(out), shutil.which("ffmpeg")
+    refuse_ending(out, *ENDINGS)
+    ending, encoder = out.suffix if out else "", shutil.which("ffmpeg")
     if ending == ".mp4" and encoder is None:
         raise InputError(f"out is {str(out)!r}, but there is no ffmpeg on this machine to make it; a .gif needs none")
     if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
@@ -55,13 +56,6 @@ def movie(
     replace_file(path, film)
     number = len(solution.snapshots.time)
     return {"file": str(path), "bytes": path.stat().st_size, "frames": number, "fps": frames_per_second}
-
-
-def _ending(out: Path | None) -> str:
-    """Of the name of the film, empty for the best there is."""
-    if out is not None and out.suffix not in ENDINGS:
-        raise InputError(f"out is {str(out)!r}; it must end in {' or '.join(ENDINGS)}")
-    return "" if out is None else out.suffix
 
 
 def _frames(stored: StoredRun, replica: int) -> Iterator[np.ndarray]:

@@ -20,10 +20,10 @@ from taichi_bearings.analysis.statistics import (
 )
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
-from taichi_bearings.files.whole_file import refuse_standing, write_csv
+from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
-from taichi_bearings.plots.style import refuse_ending, save
+from taichi_bearings.plots.style import ENDINGS, save
 from taichi_bearings.plots.symbols import SYMBOLS, column_label
 from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
 from taichi_bearings.scans.systems import disorder_of, mixture, numbered
@@ -118,7 +118,7 @@ def plot_scan(
     """
     scan = open_scan(path)
     figure = out or scan.path.parent / f"{request.stem}.pdf"
-    refuse_ending(figure)
+    refuse_ending(figure, *ENDINGS)
     table = figure.with_suffix(".csv")
     refuse_standing((figure, table), force or out is None)
     columns = columns_of(scan, request)

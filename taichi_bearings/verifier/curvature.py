@@ -193,9 +193,7 @@ class Curvature:
     def of(cls, contacts: Slipping) -> Curvature | None:
         """None if no curvature can be proven."""
         clusters = _clusters(contacts)
-        changes = [
-            contacts.change(slot) @ clusters for slot in range(2)
-        ]  # what both ends have in common is gone exactly
+        changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exactly, without what both ends share
         rows, doubt = _conditions(contacts, changes)
         scale = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
         if not (scale > 0).all():

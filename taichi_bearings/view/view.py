@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from taichi_bearings.errors import InputError
-from taichi_bearings.files.whole_file import refuse_standing, write_text
-from taichi_bearings.runs.points_and_lines import points_and_lines
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.files.whole_file import refuse_ending, write_text
+from taichi_bearings.runs.points_and_lines import open_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 from taichi_bearings.view.contents import arrays_of, facts_of
 from taichi_bearings.view.page import page_of
@@ -20,12 +18,8 @@ def view(run: Path, out: Path | None = None, force: bool = False, replica: int =
     out : the file, an earlier one is replaced with `force` only; default: view.html in the run directory, which is.
     Raises InputError or FileError before anything is computed.
     """
-    if out is not None and out.suffix not in (".html", ".htm"):
-        raise InputError(f"out is {str(out)!r}; it must end in .html")
-    with stage("reading"):
-        stored = read_run_file(run)
-    path = stored.path.parent / NAME if out is None else out
-    refuse_standing([path], force or out is None)
+    refuse_ending(out, ".html", ".htm")
+    stored, path = open_to_draw(run, out, NAME, force)
     drawn = points_and_lines(stored, replica)
     with stage("writing"):
         write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
