@@ -8,6 +8,7 @@ whether its matrix is alone or not.
 
 from taichi_bearings.compiler import ti
 
+PANEL = 4  # columns, and rows or vectors of rows, that are worked on together: their numbers fit into registers
 LANES = 8  # matrices side by side, or rows of one alone: what an AVX-512 instruction works on at once
 VALUES = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
@@ -44,9 +45,10 @@ def column_of(tables: ti.template(), at, column):
 @ti.func
 def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template(), numbers: ti.template()):
     """Fill a front with its entries and with what its children leave."""
-    columns, update = tables[at + COLUMNS], tables[at + UPDATE]
-    clear(alone, numbers, columns, columns + tables[at + OWN] * tables[at + HEIGHT])
-    clear(alone, numbers, update, update + tables[at + BORDER] * tables[at + UPDATE_HEIGHT])
+    columns = tables[at + COLUMNS]
+    for column in range(tables[at + OWN] + tables[at + BORDER]):
+        begin = column_of(tables, at, column)
+        clear(alone, numbers, begin + column - column % ti.static(LANES if alone else 1), begin + tables[at + HEIGHT])
     for entry in range(tables[at + ENTRIES], tables[at + ENTRIES_END]):
         numbers[columns + tables[tables[PLACES] + entry]] = entries[entry]
     for which in ti.static(range(2)):
@@ -61,68 +63,92 @@ def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template
 
 
 @ti.func
-def reduce(tables: ti.template(), at, numbers: ti.template()):
-    """Eliminate the own unknowns: each column less what those before it contribute, four rows at a time."""
+def corner(tables: ti.template(), at, numbers: ti.template(), j, wide: ti.template()):
+    """The lower triangle where `wide` columns from j on meet the diagonal, row by row; of columns to eliminate it is
+    factorised, with inverse pivots, which is what the substitutions need."""
     own, columns, height = tables[at + OWN], tables[at + COLUMNS], tables[at + HEIGHT]
-    rows = own + tables[at + BORDER]
-    for j in range(rows):
-        before, start = ti.min(j, own), column_of(tables, at, j)
-        i = j
-        while i + 4 <= rows:
-            to = start + i
-            a, b, c, d = numbers[to], numbers[to + 1], numbers[to + 2], numbers[to + 3]
-            for k in range(before):
-                source = columns + k * height
-                factor = numbers[source + j]
-                a = a - numbers[source + i] * factor
-                b = b - numbers[source + i + 1] * factor
-                c = c - numbers[source + i + 2] * factor
-                d = d - numbers[source + i + 3] * factor
-            numbers[to], numbers[to + 1], numbers[to + 2], numbers[to + 3] = a, b, c, d
-            i += 4
-        while i < rows:
-            e = numbers[start + i]
-            for k in range(before):
-                e = e - numbers[columns + k * height + i] * numbers[columns + k * height + j]
-            numbers[start + i] = e
-            i += 1
-        if j < own:
-            inverse = 1.0 / ti.sqrt(numbers[start + j])
-            numbers[start + j] = inverse  # what the substitutions need
-            for below in range(j + 1, rows):
-                numbers[start + below] = numbers[start + below] * inverse
+    found = [
+        numbers[column_of(tables, at, j + c) + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))
+    ]
+    for k in range(ti.min(j, own)):
+        left = [numbers[columns + k * height + j + r] for r in ti.static(range(wide))]
+        for r in ti.static(range(wide)):
+            for c in ti.static(range(r + 1)):
+                found[r * (r + 1) // 2 + c] = found[r * (r + 1) // 2 + c] - left[r] * left[c]
+    if j < own:
+        for r in ti.static(range(wide)):
+            row = ti.static(r * (r + 1) // 2)
+            for c in ti.static(range(r + 1)):
+                for p in ti.static(range(c)):
+                    found[row + c] = found[row + c] - found[row + p] * found[c * (c + 1) // 2 + p]
+                if ti.static(c < r):
+                    found[row + c] = found[row + c] * found[c * (c + 3) // 2]
+                else:
+                    found[row + c] = 1.0 / ti.sqrt(found[row + c])
+    return found
 
 
 @ti.func
-def reduce_alone(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template()):
-    """The same with LANES rows a vector; those above the diagonal hold something that nobody reads."""
+def block(
+    tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j, i,
+    first: ti.template(), wide: ti.template(), tall: ti.template(),
+):  # fmt: skip
+    """Entries of `wide` columns from j on in `tall` vectors from the i-th on, less what the columns before contribute.
+
+    first : the corner of these columns.
+    """
     own, columns, height = tables[at + OWN], tables[at + COLUMNS], tables[at + HEIGHT]
-    rows = own + tables[at + BORDER]
-    end = (rows + LANES - 1) // LANES
-    for j in range(rows):
-        before, start = ti.min(j, own), column_of(tables, at, j)
-        to, i = start // LANES, j // LANES
-        while i + 4 <= end:
-            a, b, c, d = vectors[to + i], vectors[to + i + 1], vectors[to + i + 2], vectors[to + i + 3]
-            for k in range(before):
-                factor, source = numbers[columns + k * height + j], (columns + k * height) // LANES + i
-                a = a - vectors[source] * factor
-                b = b - vectors[source + 1] * factor
-                c = c - vectors[source + 2] * factor
-                d = d - vectors[source + 3] * factor
-            vectors[to + i], vectors[to + i + 1], vectors[to + i + 2], vectors[to + i + 3] = a, b, c, d
-            i += 4
-        while i < end:
-            e = vectors[to + i]
-            for k in range(before):
-                e = e - vectors[(columns + k * height) // LANES + i] * numbers[columns + k * height + j]
-            vectors[to + i] = e
-            i += 1
-        if j < own:
-            inverse = 1.0 / ti.sqrt(numbers[start + j])
-            for below in range(j // LANES, end):
-                vectors[to + below] = vectors[to + below] * inverse
-            numbers[start + j] = inverse
+    to = [column_of(tables, at, j + c) // unit + i for c in ti.static(range(wide))]
+    found = [vectors[to[c] + r] for c in ti.static(range(wide)) for r in ti.static(range(tall))]
+    for k in range(ti.min(j, own)):
+        source = columns + k * height
+        left = [vectors[source // unit + i + r] for r in ti.static(range(tall))]
+        for c in ti.static(range(wide)):
+            factor = numbers[source + j + c]
+            for r in ti.static(range(tall)):
+                found[c * tall + r] = found[c * tall + r] - left[r] * factor
+    if j < own:
+        for c in ti.static(range(wide)):
+            for r in ti.static(range(tall)):
+                for p in ti.static(range(c)):
+                    found[c * tall + r] = found[c * tall + r] - found[p * tall + r] * first[c * (c + 1) // 2 + p]
+                found[c * tall + r] = found[c * tall + r] * first[c * (c + 3) // 2]
+    for c in ti.static(range(wide)):
+        for r in ti.static(range(tall)):
+            vectors[to[c] + r] = found[c * tall + r]
+
+
+@ti.func
+def panel(
+    tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j,
+    wide: ti.template(),
+):  # fmt: skip
+    """Eliminate `wide` columns from j on, or update them."""
+    first = corner(tables, at, numbers, j, wide)
+    i, end = (j + wide) // unit, (tables[at + OWN] + tables[at + BORDER] + unit - 1) // unit
+    while i + PANEL <= end:
+        block(tables, at, numbers, vectors, unit, j, i, first, wide, PANEL)
+        i += PANEL
+    while i < end:
+        block(tables, at, numbers, vectors, unit, j, i, first, wide, 1)
+        i += 1
+    for r in ti.static(range(wide)):
+        for c in ti.static(range(r + 1)):
+            numbers[column_of(tables, at, j + c) + j + r] = first[r * (r + 1) // 2 + c]
+
+
+@ti.func
+def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
+    """Eliminate the own unknowns, PANEL columns at a time. vectors : the numbers, each a vector, or `unit` rows in one;
+    those above the diagonal hold something that nobody reads."""
+    own, rows, j = tables[at + OWN], tables[at + OWN] + tables[at + BORDER], 0
+    while j < rows:
+        if j + PANEL <= own or (j >= own and j + PANEL <= rows):
+            panel(tables, at, numbers, vectors, unit, j, PANEL)
+            j += PANEL
+        else:
+            panel(tables, at, numbers, vectors, unit, j, 1)
+            j += 1
 
 
 @ti.kernel
@@ -131,7 +157,7 @@ def eliminate(tables: TABLES, entries: VECTORS, numbers: VECTORS):
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         gather(False, tables, HEADER + front * WIDTH, entries, numbers)
-        reduce(tables, HEADER + front * WIDTH, numbers)
+        reduce(tables, HEADER + front * WIDTH, numbers, numbers, 1)
 
 
 @ti.kernel
@@ -140,7 +166,57 @@ def eliminate_alone(tables: TABLES, entries: VALUES, numbers: VALUES, vectors: V
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         gather(True, tables, HEADER + front * WIDTH, entries, numbers)
-        reduce_alone(tables, HEADER + front * WIDTH, numbers, vectors)
+        reduce(tables, HEADER + front * WIDTH, numbers, vectors, LANES)
+
+
+@ti.func
+def forward(
+    numbers: ti.template(), solution: ti.template(), work: ti.template(), where: ti.template(), wide: ti.template()
+):
+    """Solve for `wide` own unknowns, and take what they are to the own ones behind and to the border.
+
+    where : place of their first pivot, and from one column to the next; row of the first, end of all own; border.
+    """
+    start, height, row, end, border = where
+    value = [solution[row + c] for c in ti.static(range(wide))]
+    for c in ti.static(range(wide)):
+        for p in ti.static(range(c)):
+            value[c] = value[c] - numbers[start + p * height + c] * value[p]
+        value[c] = value[c] * numbers[start + c * height + c]
+        solution[row + c] = value[c]
+    for i in range(wide, end - row):
+        rest = solution[row + i]
+        for c in ti.static(range(wide)):
+            rest = rest - numbers[start + c * height + i] * value[c]
+        solution[row + i] = rest
+    for i in range(border):
+        total = work[i]
+        for c in ti.static(range(wide)):
+            total = total + numbers[start + c * height + end - row + i] * value[c]
+        work[i] = total
+
+
+@ti.func
+def backward(
+    numbers: ti.template(), solution: ti.template(), work: ti.template(), where: ti.template(), wide: ti.template()
+):
+    """The same the other way, once border and own unknowns behind are known."""
+    start, height, row, end, border = where
+    rest = [solution[row + c] for c in ti.static(range(wide))]
+    for i in range(border):
+        known = work[i]
+        for c in ti.static(range(wide)):
+            rest[c] = rest[c] - numbers[start + c * height + end - row + i] * known
+    for i in range(wide, end - row):
+        known = solution[row + i]
+        for c in ti.static(range(wide)):
+            rest[c] = rest[c] - numbers[start + c * height + i] * known
+    for back in ti.static(range(wide)):
+        c = ti.static(wide - 1 - back)
+        for p in ti.static(range(c + 1, wide)):
+            rest[c] = rest[c] - numbers[start + c * height + p] * rest[p]
+        rest[c] = rest[c] * numbers[start + c * height + c]
+        solution[row + c] = rest[c]
 
 
 @ti.func
@@ -148,35 +224,37 @@ def substituted(
     alone: ti.template(), tables: ti.template(), numbers: ti.template(), solution: ti.template(), work: ti.template()
 ):
     for turn in range(2 * tables[FRONTS]):
-        forward = turn < tables[FRONTS]
-        at = HEADER + (turn if forward else 2 * tables[FRONTS] - 1 - turn) * WIDTH
-        own, border, columns, first = tables[at + OWN], tables[at + BORDER], tables[at + COLUMNS], tables[at + FIRST]
-        places, height = tables[BORDERS] + tables[at + SHARE], tables[at + HEIGHT]
-        if forward:
+        down = turn < tables[FRONTS]
+        at = HEADER + (turn if down else 2 * tables[FRONTS] - 1 - turn) * WIDTH
+        own, border, first = tables[at + OWN], tables[at + BORDER], tables[at + FIRST]
+        places, height, end = tables[BORDERS] + tables[at + SHARE], tables[at + HEIGHT], first + own
+        if down:
             clear(alone, work, 0, border)
-            for k in range(own):
-                start = columns + k * height
-                value = solution[first + k] * numbers[start + k]
-                solution[first + k] = value
-                for i in range(k + 1, own):
-                    solution[first + i] = solution[first + i] - numbers[start + i] * value
-                for i in range(border):
-                    work[i] = work[i] + numbers[start + own + i] * value
+            k = 0
+            while k < own:
+                start = tables[at + COLUMNS] + k * (height + 1)
+                if k + PANEL <= own:
+                    forward(numbers, solution, work, [start, height, first + k, end, border], PANEL)
+                    k += PANEL
+                else:
+                    forward(numbers, solution, work, [start, height, first + k, end, border], 1)
+                    k += 1
             for i in range(border):
                 to = tables[places + i]
                 solution[to] = solution[to] - work[i]
         else:
             for i in range(border):
                 work[i] = solution[tables[places + i]]
-            for back in range(own):
-                k = own - 1 - back
-                start = columns + k * height
-                rest = solution[first + k]
-                for i in range(border):
-                    rest = rest - numbers[start + own + i] * work[i]
-                for i in range(k + 1, own):
-                    rest = rest - numbers[start + i] * solution[first + i]
-                solution[first + k] = rest * numbers[start + k]
+            k = own
+            while k > 0:
+                if k % PANEL == 0:
+                    k -= PANEL
+                    start = tables[at + COLUMNS] + k * (height + 1)
+                    backward(numbers, solution, work, [start, height, first + k, end, border], PANEL)
+                else:
+                    k -= 1
+                    start = tables[at + COLUMNS] + k * (height + 1)
+                    backward(numbers, solution, work, [start, height, first + k, end, border], 1)
 
 
 @ti.kernel
