@@ -1,8 +1,8 @@
 """Contacts of one sample as flat lists: differences, torques, and the weighted Laplacian of the Newton steps.
 
 Staggered spins are measured from the bottom plane in units of the imposed jump, forces in units of the sample's mean
-coefficient times the normal force, so that every number is of order one whatever units the scene is in. Contacts of one
-lattice axis form a group: the vectors (d, n) across its n contacts have d components (equations.md).
+coefficient times the normal force, so that every number is of order one whatever units the scene is in. Contacts with
+as many slipping components form a group: the vectors (d, n) across its n contacts have d components (equations.md).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,20 +23,25 @@ from taichi_bearings.lattice.incidence import ends, number_free
 
 @dataclass(frozen=True)
 class ContactGroup:
-    """n contacts along one lattice axis, each with d slipping components.
+    """n contacts, each with d slipping components.
 
-    axis : lattice axis. acting : (n,) flat positions among all contacts of the axis.
     below, above : (d, n), the unknown at either end; -1 where the spin is imposed.
     offset : (d, n), what the imposed spins add to the difference.
     unknowns : length of a vector of spins.
     """
 
-    axis: int
-    acting: np.ndarray
     below: np.ndarray
     above: np.ndarray
     offset: np.ndarray
     unknowns: int
+
+    @classmethod
+    def joined(cls, groups: Sequence["ContactGroup"]) -> "ContactGroup":
+        """The contacts of all, one group after the other."""
+        below, above, offset = (
+            np.concatenate([getattr(group, name) for group in groups], axis=1) for name in ("below", "above", "offset")
+        )
+        return cls(below, above, offset, groups[0].unknowns)
 
     @cached_property
     def operator(self) -> sparse.csr_matrix:
@@ -60,7 +65,19 @@ class ContactGroup:
         below, above = (np.append(number, -1)[end[:, keep]] for end in (self.below, self.above))
         same = below == above
         below, above = (np.where(same, -1, end) for end in (below, above))
-        return ContactGroup(self.axis, self.acting[keep], below, above, offset, unknowns)
+        return ContactGroup(below, above, offset, unknowns)
+
+
+@dataclass(frozen=True)
+class Home:
+    """Contacts of a group that lie along one lattice axis.
+
+    acting : (n,) flat positions among all contacts of the axis. own : their places in the group.
+    """
+
+    axis: int
+    acting: np.ndarray
+    own: slice
 
     def among(self, fields: Sequence[np.ndarray], replica: int) -> tuple[np.ndarray, tuple]:
         """Values (..., *contacts) of a sample on the contacts of the axis, and where among them those of the group are.
@@ -73,10 +90,14 @@ class ContactGroup:
 
 @dataclass(frozen=True)
 class ContactSystem:
-    """Groups of contacts over a common vector of unknown spins."""
+    """Groups of contacts over a common vector of unknown spins.
+
+    homes : where they are on a lattice, a tuple a group; none of a system that is not that of a whole lattice.
+    """
 
     unknowns: int
     groups: tuple[ContactGroup, ...]
+    homes: tuple[tuple[Home, ...], ...] = ()
 
     @cached_property
     def offset(self) -> Arrays:
@@ -114,13 +135,18 @@ class ContactSystem:
 
     def gather(self, fields: Sequence[np.ndarray], replica: int) -> Arrays:
         """Values (..., n) a group of one sample; fields : one array (..., R, *contacts) a lattice axis."""
-        return Grouped(values[places] for values, places in (g.among(fields, replica) for g in self.groups))
+
+        def gathered(homes: tuple[Home, ...]) -> np.ndarray:
+            return np.concatenate([values[places] for values, places in (h.among(fields, replica) for h in homes)], -1)
+
+        return Grouped(map(gathered, self.homes))
 
     def scatter(self, values: Arrays, fields: Sequence[np.ndarray], replica: int) -> None:
         """Inverse of :meth:`gather`: write the values into the fields."""
-        for group, new in zip(self.groups, values, strict=True):
-            into, places = group.among(fields, replica)
-            into[places] = new
+        for homes, new in zip(self.homes, values, strict=True):
+            for home in homes:
+                into, places = home.among(fields, replica)
+                into[places] = new[..., home.own]
 
     def pieces(self, chosen: Arrays) -> tuple[int, np.ndarray]:
         """Number of the pieces that the chosen contacts, (n,) masks a group, join the spins to, and that of each."""
@@ -205,7 +231,7 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
     sphere, free = number_free(lattice.shape), int(np.prod(lattice.free_shape))
     is_top = np.zeros(lattice.shape, dtype=bool)
     is_top[..., -1] = True
-    groups = []
+    unknowns, kinds = free * len(spin_axes), dict[int, list[tuple[int, np.ndarray, ContactGroup]]]()
     for axis in range(lattice.dimension):
         slots = np.array(tangential(axis, spin_axes), dtype=int)[:, None]
         if len(slots) == 0:
@@ -214,5 +240,16 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
         below, above = (end.ravel()[acting] for end in ends(sphere, axis, lattice.dimension))
         offset = jump[slots] * ends(is_top, axis, lattice.dimension)[1].ravel()[acting]
         first, second = (np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above))
-        groups.append(ContactGroup(axis, acting, first, second, offset, free * len(spin_axes)))
-    return ContactSystem(free * len(spin_axes), tuple(groups))
+        group = ContactGroup(first, second, offset, unknowns)
+        kinds.setdefault(len(slots), []).append((axis, acting, group))
+    groups, homes = [], []
+    for _, kind in sorted(kinds.items()):
+        groups.append(ContactGroup.joined([group for _, _, group in kind]))
+        ends_at = np.cumsum([len(acting) for _, acting, _ in kind]).tolist()
+        homes.append(
+            tuple(
+                Home(axis, acting, slice(end - len(acting), end))
+                for (axis, acting, _), end in zip(kind, ends_at, strict=True)
+            )
+        )
+    return ContactSystem(unknowns, tuple(groups), tuple(homes))

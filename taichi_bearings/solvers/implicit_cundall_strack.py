@@ -290,17 +290,20 @@ class ImplicitCundallStrackMethod:
             "last_power": self.rest.last_objective,
             "spin_scale": np.array(self.stage.spin_scale),
         }
-        axes = [group.axis for group in self.system.groups]
         for name in ("elongation", "force"):
             samples = zip(*(getattr(sample, name) for sample in self.samples), strict=True)
-            state |= {f"{name}_{axis}": np.stack(values) for axis, values in zip(axes, samples, strict=True)}
+            for homes, values in zip(self.system.homes, samples, strict=True):
+                state |= {f"{name}_{home.axis}": np.stack(values)[..., home.own] for home in homes}
         return state
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         self.samples = []
         for replica, spins in enumerate(state["spins"]):
             elongation, force = (
-                Grouped(np.array(state[f"{name}_{group.axis}"][replica]) for group in self.system.groups)
+                Grouped(
+                    np.concatenate([state[f"{name}_{home.axis}"][replica] for home in homes], axis=-1)
+                    for homes in self.system.homes
+                )
                 for name in ("elongation", "force")
             )
             self.samples.append(_Sample(np.array(spins), elongation, force, *map(float, state["books"][replica])))
@@ -315,11 +318,11 @@ def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) ->
     """What the driven spheres, as they turn in the laboratory, add to the differences: (d, n) a group."""
     bottom = scene.bottom_spin(spin_axes)
     top = bottom + scene.driven_values(spin_axes)[1]
-    slots = [list(tangential(group.axis, spin_axes)) for group in system.groups]
-    return Grouped(
-        top[own, None] * (group.above < 0) - bottom[own, None] * (group.below < 0)
-        for own, group in zip(slots, system.groups, strict=True)
-    )
+    imposed = []
+    for group, homes in zip(system.groups, system.homes, strict=True):
+        slots = np.concatenate([np.tile(tangential(h.axis, spin_axes), (len(h.acting), 1)) for h in homes]).T
+        imposed.append(top[slots] * (group.above < 0) - bottom[slots] * (group.below < 0))
+    return Grouped(imposed)
 
 
 def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:

@@ -24,7 +24,7 @@ def chain(*contacts, unknowns=1):
     """Contacts (below, above, slip at rest) with one component each, over `unknowns` spins."""
     below, above, slip = np.array(contacts).T
     ends = below.astype(int)[None], above.astype(int)[None]
-    group = ContactGroup(0, np.arange(len(contacts)), *ends, slip[None], unknowns)
+    group = ContactGroup(*ends, slip[None], unknowns)
     return ContactSystem(unknowns, (group,)), [Part(np.arange(unknowns), ())]
 
 
