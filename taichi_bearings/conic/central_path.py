@@ -198,10 +198,10 @@ class _Directions:
         return self._solved(1 - step.slot)
 
     def chosen(self, better: np.ndarray, one: _Step, other: _Step) -> _Step:
-        """The one step of the samples (S,) where it is better, and the other of the rest."""
+        """The one step of the samples (S,) where it is better, and the other of the rest, that go no further."""
         if better.all() or not better.any():
             return one if better.all() else other
-        here, there = (self.rows.values[_in(step.slot, 0) : _in(step.slot + 1, 0)] for step in (one, other))
+        here, there = (self.rows.values[_in(step.slot, 0) : _in(step.slot, kernels.REACH)] for step in (one, other))
         here[..., ~better] = there[..., ~better]
         return _Step(
             one.slot,

@@ -5,6 +5,7 @@ import numpy as np
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, Part, WholeCholesky
+from taichi_bearings.numerics.cholesky.side_by_side import MANY, CholeskyAlone
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
@@ -19,8 +20,11 @@ class NewtonMatrix:
         self._empty = system.unknowns == 0  # everything is tied to the driven planes
         if self._empty:
             return
-        few = system.unknowns <= FEW
-        self._cholesky = WholeCholesky(system.unknowns) if few else Cholesky(parts, *system.couplings())
+        self._cholesky: WholeCholesky | CholeskyAlone | Cholesky
+        if system.unknowns <= FEW:
+            self._cholesky = WholeCholesky(system.unknowns)
+        else:
+            self._cholesky = (CholeskyAlone if system.unknowns < MANY else Cholesky)(parts, *system.couplings())
         pattern = self._cholesky.pattern
         self._map, self._diagonal = system.laplacian_map(pattern.entry, pattern.entries), pattern.diagonal
 

@@ -45,7 +45,7 @@ CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
 SOONEST, LARGE = 1e-8, 4096  # that gap of the smallest samples, whose slips are larger; spheres of those it is not for
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
-FIRST = 12  # steps that small samples take before the first look at where they are
+AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 QUICK = 10_000  # spheres up to which what all samples of a lattice share is kept
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
@@ -55,46 +55,42 @@ TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a s
 
 @dataclass
 class _Sample:
-    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured.
-
-    slip, margin : of the last step and of the one before, (n,) a group, relative to the jump and to the friction.
-    """
+    """One replica: its iterate and the one before, and the power of two near the mean coefficient in which its friction
+    is measured."""
 
     iterate: Iterate
+    before: Iterate
     unit: float
     done: bool = False
-    ended: int | None = None  # iteration of the look that found it done
+    ended: int | None = None  # iteration of its last step
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
-    slip: tuple[Arrays, ...] = ()
-    margin: tuple[Arrays, ...] = ()
-
-    def remember(self) -> None:
-        """Note slips and margins of this step."""
-        slip = self.iterate.difference.length()
-        margin = 1 - self.iterate.dual.length() / self.iterate.friction
-        self.slip, self.margin = (slip, *self.slip[:1]), (margin, *self.margin[:1])
 
     def sticking(self) -> Arrays:
         """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
-        (slip, slip_before), (margin, margin_before) = self.slip, self.margin
+        (slip, margin), (slip_before, margin_before) = _slip_and_margin(self.iterate), _slip_and_margin(self.before)
         return (margin > APART * slip) & (slip < TREND * slip_before) & (margin > TREND * margin_before)
 
     def creep(self) -> float:
         """Largest slip of a contact that counts as slipless, relative to the jump."""
         if self.resolved is not None:
             return 0.0
-        return self.slip[0][self.states() == ContactState.SLIPLESS].max()
+        return self.iterate.difference.length()[self.states() == ContactState.SLIPLESS].max()
 
     def states(self) -> Arrays:
         """Contact states (n,) a group."""
         slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
         if self.resolved is not None:
             return where(self.resolved.slipping, slipping, slipless)
-        slip, margin, iterate = self.slip[0], self.margin[0], self.iterate
+        (slip, margin), iterate = _slip_and_margin(self.iterate), self.iterate
         if iterate.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
             slip = slip * (1 + iterate.viscosity / iterate.friction)
         return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
+
+
+def _slip_and_margin(iterate: Iterate) -> tuple[Arrays, Arrays]:
+    """(n,) a group, relative to the jump and to the friction."""
+    return iterate.difference.length(), 1 - iterate.dual.length() / iterate.friction
 
 
 _Skeleton = tuple[ContactSystem, list[Part], NewtonMatrix | None, Matrix | None]
@@ -173,14 +169,13 @@ class InteriorPointMethod:
             with suppress(NotPositiveDefinite), one_thread():
                 spins = flowing(self.system, viscosity, self.matrix, spins)
         slack = 1.0 / (scene.lattice.shape[-1] - 1)
-        sample = _Sample(Iterate.start(self.system, spins, friction / unit, slack, viscosity), unit)
-        sample.remember()
-        return sample
+        start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
+        return _Sample(start, start, unit)
 
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
         if self.scene.lattice.sites < SMALL and self.options.settle:
-            return max(FIRST, iteration + 2)
+            return iteration + AT_ONCE
         far = self.frustrated and max(sample.iterate.gap for sample in self.samples) > FAR
         return iteration + (2 if far else 1)
 
@@ -188,6 +183,8 @@ class InteriorPointMethod:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
                 going = [sample for sample in self.samples if not sample.done]
+                if not going:
+                    break
                 together = LANES if isinstance(self.matrices, NewtonMatrices) else 1
                 for first in range(0, len(going), together):
                     self._steps(going[first : first + together])
@@ -199,6 +196,7 @@ class InteriorPointMethod:
             found = newton_steps([sample.iterate for sample in samples], self.matrices)
         for sample, iterate in zip(samples, found, strict=True):
             self._judge(sample, iterate)
+            sample.ended = self.iteration + 1 if sample.done else None
 
     @property
     def settles_at(self) -> float:
@@ -211,12 +209,11 @@ class InteriorPointMethod:
         with suppress(NotPositiveDefinite), np.errstate(all="ignore"):
             if iterate is not None:
                 gap = iterate.gap
-                if iterate.price_of_torques > max(gap, CLOSEST):
+                if not gap > FAR and iterate.price_of_torques > max(gap, CLOSEST):
                     iterate = balance(iterate, self.matrix)
                     gap = iterate.gap
                 if np.isfinite(gap):
-                    sample.iterate, done = iterate, False
-                    sample.remember()
+                    sample.before, sample.iterate, done = sample.iterate, iterate, False
         gap = gap if np.isfinite(gap) else sample.iterate.gap
         sample.done = done or not gap > CLOSEST
         if not self.scene.law.is_rate_independent:
@@ -234,8 +231,6 @@ class InteriorPointMethod:
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
         for replica, sample in enumerate(self.samples):
-            if sample.done and sample.ended is None:
-                sample.ended = self.iteration
             answer = sample.resolved or sample.iterate
             for part, spins in zip((staggered, rest), self._spins(sample), strict=True):
                 place_free_spins(part, replica, spins)

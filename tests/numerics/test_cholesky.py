@@ -41,6 +41,7 @@ SCENES = {
 def eliminated_by_fronts(monkeypatch):
     """Small systems too."""
     monkeypatch.setattr(newton_matrix, "FEW", 0)
+    monkeypatch.setattr(newton_matrix, "MANY", 0)
 
 
 def system_of(scene):
@@ -81,10 +82,12 @@ def narrow_panels(monkeypatch, threads=1):
 
 @pytest.mark.parametrize("leaf", [3, 40, 10_000])
 @pytest.mark.parametrize("options", SCENES.values(), ids=SCENES)
-@pytest.mark.parametrize("narrow", [False, True])
-def test_solutions_equal_those_of_scipy(monkeypatch, options, leaf, narrow):
-    if narrow:
+@pytest.mark.parametrize("how", ["fronts", "narrow panels", "all in one launch"])
+def test_solutions_equal_those_of_scipy(monkeypatch, options, leaf, how):
+    if how == "narrow panels":
         narrow_panels(monkeypatch)
+    if how == "all in one launch":
+        monkeypatch.setattr(newton_matrix, "MANY", 10_000)
     rng = np.random.default_rng(8)
     scene = make_scene(**options)
     system = system_of(scene)
@@ -165,7 +168,9 @@ def test_the_middle_plane_separates_with_one_component_alone():
     assert len(root.unknowns) == 32 * 30
 
 
-def test_an_indefinite_matrix_is_refused():
+@pytest.mark.parametrize("many", [0, 10_000])
+def test_an_indefinite_matrix_is_refused(monkeypatch, many):
+    monkeypatch.setattr(newton_matrix, "MANY", many)
     scene = make_scene((4, 4, 5))
     system = system_of(scene)
     matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes))

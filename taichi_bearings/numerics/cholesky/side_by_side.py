@@ -9,9 +9,11 @@ from taichi_bearings.kernels import elimination as kernels
 from taichi_bearings.kernels.elimination import HEADER, LANES, WIDTH
 from taichi_bearings.memory import aligned_zeros, refuse_beyond
 from taichi_bearings.numerics.cholesky.dissection import Part
+from taichi_bearings.numerics.cholesky.factor import NotPositiveDefinite
 from taichi_bearings.numerics.cholesky.fronts import Pattern, analyse
 
 LEAF = 20  # unknowns of a region that is not divided: calls cost nothing here, arithmetic does
+MANY = 8_000  # unknowns from which libraries and threads are worth their calls
 
 
 class CholeskySideBySide:
@@ -46,6 +48,26 @@ class CholeskySideBySide:
     @cached_property
     def _together(self) -> "_Storage":
         return _Storage(self.pattern, LANES)
+
+
+class CholeskyAlone:
+    """Like Cholesky, of one matrix with fewer than MANY unknowns: all in one launch."""
+
+    def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
+        self._all = CholeskySideBySide(parts, first, second)
+        self.pattern = self._all.pattern
+
+    def factorise(self, values: np.ndarray) -> None:
+        """As that of Cholesky."""
+        if not self._all.factorise(values[:, None]).all():
+            raise NotPositiveDefinite
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution of the factorised system for one right-hand side, (unknowns,)."""
+        return self._all.solve(right[:, None])[:, 0]
+
+    def forget(self) -> None:
+        """Nothing: it is small."""
 
 
 class _Storage:
