@@ -95,4 +95,18 @@ def __getattr__(attribute: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
     with environment(), warnings.catch_warnings():  # it adds filters of its own
         globals()["ti"] = importlib.import_module(name())
+        with contextlib.suppress(ImportError):
+            reader: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")
+            reader.TextWrapper = _Unwrapped
     return globals()["ti"]
+
+
+class _Unwrapped:
+    """For each expression of a kernel Taichi notes the lines that it stands in, wrapped to 80 columns: to wrap none of
+    them halves the time to read a kernel, which every process does before it finds the compiled one."""
+
+    def __init__(self, width: int) -> None:
+        pass
+
+    def wrap(self, text: str) -> list[str]:
+        return [text] if text.strip() else []

@@ -111,3 +111,17 @@ def test_an_unknown_or_absent_compiler_is_named():
 def test_nothing_but_the_answer_is_printed_on_stdout():
     done = python("from taichi_bearings import runtime; runtime.start(); import json; print(json.dumps({'a': 1}))")
     assert json.loads(done.stdout) == {"a": 1}
+
+
+def test_a_mistake_in_a_kernel_is_named_with_its_line(taichi_runtime):
+    """That line is longer than the 80 columns to which compilers would wrap it."""
+    from taichi_bearings.compiler import ti
+
+    @ti.kernel
+    def mistaken() -> ti.f64:
+        the_number_that_this_kernel_gives_back_is_the_sum_of_two_others = 1.0 + a_number_that_nobody_has_ever_heard_of  # noqa: F821
+        return the_number_that_this_kernel_gives_back_is_the_sum_of_two_others
+
+    with pytest.raises(Exception, match="a_number_that_nobody_has_ever_heard_of") as error:
+        mistaken()
+    assert "two_others = 1.0 + a_number_that_nobody_has_ever_heard_of  #" in str(error.value)
