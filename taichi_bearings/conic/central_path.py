@@ -215,8 +215,8 @@ class _Directions:
         last, going = np.full(len(step.along), np.inf), np.ones(len(step.along), dtype=bool)
         for _ in range(REFINEMENTS):
             change, dual_step = (self.rows.two(_in(step.slot, row)) for row in (kernels.CHANGE, kernels.DUAL_STEP))
-            dual, slip = self.rows.two(kernels.DUAL) + dual_step, self.rows.two(kernels.SLIP) + change
-            imbalance = self._imbalance(self.spins + step.spins, dual, slip)
+            slip = None if self.viscosity is None else self.rows.two(kernels.SLIP) + change
+            imbalance = self._imbalance(self.spins + step.spins, self.rows.two(kernels.DUAL) + dual_step, slip)
             size = np.abs(imbalance).max(axis=0, initial=0.0)
             going &= (size > BALANCED) & (size < last / 2)
             if not going.any():
@@ -253,9 +253,10 @@ class _Directions:
         imbalance = self._imbalance(self.spins, pull, self.rows.two(kernels.SLIP))
         return self._expanded(slot, self.matrix.solve_each(imbalance))
 
-    def _imbalance(self, spins: np.ndarray, dual: np.ndarray, slip: np.ndarray) -> np.ndarray:
-        """As :meth:`Iterate.imbalance`, (unknowns, S), of two rows each."""
-        torques = self.rows.transposed @ (dual if self.viscosity is None else dual - self.viscosity * slip)
+    def _imbalance(self, spins: np.ndarray, dual: np.ndarray, slip: np.ndarray | None) -> np.ndarray:
+        """As :meth:`Iterate.imbalance`, (unknowns, S), of two rows each; nobody looks at slips without viscosity."""
+        forces = dual if self.viscosity is None or slip is None else dual - self.viscosity * slip
+        torques = self.rows.transposed @ forces
         for sample, iterate in enumerate(self.all):
             torques[:, sample] -= iterate.to_balance(spins[:, sample])
         return torques

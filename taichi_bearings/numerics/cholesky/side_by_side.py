@@ -37,9 +37,7 @@ class CholeskySideBySide:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
         look_up()
-        order, found = self.pattern.order, np.empty_like(right)
-        found[order] = self._used.solve(right[order])
-        return found
+        return self._used.solve(right)
 
     @cached_property
     def _alone(self) -> "_Storage":
@@ -75,6 +73,7 @@ class _Storage:
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
         self.lanes = lanes
+        self._order, self._place = pattern.order, pattern.place
         self._tables, size, self._pivots = _tables(pattern, LANES // lanes)
         samples = "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * size, f"the factorisation of {pattern.size:,} unknowns{samples}")
@@ -93,16 +92,16 @@ class _Storage:
         return np.isfinite(self._numbers[self._pivots, :samples]).all(axis=0)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """right : (unknowns, S), in the order of elimination."""
-        own = slice(len(right)), slice(right.shape[1])
-        self._solution[own] = right
+        """As that of CholeskySideBySide."""
+        unknowns, samples = right.shape
+        np.take(right, self._order, axis=0, out=self._solution[:unknowns, :samples], mode="clip")
         if self.lanes == 1:
             kernels.substitute_alone(
                 self._tables, *(part[:, 0] for part in (self._numbers, self._solution, self._work))
             )
         else:
             kernels.substitute(self._tables, self._numbers, self._solution, self._work)
-        return self._solution[own]
+        return self._solution[:unknowns, :samples].take(self._place, axis=0)
 
 
 def _vectors(count: int, lanes: int) -> np.ndarray:
