@@ -19,7 +19,7 @@ from taichi_bearings.benchmarks.baselines import Arrays, CSweep, NumpySweep
 from taichi_bearings.benchmarks.machine import chains, sizes_below, streams
 from taichi_bearings.benchmarks.rows import Row, timing
 from taichi_bearings.benchmarks.timing import Times, timed
-from taichi_bearings.fields import CPU_BLOCK, Fields, make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.scene import Scene
@@ -182,7 +182,6 @@ def seconds_to_compile(method: Method, scene: Scene, spin: np.ndarray) -> float:
     for _ in range(2):
         began = time.perf_counter()
         spec = method.plan(scene, spin)
-        block = getattr(method, "block", CPU_BLOCK)
-        method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape, block), spec))
+        method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape), spec))
         took.append(time.perf_counter() - began)
     return max(took[0] - took[1], 0.0)

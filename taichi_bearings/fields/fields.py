@@ -16,9 +16,9 @@ LEAST_SHARE = 2_000  # site values a worker must have, or meeting the others wou
 MOST_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
 
 
-def make_layout(replicas: int, shape: tuple[int, ...], block: int = CPU_BLOCK) -> Layout:
+def make_layout(replicas: int, shape: tuple[int, ...]) -> Layout:
     """The flat layout for the running device: blocks for SIMD on a CPU, one site a thread on a GPU."""
-    return Layout(replicas, shape, block=1 if runtime.current().is_gpu else block)
+    return Layout(replicas, shape, block=1 if runtime.current().is_gpu else CPU_BLOCK)
 
 
 def number_type() -> np.dtype:

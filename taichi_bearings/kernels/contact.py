@@ -4,8 +4,8 @@ In staggered spins (equations.md) the slip velocity of paper Eq. (2) has the len
 the spins of the upper and the lower sphere without its component along the contact; slip and friction force are
 parallel to D turned by 90 degrees about the contact, a turn that drops out of every power and torque. So a contact
 works on D: only the components across it take part, e.g. both for a z-contact driven along x + y, one for an x-contact,
-and the one component there is in 2D. Kernels hold them as lists of numbers, not as vectors, which would not turn into
-SIMD.
+and the one component there is in 2D. Kernels hold them as lists, of numbers of a site or of
+vectors for a block of sites.
 """
 
 from taichi_bearings.compiler import ti
@@ -37,13 +37,11 @@ def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), s
 
     paper Eq. (3) with its cases in the right order; sharpness is 1 over the largest |D| that counts as no slip.
     """
-    friction, scale = coefficients[0], 0.0
-    if ti.static(len(spin_difference) > 1):
-        scale = friction * smaller(sharpness, 1.0 / length(spin_difference))
-    return [
-        friction * clamp(d * sharpness, -1.0, 1.0) if ti.static(len(spin_difference) == 1) else d * scale
-        for d in ti.static(spin_difference)
-    ]
+    friction = coefficients[0]
+    if ti.static(len(spin_difference) == 1):
+        return [friction * clamp(spin_difference[0] * sharpness, -1.0, 1.0)]
+    scale = friction * smaller(sharpness, 1.0 / length(spin_difference))
+    return [d * scale for d in ti.static(spin_difference)]
 
 
 @ti.func

@@ -11,7 +11,7 @@ from math import comb
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length, viscous_force
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, places, store
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, places, store, store_each
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
@@ -77,22 +77,12 @@ class CundallStrackSteps:
             self.step_on_gpu(fields.values, *(0,) * 5, *nothing)
 
     @ti.func
-    def load(self, values: ti.template(), at: ti.template()):
-        """The numbers of a block of sites from each of the places `at` on."""
-        return [load(values, place, self.block) for place in ti.static(at)]
-
-    @ti.func
     def difference(self, values: ti.template(), lower: ti.template(), upper: ti.template()):
         """The numbers that begin at `upper` minus those that begin at `lower`."""
         return [
             load(values, upper[k], self.block) - load(values, lower[k], self.block)
             for k in ti.static(range(len(lower)))
         ]
-
-    @ti.func
-    def store(self, values: ti.template(), blocks: ti.template(), to: ti.template(), new: ti.template()):
-        for k in ti.static(range(len(to))):
-            store(values, blocks, to[k], self.block, new[k])
 
     @ti.func
     def spring(
@@ -168,7 +158,7 @@ class CundallStrackSteps:
         if ti.static(self.tally):
             self.add_work(values, blocks, row, first, above)
         for axis in ti.static(self.stencil.slipping_axes):
-            coefficients = self.load(values, places(self.coefficients[axis], row, first))
+            coefficients = load_each(values, places(self.coefficients[axis], row, first), self.block)
             spin, force = places(self.predicted[axis], row, first), places(self.force[axis], row, first)
             speed = self.difference(values, spin, places(self.predicted[axis], row, above[axis]))
             if ti.static(self.holds):
@@ -177,12 +167,12 @@ class CundallStrackSteps:
                     places(self.elongation[axis], row, first),
                 )
                 moved = self.difference(values, integral, places(self.integral[axis], row, above[axis]))
-                before = self.load(values, elongation)
+                before = load_each(values, elongation, self.block)
                 new = self.spring(moved, speed, before, coefficients, numbers)
-                self.store(values, blocks, elongation + force, new)
+                store_each(values, blocks, elongation + force, self.block, new)
             else:
                 damping = numbers[2]
-                self.store(values, blocks, force, [coefficients[0] * damping * d for d in ti.static(speed)])
+                store_each(values, blocks, force, self.block, [coefficients[0] * damping * d for d in ti.static(speed)])
 
     @ti.func
     def add_work(self, values: ti.template(), blocks: ti.template(), row, first, above: ti.template()):
@@ -190,7 +180,7 @@ class CundallStrackSteps:
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
-            force = self.load(values, places(self.force[axis], row, first))
+            force = load_each(values, places(self.force[axis], row, first), self.block)
             spin, spin_above = places(self.spin[axis], row, first), places(self.spin[axis], row, above[axis])
             speed = self.difference(values, spin, spin_above)
             for t in ti.static(range(len(force))):
@@ -210,8 +200,8 @@ class CundallStrackSteps:
             ]
             pull = self.pull(values, below, above)
             gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
-            new = self.motion(self.load(values, gear), pull, is_free, response)
-            self.store(values, blocks, gear + ahead, new)
+            new = self.motion(load_each(values, gear, self.block), pull, is_free, response)
+            store_each(values, blocks, gear + ahead, self.block, new)
             if ti.static(self.tally):  # of driven spheres, which do not move
                 impulse = in_range((self.slot["impulse"] + c) * row + first)
                 before = load(values, impulse, self.block)

@@ -5,7 +5,19 @@ from functools import lru_cache
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots
 from taichi_bearings.kernels.contact import FORCES, clamp
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, fill, in_range, new_rows, places, read
+from taichi_bearings.kernels.memory import (
+    BLOCKS,
+    VALUES,
+    in_range,
+    last,
+    load,
+    load_each,
+    minus,
+    places,
+    pushed,
+    store,
+    zero,
+)
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
 
@@ -75,67 +87,44 @@ class DescentSweeps:
 
     @ti.func
     def force(
-        self, values: ti.template(), lower: ti.template(), upper: ti.template(), own: ti.template(), m, sharpness
+        self,
+        values: ti.template(),
+        lower: ti.template(),
+        upper: ti.template(),
+        own: ti.template(),
+        block: ti.template(),
+        sharpness,
     ):
-        return self.force_law(difference(values, lower, upper, m), read(values, own, m), sharpness)
+        """Forces of a block of contacts between spheres with these points."""
+        return self.force_law(minus(upper, lower), load_each(values, own, block), sharpness)
 
     @ti.func
-    def pull(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """What the contacts of one axis pull on a sphere, for each component that they feel."""
-        here, up, down, own, lower = at
-        above = self.force(values, here, up, own, m, numbers[0])
-        below = self.force(values, down, here, lower, m, numbers[0])
-        return [above[t] - below[t] for t in ti.static(range(len(above)))]
+    def force_below(self, values: ti.template(), row, source, first, sharpness):
+        """Force of the contact below the site `first` along the height."""
+        height = ti.static(self.stencil.height)
+        lower = load_each(values, places(self.kept[height], row, source - 1), 1)
+        upper = load_each(values, places(self.kept[height], row, source), 1)
+        return self.force(values, lower, upper, places(self.coefficients[height], row, first - 1), 1, sharpness)
 
     @ti.func
-    def pull_along_the_height(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The same for the height. at[-1] : force of the contact below, carried up the column."""
-        above = self.force(values, at[0], at[1], at[2], m, numbers[0])
-        pulled = [above[t] - at[3][t] for t in ti.static(range(len(above)))]
-        for t in ti.static(range(len(above))):
-            at[3][t] = above[t]
-        return pulled
-
-    @ti.func
-    def add(self, total: ti.template(), axis: ti.template(), part: ti.template()):
+    def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
         """Add what contacts of one axis pull to the components that feel them."""
         for t in ti.static(range(self.stencil.kept_count[axis])):
-            total[self.stencil.kept[axis][t]] += part[t]
+            total[self.stencil.kept[axis][t]] += above[t] - below[t]
 
     @ti.func
-    def moved(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The next point and, with momentum, the next spin of one sphere.
-
-        at[-1] : for each axis its pulls on the spheres of the block, or the places that they follow from.
-        """
-        point, weight, spin = at[:3]
-        beta, step, sharpness, low, high = numbers
-        pulled = [0.0 for _ in self.components]
-        for axis in ti.static(self.stencil.slipping_axes):
-            if ti.static(not self.at_once):
-                self.add(pulled, axis, [row[m] for row in ti.static(at[3][axis])])
-            elif ti.static(axis == self.stencil.height):
-                self.add(pulled, axis, self.pull_along_the_height(values, at[3][axis], [sharpness], m))
-            else:
-                self.add(pulled, axis, self.pull(values, at[3][axis], [sharpness], m))
-        new = [
-            clamp(values[point[c] + m] + step * values[weight[c] + m] * pulled[c], low[c], high[c])
-            for c in self.components
-        ]
-        ahead = [new[c] + beta * (new[c] - values[spin[c] + m]) for c in ti.static(range(len(spin)))]
-        return ahead + new
+    def add_along_the_height(self, total: ti.template(), above: ti.template(), carried: ti.template()):
+        """The same for the height. carried : force of the contact below the block, carried up the column."""
+        below = [pushed(above[t], carried[t], self.block) for t in ti.static(range(len(above)))]
+        self.add(total, self.stencil.height, above, below)
+        for t in ti.static(range(len(above))):
+            carried[t] = last(above[t], self.block)
 
     @ti.func
-    def added_point(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The sum of the points of one sphere, with this one added."""
-        return [values[at[0][c] + m] + values[at[1][c] + m] for c in self.components]
-
-    @ti.func
-    def added_force(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The sum of the forces of one contact, with this one added."""
-        total, here, up, own = at
-        force = self.force(values, here, up, own, m, numbers[0])
-        return [values[total[t] + m] + force[t] for t in ti.static(range(len(force)))]
+    def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
+        """Add numbers of a block of sites to those at the places `sums`."""
+        for k in ti.static(range(len(sums))):
+            store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
 
     @ti.func
     def update_block(
@@ -148,45 +137,39 @@ class DescentSweeps:
         first,
         strides: ti.template(),
         numbers: ti.template(),
+        carried: ti.template(),
     ):
         """Update the block of sites from `first` on. row: length of a row of numbers."""
-        axes = ti.static(range(self.stencil.dimension))
-        height = ti.static(self.stencil.height)
-        sharpness = numbers[2]
+        beta, step, sharpness, low, high = numbers
         source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row
-        here = [places(self.kept[axis], row, source) for axis in axes]
-        up = [places(self.kept[axis], row, source + strides[axis]) for axis in axes]
-        down = [places(self.kept[axis], row, source - strides[axis]) for axis in axes]
-        own = [places(self.coefficients[axis], row, first) for axis in axes]
-        lower = [places(self.coefficients[axis], row, first - strides[axis]) for axis in axes]
-        point, weight = places(self.point, row, source), places(self.weight, row, first)
-        spin, to = places(self.spin, row, first), places(self.point, row, target)
+        point = load_each(values, places(self.point, row, source), self.block)
         if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
             if averaging:
-                spin_sum = places(self.spin_sum, row, first)
-                each_site(values, blocks, self.block, spin_sum, self.added_point, [spin_sum, point], numbers)
-                for axis in ti.static(self.stencil.slipping_axes):
-                    total = places(self.force_sum[axis], row, first)
-                    at = [total, here[axis], up[axis], own[axis]]
-                    each_site(values, blocks, self.block, total, self.added_force, at, [sharpness])
-        carried = self.force(values, down[height], here[height], lower[height], 0, sharpness)
-        contacts = [
-            [here[axis], up[axis], own[axis], carried]
-            if ti.static(axis == height)
-            else [here[axis], up[axis], down[axis], own[axis], lower[axis]]
-            for axis in axes
-        ]
-        if ti.static(self.at_once):
-            at = [point, weight, spin, contacts]
-            each_site(values, blocks, self.block, to + spin, self.moved, at, numbers)
-        else:
-            pulls = [new_rows(self.stencil.kept_count[axis], self.block) for axis in axes]
-            for axis in ti.static(self.stencil.sideways_axes):
-                fill(pulls[axis], values, self.block, self.pull, contacts[axis], [sharpness])
-            if ti.static(self.stencil.height_kept > 0):
-                fill(pulls[height], values, self.block, self.pull_along_the_height, contacts[height], [sharpness])
-            at = [point, weight, spin, pulls]
-            each_site(values, blocks, self.block, to + spin, self.moved, at, numbers)
+                self.sum_up(values, blocks, places(self.spin_sum, row, first), point)
+        pulled = [zero(self.block) for _ in self.components]
+        for axis in ti.static(self.stencil.slipping_axes):
+            here = [point[c] for c in ti.static(self.stencil.kept[axis])]
+            up = load_each(values, places(self.kept[axis], row, source + strides[axis]), self.block)
+            own = places(self.coefficients[axis], row, first)
+            above = self.force(values, here, up, own, self.block, sharpness)
+            if ti.static(self.averages):  # noqa: SIM102
+                if averaging:
+                    self.sum_up(values, blocks, places(self.force_sum[axis], row, first), above)
+            if ti.static(axis == self.stencil.height):
+                self.add_along_the_height(pulled, above, carried)
+            else:
+                down = load_each(values, places(self.kept[axis], row, source - strides[axis]), self.block)
+                lower = places(self.coefficients[axis], row, first - strides[axis])
+                self.add(pulled, axis, above, self.force(values, down, here, lower, self.block, sharpness))
+        weight, to = places(self.weight, row, first), places(self.point, row, target)
+        for c in ti.static(self.components):
+            new = clamp(point[c] + step * load(values, weight[c], self.block) * pulled[c], low[c], high[c])
+            if ti.static(self.momentum):
+                spin = in_range(self.spin[c] * row + first)
+                store(values, blocks, to[c], self.block, new + beta * (new - load(values, spin, self.block)))
+                store(values, blocks, spin, self.block, new)
+            else:
+                store(values, blocks, to[c], self.block, new)
 
     @ti.kernel
     def pairs_by_team(
@@ -222,9 +205,11 @@ class DescentSweeps:
                 for pair in range(begin, end):
                     for parity in range(2):
                         numbers = [momentum(age + 2 * pair + parity), step, sharpness, low, high]
+                        begins = in_range(margin + first_block * self.block)
+                        carried = self.force_below(values, row, begins + parity * self.apart * row, begins, sharpness)
                         for b in range(first_block, last_block):
                             first = in_range(margin + b * self.block)
-                            self.update_block(values, blocks, parity, averaging, row, first, strides, numbers)
+                            self.update_block(values, blocks, parity, averaging, row, first, strides, numbers, carried)
                         meet(arrived, (2 * (pair - begin) + parity + 1) * workers)
 
     @ti.kernel
@@ -252,7 +237,9 @@ class DescentSweeps:
                 strides = [stride_x, stride_y, 1]
                 low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
                 numbers = [momentum(age + parity), step, sharpness, low, high]
-                self.update_block(values, values, parity, averaging, row, margin + b, strides, numbers)
+                first = margin + b
+                carried = self.force_below(values, row, first + parity * self.apart * row, first, sharpness)
+                self.update_block(values, values, parity, averaging, row, first, strides, numbers, carried)
 
 
 @ti.func

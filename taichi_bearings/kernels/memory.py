@@ -1,11 +1,11 @@
 """How kernels reach the numbers of a site: row by row in one array, blocks of neighbouring sites at a time.
 
-Cundall-Strack steps reckon with vectors: `load` a block, apply a law to it, `store` what it says.
+Sweeps, splitting and Cundall-Strack steps reckon with vectors: `load` a block, apply a law to it, `store` what it says.
+On a GPU a block is one site, and a vector its number. (Vectors have no unary minus, and no abs.)
 
-The laws of sweeps and splitting are functions of one site; :func:`each_site` walks them over a block. On a CPU the
-results go to local vectors, which are written as a whole: a loop that writes to memory cannot be told from one that
-changes its own input, or even the address of the array, so it would not be turned into SIMD instructions
-(docs/decisions/0002).
+The laws of Newton steps are functions of one site; :func:`fill` walks them over a block. The results go to local
+vectors, which are written as a whole: a loop that writes to memory cannot be told from one that changes its own input,
+or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0002).
 """
 
 from taichi_bearings.compiler import ti
@@ -51,21 +51,48 @@ def store(values: ti.template(), blocks: ti.template(), place, block: ti.templat
 
 
 @ti.func
-def read(values: ti.template(), at: ti.template(), m):
-    """The numbers of the m-th site of a block."""
-    return [values[place + m] for place in ti.static(at)]
+def load_each(values: ti.template(), at: ti.template(), block: ti.template()):
+    """The numbers of a block of sites from each of the places `at` on."""
+    return [load(values, place, block) for place in ti.static(at)]
 
 
 @ti.func
-def difference(values: ti.template(), lower: ti.template(), upper: ti.template(), m):
-    """The numbers that begin at `upper` minus those that begin at `lower`, of the m-th site of a block."""
-    return [values[upper[k] + m] - values[lower[k] + m] for k in ti.static(range(len(lower)))]
+def store_each(
+    values: ti.template(), blocks: ti.template(), to: ti.template(), block: ti.template(), new: ti.template()
+):
+    """Write new[k] from the place to[k] on."""
+    for k in ti.static(range(len(to))):
+        store(values, blocks, to[k], block, new[k])
 
 
 @ti.func
-def new_rows(count: ti.template(), block: ti.template()):
-    """Room for `count` numbers of every site of a block."""
-    return [ti.Vector.zero(float, block) for _ in ti.static(range(count))]
+def minus(upper: ti.template(), lower: ti.template()):
+    """Differences of vectors."""
+    return [upper[k] - lower[k] for k in ti.static(range(len(upper)))]
+
+
+@ti.func
+def zero(block: ti.template()):
+    """0 for each site of a block."""
+    if ti.static(block == 1):
+        return 0.0
+    return ti.Vector.zero(float, block)
+
+
+@ti.func
+def pushed(vector, first, block: ti.template()):
+    """`first`, and then the numbers of a block without the last: those of the sites below, along the height."""
+    if ti.static(block == 1):
+        return first
+    return ti.Vector([first] + [vector[m] for m in ti.static(range(block - 1))])
+
+
+@ti.func
+def last(vector, block: ti.template()):
+    """The number of the last site of a block."""
+    if ti.static(block == 1):
+        return vector
+    return vector[block - 1]
 
 
 @ti.func
@@ -81,32 +108,7 @@ def fill(
 
     law : a function of one site that returns a list of numbers. at, numbers : what it reads, and constants.
     """
-    if ti.static(block == 1):
-        new = law(values, at, numbers, 0)
+    for m in range(block):
+        new = law(values, at, numbers, m)
         for k in ti.static(range(len(rows))):
-            rows[k][0] = new[k]
-    else:
-        for m in range(block):
-            new = law(values, at, numbers, m)
-            for k in ti.static(range(len(rows))):
-                rows[k][m] = new[k]
-
-
-@ti.func
-def each_site(
-    values: ti.template(),
-    blocks: ti.template(),
-    block: ti.template(),
-    to: ti.template(),
-    law: ti.template(),
-    at: ti.template(),
-    numbers: ti.template(),
-):
-    """Write what a law says of the sites of a block, as in :func:`fill`, to the places `to`."""
-    rows = new_rows(ti.static(len(to)), block)
-    fill(rows, values, block, law, at, numbers)
-    for k in ti.static(range(len(to))):
-        if ti.static(block == 1):
-            values[to[k]] = rows[k][0]
-        else:
-            blocks[to[k] // block] = rows[k]
+            rows[k][m] = new[k]

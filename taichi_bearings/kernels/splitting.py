@@ -8,7 +8,7 @@ from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots, on_device
 from taichi_bearings.kernels.contact import clamp, length
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, difference, each_site, in_range, places, read
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, minus, places, store_each, zero
 from taichi_bearings.kernels.stencil import Stencil
 
 OUTSIDE = -1.0  # friction where the lattice has no contact
@@ -60,38 +60,27 @@ class ContactStep:
     @ti.func
     def limited(self, force: ti.template(), friction):
         """The force itself, bit by bit, if friction can bear it, else the nearest one that it can."""
+        if ti.static(len(force) == 1):
+            return [clamp(force[0], 0.0 - friction, friction)]
         size = length(force)
         share = ti.select(size > friction, friction / size, 1.0)
-        return [clamp(f, -friction, friction) if ti.static(len(force) == 1) else f * share for f in ti.static(force)]
+        return [f * share for f in ti.static(force)]
 
     @ti.func
-    def limit(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """Trial force and spring force of one contact.
+    def limit(self, difference: ti.template(), old: ti.template(), own: ti.template(), weight, relaxation):
+        """Trial and spring forces of a block of contacts.
 
         With f the limited old force: trial = f + (1 - relaxation) (trial - f) + relaxation weight D(potential).
         """
-        here, above, trial, own = at
-        weight, relaxation = numbers
-        is_inside, friction = values[own[0] + m] >= 0, ti.max(values[own[0] + m], 0.0)
-        old, spin_difference = read(values, trial, m), difference(values, here, above, m)
+        is_inside, friction = own >= 0.0, ti.max(own, 0.0)
         force = self.limited(old, friction)
         moved = [
-            force[t] + (1 - relaxation) * (old[t] - force[t]) + relaxation * weight * spin_difference[t]
+            force[t] + (1 - relaxation) * (old[t] - force[t]) + relaxation * weight * difference[t]
             for t in ti.static(range(len(old)))
         ]
         reached = self.limited(moved, friction)
-        spring = [weight * spin_difference[t] - (moved[t] - 2 * reached[t]) for t in ti.static(range(len(old)))]
+        spring = [weight * difference[t] - (moved[t] - 2.0 * reached[t]) for t in ti.static(range(len(old)))]
         return [ti.select(is_inside, number, 0.0) for number in ti.static(moved + spring)]
-
-    @ti.func
-    def gather(self, values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-        """The springs above a sphere minus those below it."""
-        pulls = [0.0 for _ in ti.static(range(self.stencil.components))]
-        for axis in ti.static(self.stencil.slipping_axes):
-            pulled = difference(values, at[0][axis], at[1][axis], m)
-            for t in ti.static(range(len(pulled))):
-                pulls[self.stencil.kept[axis][t]] += pulled[t]
-        return pulls
 
     @ti.func
     def limit_block(
@@ -102,21 +91,25 @@ class ContactStep:
         numbers : weight sideways and along the height, relaxation.
         """
         for axis in ti.static(self.stencil.slipping_axes):
-            here = places(self.potential[axis], row, first)
-            above = places(self.potential[axis], row, first + strides[axis])
+            here = load_each(values, places(self.potential[axis], row, first), self.block)
+            up = load_each(values, places(self.potential[axis], row, first + strides[axis]), self.block)
             trial, spring = places(self.trial[axis], row, first), places(self.spring[axis], row, first)
-            own = places((self.slot["friction"] + axis,), row, first)
-            weight = numbers[1] if ti.static(axis == self.stencil.height) else numbers[0]
-            at = [here, above, trial, own]
-            each_site(values, blocks, self.block, trial + spring, self.limit, at, [weight, numbers[2]])
+            own = load(values, in_range((self.slot["friction"] + axis) * row + first), self.block)
+            weight = numbers[ti.static(1 if axis == self.stencil.height else 0)]
+            old = load_each(values, trial, self.block)
+            new = self.limit(minus(up, here), old, own, weight, numbers[2])
+            store_each(values, blocks, trial + spring, self.block, new)
 
     @ti.func
     def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
         """What the springs pull on the spheres of the block."""
-        axes = ti.static(range(self.stencil.dimension))
-        above = [places(self.spring[axis], row, first) for axis in axes]
-        below = [places(self.spring[axis], row, first - strides[axis]) for axis in axes]
-        each_site(values, blocks, self.block, places(self.pull, row, first), self.gather, [below, above], [0.0])
+        pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
+        for axis in ti.static(self.stencil.slipping_axes):
+            above = load_each(values, places(self.spring[axis], row, first), self.block)
+            below = load_each(values, places(self.spring[axis], row, first - strides[axis]), self.block)
+            for t in ti.static(range(len(above))):
+                pulls[self.stencil.kept[axis][t]] += above[t] - below[t]
+        store_each(values, blocks, places(self.pull, row, first), self.block, pulls)
 
     @ti.kernel
     def step_on_cpu(
@@ -165,7 +158,7 @@ class ContactStep:
             factor, first = factors[site // (count // factors.shape[0])], margin + site
             for axis in ti.static(self.stencil.slipping_axes):
                 at = places(self.trial[axis], row, first)
-                trial = read(values, at, 0)
+                trial = load_each(values, at, 1)
                 force = self.limited(trial, ti.max(values[(self.slot["friction"] + axis) * row + first], 0.0))
                 for t in ti.static(range(len(trial))):
                     values[at[t]] = force[t] + factor * (trial[t] - force[t])

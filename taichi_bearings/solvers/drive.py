@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.fields import CPU_BLOCK, Fields, FieldSpec, make_layout
+from taichi_bearings.fields import Fields, FieldSpec, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
@@ -98,8 +98,8 @@ def uninterrupted(solution: Solution) -> Solution:
 
 
 def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:
-    """The fields of a method, in blocks of the size that suits it."""
-    return Fields(make_layout(scene.replicas, scene.lattice.shape, getattr(method, "block", CPU_BLOCK)), spec)
+    """The fields of a method."""
+    return Fields(make_layout(scene.replicas, scene.lattice.shape), spec)
 
 
 def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:

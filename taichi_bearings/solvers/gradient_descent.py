@@ -39,8 +39,6 @@ CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the avera
 class GradientDescentMethod:
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
 
-    block = 32  # sites, on a CPU: its law reads so many rows that finding them costs as much as a few sites
-
     def __init__(self, options: GradientDescent) -> None:
         self.options, self.momentum = options, options.momentum
 

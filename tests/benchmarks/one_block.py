@@ -16,7 +16,9 @@ class OneBlock:
         for _ in range(1):
             strides, box = [in_range(x), in_range(y), 1], [[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]
             numbers = [0.5 * step, step, sharp, box[0], box[1]]
-            self.kernels.update_block(values, blocks, 0, False, row, in_range(first * self.block), strides, numbers)
+            begin = in_range(first * self.block)
+            carried = self.kernels.force_below(values, row, begin, begin, sharp)
+            self.kernels.update_block(values, blocks, 0, False, row, begin, strides, numbers, carried)
 
     @ti.kernel
     def contact(self, values: VALUES, blocks: BLOCKS, row: int, first: int, x: int, y: int, step: float, sharp: float):

@@ -20,7 +20,7 @@ def inside(arrays):
 def ours(scene):
     method = GradientDescentMethod(GradientDescent(momentum=False))
     spin = initial_spin(scene, "random")
-    method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape, 32), method.plan(scene, spin)))
+    method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin)))
     method._load_spins(scene.staggered_spin(spin, method.spin_axes))
     method._step_and_sharpness = lambda: (1e-3, SHARPNESS)
     method.box = [-np.inf] * 3 + [np.inf] * 3

@@ -13,7 +13,7 @@ from taichi_bearings.compiler import name as compiler_name
 from taichi_bearings.compiler import ti
 from taichi_bearings.conic import central_path
 from taichi_bearings.conic.friction_stage import FrictionStage
-from taichi_bearings.fields import CPU_BLOCK, Fields, make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.numerics.cholesky import Cholesky, WholeCholesky
@@ -32,7 +32,7 @@ def begun(name, shape=(6, 7, 8), seeds=(0,), **options):
     scene = make_scene(shape, law, seeds=seeds, **driving)
     method, spin = METHODS[name](**options).build(), initial_spin(scene, "linear")
     spec = method.plan(scene, spin)
-    layout = make_layout(len(seeds), shape, getattr(method, "block", CPU_BLOCK))
+    layout = make_layout(len(seeds), shape)
     method.begin(scene, spin, Fields(layout, spec) if spec else None)
     if hasattr(method, "aim_at"):
         method.aim_at(np.inf)
