@@ -7,6 +7,7 @@ the boundary, treat 2D, 3D and replicas alike, and their inner loops run along m
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Layout:
         blocks = self.blocks + 2 * (self.margin // self.block)
         return (blocks + (5 - blocks) % 32) * self.block
 
-    @property
+    @cached_property
     def measures(self) -> tuple[int, int, int, int, int]:
         """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D the height)."""
         stride_x, stride_y = (*self.strides, 1)[:2]

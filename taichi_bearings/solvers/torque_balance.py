@@ -50,11 +50,13 @@ class TorqueBalance:
         self.chains = self._numbers(np.take(chains, padded, axis=-1, mode="wrap").ravel())
         self.modes = self._numbers(np.zeros(len(sides) * layout.sites + layout.block))
         self.measures = self.kernels.measures(layout, max(sides))
-        self.sines = self._numbers(modes)
+        on_gpu = runtime.current().is_gpu
+        # on a CPU 0 for driven spheres: rows that are whole are worth more than the products that are not needed
+        self.sines = self._numbers(modes if on_gpu else np.pad(modes, 1))
         self.workers = team_size(layout, stencil.components)
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map
         self.is_rough = self.workers > 0 and self.products != fields.dtype
-        self.is_small = len(modes) < SHARED_BY_BLAS
+        self.is_small = shape[-1] < SHARED_BY_BLAS
         if self.workers:
             self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
 
@@ -78,12 +80,12 @@ class TorqueBalance:
         list(self.each(_from_modes, self.potentials, repeat(self.sines)))
 
     def _shares(self, name: str) -> list[Planes]:
-        """The free spheres of a field and their modes, a few planes across a side at a time, a list a thread."""
+        """The spheres of a field and their modes, a few planes across a side at a time, a list a thread."""
         layout = self.fields.layout
         planes, room = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
         shares: list[Planes] = [[] for _ in range(self.workers)]
         for parts in zip(self.fields.view(name), room, strict=True):
-            field, modes = (part.reshape(planes)[..., 1:-1] for part in parts)
+            field, modes = (part.reshape(planes) for part in parts)
             few = max(1, IN_CACHE // field[0].size)
             for worker, share in enumerate(shares):
                 first, last = (len(field) * n // self.workers for n in (worker, worker + 1))
