@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
-from taichi_bearings.kernels.memory import VALUES, in_range
+from taichi_bearings.kernels.memory import VALUES, in_range, load
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import LEAST_CHUNK
 from taichi_bearings.lattice.layout import Layout
@@ -176,20 +176,16 @@ class BalanceKernels:
         carried = ti.Vector.zero(float, self.block)
         for s in range(side):
             at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
-            solved = ti.Vector.zero(float, self.block)
-            for m in range(self.block):
-                solved[m] = (modes[at + m] + weight * carried[m]) * chains[factor + m]
-            self.write(modes, at, solved, rest)
-            carried = solved
+            read = load(modes, at, self.block)
+            carried = (read + weight * carried) * load(chains, factor, self.block)
+            self.write(modes, at, carried, rest)
         carried = ti.Vector.zero(float, self.block)
         for back in range(side):
             s = side - 1 - back
             at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
-            solved = ti.Vector.zero(float, self.block)
-            for m in range(self.block):
-                solved[m] = modes[at + m] + weight * chains[factor + m] * carried[m]
-            self.write(modes, at, solved, rest)
-            carried = solved
+            factors_here = load(chains, factor, self.block)
+            carried = load(modes, at, self.block) + weight * factors_here * carried
+            self.write(modes, at, carried, rest)
 
     @ti.kernel
     def chains_on_cpu(
