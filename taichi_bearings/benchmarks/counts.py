@@ -111,16 +111,15 @@ def gather_pass(stencil: Stencil) -> Work:
 
 
 def torque_balance(stencil: Stencil, shape: tuple[int, ...], modes: float = 1.0) -> Work:
-    """A Poisson solve: sines along the height, chains beside it to and fro, sines back.
+    """A Poisson solve on a CPU: sines along the height, chains beside it to and fro, sines back; of whole rows.
 
     modes : size of a number there over that of a number of the fields.
     """
-    free, components = shape[-1] - 2, stencil.components
-    products = 2 * 2 * free * free / shape[-1]
+    components, products = stencil.components, 2 * 2 * shape[-1]
     return Work(
         read=components * (2 + 3 * modes),  # pulls and potential; modes by either half of the chains and at the end
         written=components * (1 + 3 * modes),
-        operations=components * (products + 6 + free / shape[-1]),
+        operations=components * (products + 7),
         roots=0,
         passes=4,
     )
