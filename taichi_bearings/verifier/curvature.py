@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
-from scipy.sparse.linalg import splu
 
+from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
 from taichi_bearings.verifier.motion import Motion, length
 
@@ -28,8 +27,7 @@ TRIALS = 4  # each from spins that Newton's method has improved
 STIFF = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
 GUESS = 1e-7  # of the least curvature
 LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
-FEW = 400  # unknowns of a matrix that is factorised as a dense one
-EPS, TINY = np.finfo(np.float64).eps, np.finfo(np.float64).tiny
+TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,8 @@ class Slipping:
 
     lower, upper : (2, n), unknown of the domain at either end, component by component. two : (n,), feels both of them.
     difference : of signed spins, two enclosures (n,). strength : friction that a contact bears.
-    spheres : (2, n), flat numbers among those of all samples of the lower and the upper sphere.
+    spheres : (2, n), flat numbers among those of all samples of the lower and the upper sphere. place : (d, n), where a
+    contact is in its sample.
     """
 
     unknowns: int
@@ -48,6 +47,7 @@ class Slipping:
     difference: tuple[Enclosure, Enclosure]
     strength: Enclosure
     spheres: np.ndarray
+    place: np.ndarray
 
     @classmethod
     def of(cls, motion: Motion) -> Slipping:
@@ -58,8 +58,8 @@ class Slipping:
             new = np.where(labels > 1, np.cumsum(labels > 1) - 1 + unknowns, -1)
             number.append(new[inverse.reshape(motion.domain[k].shape)])
             unknowns += int((labels > 1).sum())
-        place = np.arange(samples.count * samples.sublattice.size).reshape(samples.count, *samples.shape)
-        lower, upper, two, spheres, strengths = [], [], [], [], []
+        sphere = np.arange(samples.count * samples.sublattice.size).reshape(samples.count, *samples.shape)
+        lower, upper, two, ends, strengths = [], [], [], [], []
         parts: list[list[Enclosure]] = [[], []]
         for axis, still in enumerate(motion.still):
             slips, felt = ~still, [k in samples.felt(axis) for k in samples.needed]
@@ -70,8 +70,9 @@ class Slipping:
             for found, k, f in zip(parts, samples.needed, felt, strict=True):
                 found.append(motion.difference[axis][k] if f else none)
             two.append(np.full(int(slips.sum()), all(felt)))
-            spheres.append(np.stack([place[low][slips], place[high][slips]]))
+            ends.append(np.stack([sphere[low][slips], sphere[high][slips]]))
             strengths.append(samples.strength[axis][slips])
+        spheres = np.concatenate(ends, axis=1)
         return cls(
             unknowns,
             np.concatenate(lower, axis=1),
@@ -79,7 +80,8 @@ class Slipping:
             np.concatenate(two),
             (joined(parts[0]), joined(parts[1])),
             joined(strengths),
-            np.concatenate(spheres, axis=1),
+            spheres,
+            np.stack(np.unravel_index(spheres % samples.sublattice.size, samples.shape)).mean(axis=1),
         )
 
     @cached_property
@@ -179,14 +181,14 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
 class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. matrix : about H, scaled.
-    changes : (n, unknowns), how the difference of either component changes with v.
+    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. elimination : of about
+    H, scaled. changes : (n, unknowns), how the difference of either component changes with v.
     """
 
     clusters: sparse.csr_array
     scale: np.ndarray
     tau: float
-    matrix: sparse.csc_array
+    elimination: Elimination
     changes: list[sparse.csr_array]
 
     @classmethod
@@ -200,13 +202,14 @@ class Curvature:
             return None
         inverse = sparse.diags_array(1 / np.sqrt(scale))
         rows, doubt = (rows @ inverse).tocsr(), (doubt @ inverse).tocsr()
-        matrix = (rows.T @ rows).tocsc()
-        tau = _proven(rows, doubt, matrix)
-        return None if tau is None else cls(clusters, scale, tau, matrix, changes)
+        elimination = Elimination.of((rows.T @ rows).tocsc(), contacts.place @ rows.multiply(rows))
+        tau = _proven(rows, doubt, elimination)
+        return None if tau is None else cls(clusters, scale, tau, elimination, changes)
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""
-        root, factor = np.sqrt(self.scale), _factorised(self.matrix)
+        root, factor = np.sqrt(self.scale), self.elimination.factorised()
+        assert factor is not None  # with this curvature
         return -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 
@@ -259,77 +262,31 @@ def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sp
     return rows, doubt.tocsr()
 
 
-def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, matrix: sparse.csc_array) -> float | None:
+def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination) -> float | None:
     """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
-    matrix : A^T A. The first guess saves a factorisation where it will do."""
+    elimination : of A^T A. The first guess saves a factorisation where it will do."""
     terms = int(np.diff(rows.tocsc().indptr).max(initial=0)) + 4
     most = (abs(rows) + doubt).T.tocsr()
     error = 2 * np.sqrt(_largest_eigenvalue(most) * _largest_eigenvalue(doubt.T.tocsr()))
     error += (terms + 1) * EPS * _largest_eigenvalue(most) + EPS
-    one = sparse.eye_array(matrix.shape[0], format="csc")
-    for guess in (lambda: GUESS, lambda: _least_eigenvalue((matrix + LEAST * one).tocsc()) / 2):
+    for guess in (lambda: GUESS, lambda: _least_eigenvalue(elimination) / 2):
         tau = guess()
-        shifted = (matrix - tau * one).tocsc()
-        few = matrix.shape[0] <= FEW
-        missed = _dense_distance(shifted.toarray()) if few else _distance_from_positive(_factorised(shifted))
+        missed = elimination.distance_from_positive(tau)
         if missed is not None and tau - (missed + error) * UP > tau / 2:
             return tau / 2
     return None
 
 
-def _least_eigenvalue(matrix: sparse.csc_array) -> float:
+def _least_eigenvalue(elimination: Elimination) -> float:
     """A rough value of the least eigenvalue, by inverse iteration."""
-    factor, vector = _factorised(matrix), np.random.default_rng(0).standard_normal(matrix.shape[0])
-    for _ in range(STEPS if factor is not None else 0):
+    factor, vector = elimination.factorised(-LEAST), np.random.default_rng(0).standard_normal(elimination.size)
+    if factor is None:
+        return 0.0
+    for _ in range(STEPS):
         vector = factor.solve(vector / np.linalg.norm(vector))
         if not np.isfinite(vector).all():
             return 0.0
-    return float(1 / np.linalg.norm(vector)) if factor is not None else 0.0
-
-
-def _factorised(matrix: sparse.csc_array) -> Any:
-    try:
-        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    except RuntimeError:  # singular
-        return None
-
-
-def _dense_distance(matrix: np.ndarray) -> float | None:
-    """Bound, in the spectral norm, of how far a small symmetric matrix is from a positive semidefinite one, R^T R, with
-    the factor that elimination in floating point has found; None if a pivot is not positive.
-
-    The product of the computed factors differs from the matrix by at most gamma |R^T| |R| (Higham, theorem 10.3), and
-    the norm of that is at most gamma times the trace of R^T R, which is the trace of the matrix but for that.
-    """
-    try:
-        np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        return None
-    gamma = (len(matrix) + 2) * EPS
-    return float(gamma / (1 - 2 * gamma) * np.trace(matrix)) * UP
-
-
-def _distance_from_positive(factor: Any) -> float | None:
-    """Bound, in the spectral norm, of how far a symmetric matrix is from a positive semidefinite one: L D L^T, with the
-    factors that elimination in floating point has found. None where there are none, or a pivot is not positive.
-
-    The product of the computed factors L and U differs from the matrix by at most gamma |L| |U| (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, theorem 9.3), and U from D L^T by what is seen. With W = |L| D^(1/2),
-    |L| |U| is W W^T but for that.
-    """
-    if factor is None or (factor.perm_r != factor.perm_c).any():
-        return None
-    lower, upper = factor.L.tocsr(), factor.U.tocsr()
-    pivots = upper.diagonal()
-    if not (pivots > 0).all():
-        return None
-    apart = abs(upper - sparse.diags_array(pivots) @ lower.T)
-    terms = np.diff(lower.indptr) + 2
-    gamma = terms * EPS / (1 - terms * EPS) + 8 * EPS
-    own = abs(lower) @ sparse.diags_array(np.sqrt(pivots))
-    seen = (sparse.diags_array(1 / np.sqrt(pivots)) @ apart).tocsr()
-    rounding = _largest_eigenvalue((sparse.diags_array(np.sqrt(gamma)) @ own).tocsr())
-    return rounding + 2 * np.sqrt(_largest_eigenvalue(own.tocsr()) * _largest_eigenvalue(seen)) * UP
+    return float(1 / np.linalg.norm(vector))
 
 
 def _largest_eigenvalue(root: sparse.csr_array) -> float:

@@ -1,0 +1,150 @@
+"""Elimination of a sparse symmetric matrix, R^T R or not, part by part of a nested dissection (multifrontal: Liu, SIAM
+Review 34, 1992), and how far the matrix can be from the product of the factors that floating point has found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf
+
+from taichi_bearings.verifier.dissection import dissected
+from taichi_bearings.verifier.enclosure import UP
+
+EPS = np.finfo(np.float64).eps
+
+
+@dataclass(frozen=True)
+class Front:
+    """Unknowns first ... first + own - 1 in the order of elimination, and the sorted later ones that they touch, once
+    all before them are eliminated. children : numbers of the fronts whose updates come in here."""
+
+    first: int
+    own: int
+    border: np.ndarray
+    children: list[int]
+
+    @property
+    def places(self) -> np.ndarray:
+        return np.append(np.arange(self.first, self.first + self.own), self.border)
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """Of matrices (n, n) that differ by multiples of one. order : unknown at each place. lower : triangle of the matrix
+    in this order. fronts : children before parents."""
+
+    order: np.ndarray
+    lower: sparse.csc_array
+    fronts: list[Front]
+
+    @classmethod
+    def of(cls, matrix: sparse.csc_array, place: np.ndarray) -> Elimination:
+        """place : (d, n), where each unknown is."""
+        entries = matrix.tocoo()
+        parts = dissected(entries, place)
+        order = np.concatenate([part.nodes for part in parts])
+        at = np.empty_like(order)
+        at[order] = np.arange(len(order))
+        row, column = at[entries.row], at[entries.col]
+        kept = row >= column
+        lower = sparse.csc_array((entries.data[kept], (row[kept], column[kept])), shape=matrix.shape)
+        fronts: list[Front] = []
+        for part, end in zip(parts, np.cumsum([len(part.nodes) for part in parts]).tolist(), strict=True):
+            first = end - len(part.nodes)
+            rows = [lower.indices[lower.indptr[first] : lower.indptr[end]]]
+            border = np.unique(np.concatenate(rows + [fronts[child].border for child in part.children]))
+            fronts.append(Front(first, end - first, border[border >= end], part.children))
+        return cls(order, lower, fronts)
+
+    @property
+    def size(self) -> int:
+        return len(self.order)
+
+    def columns(self, shift: float) -> Iterator[tuple[Front, np.ndarray | None]]:
+        """Of the factor of the matrix less a multiple of one, the own columns (own + border, own) front by front; None,
+        and no more, where a pivot is not positive."""
+        updates: dict[int, np.ndarray] = {}
+        local = np.empty(self.size, dtype=np.int64)
+        for number, front in enumerate(self.fronts):
+            own, places = front.own, front.places
+            local[places] = np.arange(len(places))
+            whole = self._assembled(front, local, shift)
+            for child in front.children:
+                into = local[self.fronts[child].border]
+                whole[np.ix_(into, into)] += updates.pop(child)
+            factor, fault = dpotrf(whole[:own, :own], lower=True)
+            if fault:
+                yield front, None
+                return
+            below, rest = whole[own:, :own], whole[own:, own:]
+            if below.size:
+                below = dtrsm(1.0, factor, below, side=1, lower=1, trans_a=1)
+                rest = dsyrk(-1.0, below, 1.0, rest, lower=1)
+            updates[number] = rest
+            del whole, rest
+            yield front, np.concatenate([factor, below])
+
+    def _assembled(self, front: Front, local: np.ndarray, shift: float) -> np.ndarray:
+        """The entries in the own columns of a front, in a square for all its unknowns."""
+        begin = self.lower.indptr[front.first : front.first + front.own + 1]
+        at, own = slice(begin[0], begin[-1]), np.arange(front.own)
+        whole = np.zeros((len(front.border) + front.own,) * 2, order="F")
+        whole[local[self.lower.indices[at]], np.repeat(own, np.diff(begin))] = self.lower.data[at]
+        whole[own, own] -= shift
+        return whole
+
+    def distance_from_positive(self, shift: float) -> float | None:
+        """Bound, in the spectral norm, of how far the matrix less a multiple of one is from a positive semidefinite
+        one: L L^T, with the factor that elimination in floating point has found. None if a pivot is not positive.
+
+        The product of the computed factors differs from the matrix by at most gamma |L| |L|^T (Higham, Accuracy and
+        Stability of Numerical Algorithms, 2002, theorem 10.3, whatever the order of the sums). With positive numbers x
+        the norm of W W^T, W without negative entries, is at most the largest of (W W^T x) / x (Collatz and Wielandt).
+        """
+        terms = np.full(self.size, 2)  # and entries in each row of L
+        for front in self.fronts:
+            terms[front.first : front.first + front.own] += np.arange(1, front.own + 1)
+            terms[front.border] += front.own
+        gamma = terms * EPS / (1 - terms * EPS) + 8 * EPS
+        root, total = np.sqrt(gamma), np.zeros(self.size)
+        for front, columns in self.columns(shift):
+            if columns is None:
+                return None
+            sizes, places = abs(columns), front.places
+            total[places] += sizes @ (root[places] @ sizes)
+        return float((root * total).max(initial=0.0)) * UP
+
+    def factorised(self, shift: float = 0.0) -> Factor | None:
+        """Of the matrix less a multiple of one; None if a pivot is not positive."""
+        found = []
+        for front, columns in self.columns(shift):
+            if columns is None:
+                return None
+            found.append((front, columns))
+        return Factor(self.order, found)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """L of an elimination, the columns of all fronts."""
+
+    order: np.ndarray
+    columns: list[tuple[Front, np.ndarray]]
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution (n,) for one right-hand side."""
+        x, own = right[self.order], [slice(front.first, front.first + front.own) for front, _ in self.columns]
+        for (front, block), at in zip(self.columns, own, strict=True):
+            x[at] = dtrsm(1.0, block[: front.own], x[at, None], lower=1)[:, 0]
+            x[front.border] -= block[front.own :] @ x[at]
+        for (front, block), at in zip(reversed(self.columns), reversed(own), strict=True):
+            x[at] -= x[front.border] @ block[front.own :]
+            x[at] = dtrsm(1.0, block[: front.own], x[at, None], lower=1, trans_a=1)[:, 0]
+        found = np.empty_like(x)
+        found[self.order] = x
+        return found

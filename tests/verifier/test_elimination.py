@@ -1,0 +1,112 @@
+"""Elimination along a nested dissection: the order, the factor, and what of a matrix rounding can hide."""
+
+from fractions import Fraction
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from taichi_bearings.verifier import dissection
+from taichi_bearings.verifier.dissection import dissected
+from taichi_bearings.verifier.elimination import Elimination
+
+
+def neighbours(shape: tuple[int, ...]) -> tuple[sparse.csc_array, np.ndarray]:
+    """How many neighbours the nodes of a lattice have, and -1 between them; and where they are."""
+    node = np.arange(np.prod(shape)).reshape(shape)
+    ends = [(node.take(range(n - 1), a).ravel(), node.take(range(1, n), a).ravel()) for a, n in enumerate(shape)]
+    low, high = (np.concatenate(end) for end in zip(*ends, strict=True))
+    joined = sparse.coo_array((-np.ones(len(low)), (low, high)), shape=(node.size,) * 2)
+    joined = (joined + joined.T).tocsc()
+    return joined - sparse.diags_array(joined.sum(axis=0)), np.indices(shape).reshape(len(shape), -1).astype(float)
+
+
+def scattered(seed: int, count: int = 120) -> tuple[sparse.csc_array, np.ndarray]:
+    """A matrix of several pieces without any order, with eigenvalues of 0.1 and more."""
+    rng = np.random.default_rng(seed)
+    rows = sparse.random_array((2 * count, count), density=2.5 / count, rng=rng, data_sampler=rng.standard_normal)
+    return (rows.T @ rows + 0.1 * sparse.eye_array(count)).tocsc(), rng.random((3, count))
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch):
+    monkeypatch.setattr(dissection, "LEAF", 4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
+    matrix, place = scattered(seed)
+    parts = dissected(matrix.tocoo(), place)
+    assert sorted(np.concatenate([part.nodes for part in parts])) == list(range(len(place[0])))
+    owner, parent = np.empty(len(place[0]), dtype=int), {}
+    for number, part in enumerate(parts):
+        owner[part.nodes] = number
+        assert all(child < number for child in part.children)
+        assert len(part.nodes) <= 4 or part.children
+        parent |= dict.fromkeys(part.children, number)
+    above = [{n} for n in range(len(parts))]
+    for number in reversed(range(len(parts))):
+        above[number] |= above[parent[number]] if number in parent else set()
+    for a, b in zip(*matrix.nonzero(), strict=True):
+        assert owner[a] in above[owner[b]] or owner[b] in above[owner[a]]
+
+
+def test_fewest_nodes_meet_all_edges_between_two_sides():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        low, high = rng.integers(0, 5, 8), rng.integers(5, 10, 8)
+        cover = dissection._least_cover(low, high, 10)
+        assert (cover[low] | cover[high]).all()
+        fewer = combinations(range(10), int(cover.sum()) - 1)
+        assert not any((np.isin(low, nodes) | np.isin(high, nodes)).all() for nodes in fewer)
+
+
+def test_planes_separate_a_cube_and_little_fills_in():
+    """The separators are planes; with 3D dissection the factor has at most some 8 n^(4/3) entries."""
+    matrix, place = neighbours((12, 12, 12))
+    parts = dissected(matrix.tocoo(), place)
+    assert max(len(part.nodes) for part in parts) == 144
+    fronts = Elimination.of(matrix, place).fronts
+    assert sum(f.own * (f.own + len(f.border)) for f in fronts) < 8 * 1728 ** (4 / 3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_factor_is_that_of_the_shifted_matrix(seed):
+    matrix, place = scattered(seed)
+    elimination, shifted = Elimination.of(matrix, place), matrix.toarray() - 0.05 * np.eye(len(place[0]))
+    factor = elimination.factorised(0.05)
+    whole = np.zeros(shifted.shape)
+    for front, columns in factor.columns:
+        whole[front.places, front.first : front.first + front.own] = columns
+    ordered = shifted[np.ix_(factor.order, factor.order)]
+    np.testing.assert_allclose(np.tril(whole), np.linalg.cholesky(ordered), atol=1e-13)
+    right = np.random.default_rng(seed).standard_normal(len(shifted))
+    np.testing.assert_allclose(factor.solve(right), np.linalg.solve(shifted, right), rtol=1e-10, atol=1e-12)
+    exact = whole.astype(np.longdouble)  # but for 1e-19
+    missed = np.linalg.norm((exact @ exact.T - ordered).astype(float), 2)
+    assert 1e-17 < missed < elimination.distance_from_positive(0.05) < 1e-11
+
+
+def test_a_matrix_that_is_not_positive_is_refused():
+    matrix, place = scattered(0)
+    elimination, least = Elimination.of(matrix, place), np.linalg.eigvalsh(matrix.toarray())[0]
+    assert elimination.factorised(0.999 * least) is not None
+    assert elimination.factorised(1.001 * least) is None
+    assert elimination.distance_from_positive(1.001 * least) is None
+    matrix[3, 3] = np.nan
+    assert not Elimination.of(matrix, place).distance_from_positive(0.0) < np.inf
+
+
+def test_what_rounding_hides_is_within_its_bound():
+    """Matrices ((a, b), (b, c)) with b^2 > a c: not positive, by at most (b^2 - a c) / (a + c) but for its square."""
+    rng, passed, two = np.random.default_rng(0), 0, Elimination.of(sparse.csc_array(np.ones((2, 2))), np.zeros((1, 2)))
+    for a, c in rng.uniform(0.5, 2.0, (5000, 2)):
+        b = np.nextafter(np.sqrt(a * c), 2.0)
+        two.lower.data[:] = a, b, c
+        distance = two.distance_from_positive(0.0)
+        lacking = float((Fraction(b) ** 2 - Fraction(a) * Fraction(c)) / (Fraction(a) + Fraction(c)))
+        if lacking > 0 and distance is not None:
+            passed += 1
+            assert 0.99 * lacking < distance < 2e-14
+    assert passed > 20
