@@ -42,10 +42,10 @@ def dissected(graph: sparse.coo_array, place: np.ndarray) -> list[Part]:
             return _in_postorder(np.concatenate(parent), part)
         large = np.zeros(count, dtype=bool)
         large[active] = True
-        first, second = first[large[first]], second[large[first]]
+        inside = large[first] & large[second]
+        first, second = first[inside], second[inside]
         side, cover = _best_cut(first, second, own, active, place)
-        active, apart = active[~cover[active]], cover[first] | cover[second]
-        first, second = first[~apart], second[~apart]
+        active = active[~cover[active]]
         halves, own[active] = np.unique(2 * own[active] + side[active], return_inverse=True)
         parent.append(begin + halves // 2)
 
