@@ -1,4 +1,6 @@
-"""States proven with elimination in several parts and in one."""
+"""States proven with elimination in several parts and in one, in less memory than the method has taken."""
+
+import tracemalloc
 
 import pytest
 
@@ -12,14 +14,25 @@ from tests.scenes import make_scene
 from tests.verifier.test_bounds import samples_of
 
 
+def solved(shape: tuple[int, ...]):
+    scene = make_scene(shape, seeds=(3,))
+    return solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9))
+
+
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("leaf", [5, 10_000])
-def test_states_are_proven_in_many_parts_and_in_one(monkeypatch, leaf):
-    solution = solve(
-        scene := make_scene((6, 6, 6), seeds=(3,)),
-        InteriorPoint().build(),
-        initial_spin(scene, "linear"),
-        StopRule(1e-9),
-    )
-    monkeypatch.setattr(dissection, "LEAF", leaf)
-    assert Judgement(samples_of(solution)).states[0].agree([state[0] for state in solution.state])
+def test_states_are_proven_in_many_parts_and_in_one(monkeypatch):
+    solution = solved((6, 6, 6))
+    for leaf in (5, 10_000):
+        monkeypatch.setattr(dissection, "LEAF", leaf)
+        assert Judgement(samples_of(solution)).states[0].agree([state[0] for state in solution.state])
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_the_proof_needs_less_memory_than_is_asked_for_the_method():
+    samples = samples_of(solved((10, 10, 10)))
+    tracemalloc.start()
+    try:
+        assert Judgement(samples).states[0].unique
+        assert tracemalloc.get_traced_memory()[1] < InteriorPoint.bytes(1000) / 4
+    finally:
+        tracemalloc.stop()
