@@ -10,6 +10,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.hdf5 import look_through
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
@@ -30,7 +31,7 @@ def verify(path: Path) -> dict[str, Any]:
         if file.is_file():
             look_through(file)
         run = read_stored_run(path)
-    with stage("proving"):
+    with stage("proving"), one_thread():
         report = as_report(verdict_of(run), run.samples.count)
     with stage("drawing the coefficients again"):
         report["contradictions"] += _coefficients(run)

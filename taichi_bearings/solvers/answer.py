@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.lattice.grid import laboratory_forces
+from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap
 from taichi_bearings.proof.contact_state import ContactState, classify, separate
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -168,7 +169,8 @@ def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tu
     if judgement is None or not found.any():
         return np.zeros(scene.replicas, dtype=bool)
     together = one_component or bool(found.all())
-    for replica in np.flatnonzero(found):
-        states = judgement.states[replica] if together else judgement.one(int(replica)).states[0]
-        found[replica] = states.agree([values[replica] for values in state])
+    with one_thread():
+        for replica in np.flatnonzero(found):
+            states = judgement.states[replica] if together else judgement.one(int(replica)).states[0]
+            found[replica] = states.agree([values[replica] for values in state])
     return found
