@@ -112,3 +112,11 @@ def test_what_rounding_hides_is_within_its_bound():
             passed += 1
             assert 0.99 * lacking < distance < 2e-14
     assert passed > 20
+
+
+def test_parts_that_nothing_joins_need_no_separator():
+    star = 50.0 * np.eye(40)
+    star[0, 1:] = star[1:, 0] = 1.0
+    elimination = Elimination.of(sparse.csc_array(star), np.random.default_rng(0).random((3, 40)))
+    assert 0 in [front.own for front in elimination.fronts]
+    np.testing.assert_allclose(elimination.factorised().solve(star @ np.arange(40.0)), np.arange(40.0), atol=1e-12)
