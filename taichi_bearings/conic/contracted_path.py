@@ -8,12 +8,12 @@ be brought down by another ten decades, until nobody is in doubt, as slipping on
 import numpy as np
 
 from taichi_bearings.conic.central_path import newton_step
-from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
+from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part
+from taichi_bearings.numerics.double_double import Pair
 
 DECIDED = 1e4  # ratio from which a contact counts as decided in the end
 FARTHEST = 1e-22  # product of slip (in its unit) and margin beyond which what is in doubt remains so
@@ -22,35 +22,36 @@ STEPS = 80
 STALLING, PATIENCE = 0.6, 3  # share of the product that a step leaves if rounding stops it, and such steps in a row
 FAST = 1e3  # slip, in the unit of those in doubt, that is not in doubt
 BALANCED = 1e-6  # torques, of the mean friction, up to which a point can be judged
-ROUNDING = 1e-14  # of differences of spins
 EPS = np.finfo(np.float64).eps
 
 
 class ContractedPath:
-    """A point of the path over the contacts that are left.
+    """A point of the path over the contacts that are left, its spins the small parts of sums of two doubles.
 
     tied : what the contacts that are tied leave over. kept : the contacts left among those of the whole system, (n,)
     places a group.
     """
 
-    def __init__(self, whole: Iterate, parts: list[Part], tied: Arrays, unit: float = 1.0) -> None:
+    def __init__(
+        self, whole: Iterate, parts: list[Part], tied: Arrays, unit: float = 1.0, rest: np.ndarray | float = 0.0
+    ) -> None:
         """Begin at the point `whole`, which is not changed; `parts` : elimination tree over its unknowns.
 
         tied : (n,) masks a group, contacts to tie. unit : of slip, in which those of the contacts in doubt are of order
-        one.
+        one. rest : what is to be added to the spins.
         """
         self.unit, self.tied = unit, Contraction(whole.system, parts, tied)
         self.kept, system = self.tied.kept, self.tied.system
         self.matrix = NewtonMatrix(system, self.tied.parts)
-        spins, tracked = self.tied.contracted(whole.spins), whole.difference[self.kept]
-        difference = precise(system, spins, tracked)
-        bound = whole.bound[self.kept] - tracked.length() + difference.length()
-        self.point = Iterate(system, spins, whole.friction[self.kept], bound, difference, whole.dual[self.kept])
+        self._base, beyond = self.tied.contracted((whole.spins, rest + np.zeros_like(whole.spins)))
+        difference = self.tied.differences((self._base, beyond))
+        bound = (whole.bound - whole.difference.length())[self.kept] + difference.length()
+        self.point = Iterate(system, beyond, whole.friction[self.kept], bound, difference, whole.dual[self.kept])
 
     @property
-    def spins(self) -> np.ndarray:
+    def spins(self) -> Pair:
         """Spins of the whole system."""
-        return self.tied.expanded(self.point.spins)
+        return self.tied.expanded((self._base, self.point.spins))
 
     def decide(self) -> Arrays | None:
         """Follow the path until slip and margin differ by DECIDED everywhere, or as far as it goes: masks (n,) a group,
@@ -77,10 +78,3 @@ class ContractedPath:
         if self.point.complementarity < max(FARTHEST * self.unit, LEAST):
             return True
         return ((ratios > DECIDED) | (ratios < 1 / DECIDED)).all()
-
-
-def precise(system: ContactSystem, spins: np.ndarray, tracked: Arrays) -> Arrays:
-    """Differences (d, n) a group: the tracked ones where those of the spins are the same but for rounding."""
-    new = system.differences(spins)
-    free = Grouped((g.below >= 0) | (g.above >= 0) for g in system.groups)
-    return where(free & (np.abs(new - tracked) < ROUNDING), tracked, new)

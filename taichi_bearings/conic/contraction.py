@@ -9,6 +9,7 @@ import numpy as np
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.numerics.cholesky import Part
+from taichi_bearings.numerics.double_double import Pair, two_sum
 
 
 class Contradiction(Exception):
@@ -76,12 +77,23 @@ class Contraction:
             for part, begin, end in zip(parts, bounds[:-1], bounds[1:], strict=True)
         ]
 
-    def contracted(self, spins: np.ndarray) -> np.ndarray:
-        """Mean of the tied spins, (unknowns,)."""
+    def contracted(self, spins: Pair) -> Pair:
+        """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""
         free = self.number >= 0
-        total = np.bincount(self.number[free], weights=spins[free], minlength=self.unknowns)
-        return total / np.bincount(self.number[free], minlength=self.unknowns)
+        number, one = self.number[free], np.zeros(self.unknowns)
+        one[number] = spins[0][free]
+        more = np.bincount(number, weights=spins[0][free] - one[number] + spins[1][free], minlength=self.unknowns)
+        return two_sum(one, more / np.bincount(number, minlength=self.unknowns))
 
-    def expanded(self, spins: np.ndarray) -> np.ndarray:
+    def expanded(self, spins: Pair) -> Pair:
         """Spins of the whole system: equal within each set."""
-        return np.append(spins, 0.0)[self.number] + self.imposed  # number is -1 where a spin is imposed
+        high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
+        return high + self.imposed, low
+
+    def differences(self, spins: Pair) -> Arrays:
+        """Of the spins across each contact that is left, (d, n) a group, good to the digits of the smallest.
+
+        They add up to nothing round every loop of contacts but for the rounding of the small parts. Differences that
+        are followed on their own do not; contacts that rest then seem to slip by what is missing.
+        """
+        return self.system.differences(spins[0]) + self.system.change(spins[1])

@@ -25,14 +25,14 @@ SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without round
 
 
 def polished(
-    tied: Contraction, matrix: NewtonMatrix, friction: Arrays, spins: np.ndarray, difference: Arrays, top: Pair
+    tied: Contraction, matrix: NewtonMatrix, friction: Arrays, spins: Pair, difference: Arrays, top: Pair
 ) -> tuple[Pair, Arrays, Arrays] | None:
     """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance.
 
     matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
     may be more precise than those of the spins. top : (C,), imposed on the top. Returns None where some slip is lost.
     """
-    system, unknown = _PreciseSystem(tied, top), exactly(spins)
+    system, unknown = _PreciseSystem(tied, top), spins
     try:
         if (difference.length() < VISIBLE).any():
             unknown = _fitted(system, matrix, unknown, difference)

@@ -20,7 +20,7 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cone import inner
-from taichi_bearings.conic.contracted_path import ContractedPath, precise
+from taichi_bearings.conic.contracted_path import ContractedPath
 from taichi_bearings.conic.contraction import Contraction, Contradiction
 from taichi_bearings.conic.grouped import Arrays, each, power, where
 from taichi_bearings.conic.iterate import Iterate
@@ -128,16 +128,15 @@ def _minimum(
     """
     slipping, spins = each(np.zeros_like, whole.friction, bool), path.spins
     slipping = slipping.placed(path.kept, each(np.ones_like, path.kept, bool) if left is None else left)
-    difference = each(np.zeros_like, whole.difference).placed(path.kept, path.point.difference)
     trial = _Slipping(whole, slipping, path.tied, path.matrix) if left is None else None
     for _ in range(trials):
         trial = trial or _Slipping.of(whole, parts, slipping)
-        at_rest = trial.descend(spins, difference)
+        at_rest = trial.descend(spins)
         if at_rest is None:
             return trial.resolved(top)
         if not at_rest.any():
             return None
-        spins, difference = trial.tied.expanded(trial.spins), trial.everywhere(trial.difference)
+        spins = trial.tied.expanded(trial.spins)
         slipping, trial = slipping & ~trial.everywhere(at_rest), None
     return None
 
@@ -159,14 +158,12 @@ class _Slipping:
         tied = Contraction(whole.system, parts, ~slipping)
         return cls(whole, slipping, tied, NewtonMatrix(tied.system, tied.parts))
 
-    def descend(self, spins: np.ndarray, tracked: Arrays) -> Arrays | None:
+    def descend(self, spins: Pair) -> Arrays | None:
         """Newton's method; masks (n,) of contacts that come to rest if it fails, None at the minimum. At rest are those
         between spheres that others tie, or that the next step would turn round.
-
-        tracked : (d, n) a group, differences that are more precise than those of the `spins`.
         """
         system, self.spins = self.tied.system, self.tied.contracted(spins)
-        self.difference = precise(system, self.spins, tracked[self.tied.kept])
+        self.difference = self.tied.differences(self.spins)
         first = self.difference.length()
         if (first == 0).any():
             return first == 0
@@ -183,7 +180,8 @@ class _Slipping:
             if at_rest.any():
                 return at_rest
             along = min(1.0, 1 / max((change.length() / (where(turned, NEARLY_ALL, HALF) * slip)).max(), TINY))
-            self.spins, self.difference = self.spins + along * step, self.difference + along * change
+            self.spins = self.spins[0], self.spins[1] + along * step
+            self.difference = self.difference + along * change
         return self.difference.length() < LOST
 
     @property
@@ -192,7 +190,8 @@ class _Slipping:
 
     def resolved(self, top: Pair) -> Resolved:
         """The minimum, in twice the precision where that can be had."""
-        spins, rest, difference, dual = self.tied.expanded(self.spins), None, self.difference, self.dual
+        high, low = self.tied.expanded(self.spins)
+        spins, rest, difference, dual = high + low, None, self.difference, self.dual
         better = polished(self.tied, self.matrix, self.friction, self.spins, difference, top)
         if better is not None:
             (spins, rest), difference, dual = better
@@ -211,5 +210,5 @@ def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, u
     """A path that begins at the end of the motion, its contacts free. unit : the largest slip among them."""
     free = found.slipping | motion.slipping
     difference = where(free, found.difference + whole.system.change(motion.spins), 0.0)
-    point = Iterate.near(whole.system, found.spins + motion.spins, whole.friction, difference, START * unit)
-    return ContractedPath(point, parts, ~free, unit)
+    point = Iterate.near(whole.system, found.spins, whole.friction, difference, START * unit)
+    return ContractedPath(point, parts, ~free, unit, motion.spins + (0.0 if found.rest is None else found.rest))
