@@ -15,11 +15,11 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.numerics.double_double import Pair
 
-DECIDED = 1e4  # ratio from which a contact counts as decided in the end
-FARTHEST = 1e-22  # product of slip (in its unit) and margin beyond which what is in doubt remains so
+DECIDED = 1e4  # ratio of slip, in its unit, and margin from which a contact surely slips
+CLEARLY = 0.7  # power of the product with which slip or margin of a contact falls that is decided
 LEAST = 1e-25  # product at which double precision ends
 STEPS = 80
-STALLING, PATIENCE = 0.6, 3  # share of the product that a step leaves if rounding stops it, and such steps in a row
+STALLING, PATIENCE = 0.6, 10  # share of the product that a step leaves if rounding stops it, and such steps in a row
 FAST = 1e3  # slip, in the unit of those in doubt, that is not in doubt
 BALANCED = 1e-6  # torques, of the mean friction, up to which a point can be judged
 EPS = np.finfo(np.float64).eps
@@ -54,27 +54,28 @@ class ContractedPath:
         return self.tied.expanded((self._base, self.point.spins))
 
     def decide(self) -> Arrays | None:
-        """Follow the path until slip and margin differ by DECIDED everywhere, or as far as it goes: masks (n,) a group,
-        the contacts left that slip, or come to slip; None if that fails.
+        """Follow the path until either slip or margin falls with the product everywhere, or as far as it goes: masks
+        (n,) a group, the contacts left that slip, or come to slip; None if that fails.
 
         None is tied on the way: there the slip of a contact can be far below what it will be in the end.
         """
         before, last, stalled = each(np.zeros_like, self.point.friction), np.inf, 0
         for _ in range(STEPS):
-            ratios, product = self.point.slip_over_margin / self.unit, self.point.complementarity
+            ratios, product = self.point.slip_over_margin, self.point.complementarity
             stalled = stalled + 1 if product > STALLING * last else 0
-            if self._decided(ratios) or stalled == PATIENCE:
+            if self._decided(ratios, ratios / before, product / last) or stalled == PATIENCE:
                 self.matrix.forget()
-                return (ratios > 1) | (ratios > before)
+                return (ratios > self.unit) | (ratios > before)
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
             point = self.point.let_slip(min(max(product / (1000 * EPS), 100 * np.sqrt(product)), FAST * self.unit))
             self.point, before, last = newton_step(point, self.matrix), ratios, product
         return None
 
-    def _decided(self, ratios: Arrays) -> bool:
-        """ratios : slip, in its unit, over margin of the contacts that are left."""
+    def _decided(self, ratios: Arrays, change: Arrays, fall: float) -> bool:
+        """ratios : slip over margin of the contacts that are left. change : by what factor they differ from those of
+        the step before, in which the product fell as told."""
         if not self.point.unbalanced < BALANCED:
             return False
-        if self.point.complementarity < max(FARTHEST * self.unit, LEAST):
-            return True
-        return ((ratios > DECIDED) | (ratios < 1 / DECIDED)).all()
+        clearly = each(np.abs, each(np.log, change)) > CLEARLY * abs(np.log(fall))
+        surely = (ratios == 0) | (ratios > DECIDED * self.unit)  # of spheres that others tie, or far from sticking
+        return self.point.complementarity < LEAST or (clearly | surely).all()

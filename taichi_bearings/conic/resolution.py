@@ -3,8 +3,9 @@
 On the central path slip times friction margin is the same for all contacts, so a slip of 1e-9 can be seen only where
 margins of 1e-9 can, and double precision ends before. Here
 
-1. contacts that surely stick are tied. Mostly all others slip. If Newton's method brings some of them to rest, the
-   path goes on in the few unknowns that are left, until every contact is decided (contracted_path.py);
+1. contacts that seem to stick are tied. Mostly all others slip. If Newton's method brings some of them to rest, or the
+   tied ones cannot bear what is left to them, just those far from slipping are tied, and the path goes on in the
+   unknowns that are left, until every contact is decided (contracted_path.py);
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
@@ -27,7 +28,7 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.motion import Motion, largest_parts
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import Borne, bear, nearly_borne
+from taichi_bearings.conic.slipless_forces import bear, nearly_borne
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
 from taichi_bearings.numerics.double_double import Pair
 
@@ -41,7 +42,8 @@ COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest 
 LOST = 1e-25  # slip that double precision cannot follow: of a contact if Newton's method fails, or of a whole motion
 NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
 FAINTEST, ROUGH = 1e-17, 1e-9  # smallest slip that needs no second look, known in twice the precision, and in one
-START = 0.1  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
+SURELY = 0.6  # share of its friction that a contact has left which is tied where the path has to go on
+START = 1.0  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
 SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
 HARDLY = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
 TINY = np.finfo(np.float64).tiny
@@ -84,24 +86,10 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMat
     matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         try:
-            path = ContractedPath(iterate, parts, tied)
-            found = _minimum(iterate, parts, path, None, top, FEW)
-            for _ in range(TRIALS):
-                if found is None:
-                    slipping = path.decide()
-                    found = None if slipping is None else _minimum(iterate, parts, path, slipping, top, NEWTON_TRIALS)
-                if found is None:
-                    break
-                borne = _borne(iterate, parts, matrix, found)
-                if borne.dual is not None:
-                    settled = replace(found, dual=borne.dual, borne=True)
-                if borne.motion is None:
-                    break
-                motion, unit = largest_parts(borne.motion, iterate.system, iterate.friction, found.difference, SHARE)
-                settled = replace(found, dual=iterate.dual) if unit < NEGLIGIBLE else None
-                if unit < LOST:
-                    break
-                path, found = _freed(iterate, parts, found, motion, unit), None
+            found = _minimum(iterate, parts, ContractedPath(iterate, parts, tied), None, top, FEW)
+            settled = None if found is None else _nearly_borne(iterate, matrix, found, iterate.dual)
+            if settled is None:
+                settled = _followed(iterate, tied, parts, matrix, top)
         except (NotPositiveDefinite, Contradiction):
             pass
     if settled is None or not -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME:
@@ -109,14 +97,39 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMat
     return settled
 
 
-def _borne(iterate: Iterate, parts: list[Part], matrix: NewtonMatrix, found: Resolved) -> Borne:
-    """What slipless contacts do: the forces that they have near the end of the path, nearly, or else whatever it is."""
-    near = where(found.slipping, found.dual, iterate.dual)
+def _followed(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMatrix, top: Pair) -> Resolved | None:
+    """The same by the path, which goes on with just those contacts tied that are far from slipping."""
+    settled, near = None, iterate.dual
+    margin = 1 - iterate.dual.length() / iterate.friction
+    path = ContractedPath(iterate, parts, tied & (margin > SURELY))
+    for _ in range(TRIALS):
+        slipping = path.decide()
+        found = None if slipping is None else _minimum(iterate, parts, path, slipping, top, NEWTON_TRIALS)
+        if found is None:
+            break
+        near = near.placed(path.kept, path.point.dual)
+        whole = _nearly_borne(iterate, matrix, found, near)
+        if whole is not None:
+            return whole
+        borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
+        if borne.dual is not None:
+            return replace(found, dual=borne.dual, borne=True)
+        if borne.motion is None:
+            break
+        motion, unit = largest_parts(borne.motion, iterate.system, iterate.friction, found.difference, SHARE)
+        settled = replace(found, dual=iterate.dual) if unit < NEGLIGIBLE else None
+        if unit < LOST:
+            break
+        path = _freed(iterate, parts, found, motion, unit)
+    return settled
+
+
+def _nearly_borne(iterate: Iterate, matrix: NewtonMatrix, found: Resolved, near: Arrays) -> Resolved | None:
+    """The same with forces of the slipless contacts, if they can have nearly those of which `near` is the dual."""
+    near = where(found.slipping, found.dual, near)
     whole = nearly_borne(iterate.system, matrix, iterate.friction, near, found.slipping)
     matrix.forget()
-    if whole is not None:
-        return Borne(dual=whole)
-    return bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
+    return None if whole is None else replace(found, dual=whole, borne=True)
 
 
 def _minimum(
