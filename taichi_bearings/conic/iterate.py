@@ -53,14 +53,6 @@ class Iterate:
         bound = each(np.hypot, difference.length(), slack)
         return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference), viscosity=viscosity)
 
-    @classmethod
-    def near(
-        cls, system: ContactSystem, spins: np.ndarray, friction: Arrays, difference: Arrays, product: float
-    ) -> "Iterate":
-        """With these slips, bounds and forces as the path has them at this product of slip bound and margin."""
-        bound, dual = _central(friction, difference, product)
-        return cls(system, spins, friction, bound, difference, dual)
-
     def let_slip(self, limit: float) -> "Iterate":
         """Contacts that slip more than `limit` leave their cones, others come back into them."""
         slips = self.difference.length() > limit

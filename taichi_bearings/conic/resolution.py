@@ -3,48 +3,43 @@
 On the central path slip times friction margin is the same for all contacts, so a slip of 1e-9 can be seen only where
 margins of 1e-9 can, and double precision ends before. Here
 
-1. contacts that seem to stick are tied. Mostly all others slip. If Newton's method brings some of them to rest, or the
-   tied ones cannot bear what is left to them, just those far from slipping are tied, and the path goes on in the
-   unknowns that are left, until every contact is decided (contracted_path.py);
+1. contacts that seem to stick are tied. Mostly all others slip. If more of them come to rest, or the tied ones cannot
+   bear what is left to them, the path goes on until every contact is decided (last_decades.py);
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
    states are those of a minimum; whether that is proven is for the verifier to say;
-4. if they cannot, some were tied wrongly: a contact that slips by 1e-12 cannot be told from one that holds until its
-   neighbours are. Then a motion is known that lowers the power. It is followed to the least power on its way, and all
-   begins anew from there with the contacts that move in it free, and slips in units of theirs.
+4. if they cannot, the path goes on once more. Where it ends, all slipless contacts are asked at once. Contacts at the
+   limit of their friction that need not slip are settled, though not proven.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cone import inner
-from taichi_bearings.conic.contracted_path import ContractedPath
 from taichi_bearings.conic.contraction import Contraction, Contradiction
 from taichi_bearings.conic.grouped import Arrays, each, power, where
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.motion import Motion, largest_parts
+from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import bear, nearly_borne
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
-from taichi_bearings.numerics.double_double import Pair
+from taichi_bearings.numerics.double_double import Pair, exactly
 
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
-TRIALS = 40  # rounds of Newton's method and proof
+TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
-NEWTON_TRIALS, FEW = 30, 2  # of Newton's method, with contacts tied that come to rest; where none is expected to
+NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 HALF, NEARLY_ALL = 0.5, 0.95  # of a slip, by which a step may change it; if the whole step would turn it round
 COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
-LOST = 1e-25  # slip that double precision cannot follow: of a contact if Newton's method fails, or of a whole motion
+LOST = 1e-25  # slip that double precision cannot follow
 NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
-FAINTEST, ROUGH = 1e-17, 1e-9  # smallest slip that needs no second look, known in twice the precision, and in one
-SURELY = 0.6  # share of its friction that a contact has left which is tied where the path has to go on
-START = 1.0  # product of slip and margin from which the contacts of a motion are followed, in units of their slip
-SHARE = 1e-3  # of the largest slip of a motion: what slips less is left for later
+FAINTEST, ROUGH = 1e-22, 1e-9  # smallest slip that needs no second look, known in twice the precision, and in one
 HARDLY = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
 TINY = np.finfo(np.float64).tiny
 
@@ -82,46 +77,47 @@ def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMat
     iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
     parts, matrix : of its system. top : (C,), imposed on the top, in twice the precision.
     """
-    settled = None
     matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        try:
-            found = _minimum(iterate, parts, ContractedPath(iterate, parts, tied), None, top, FEW)
-            settled = None if found is None else _nearly_borne(iterate, matrix, found, iterate.dual)
-            if settled is None:
-                settled = _followed(iterate, tied, parts, matrix, top)
-        except (NotPositiveDefinite, Contradiction):
-            pass
+        found = _minimum(iterate, parts, exactly(iterate.spins), ~tied, top)
+        settled = None if found is None else _nearly_borne(iterate, matrix, found, iterate.dual)
+        if settled is None:
+            with suppress(NotPositiveDefinite):
+                settled = _followed(iterate, parts, matrix, top)
     if settled is None or not -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME:
         return None
     return settled
 
 
-def _followed(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMatrix, top: Pair) -> Resolved | None:
-    """The same by the path, which goes on with just those contacts tied that are far from slipping."""
-    settled, near = None, iterate.dual
-    margin = 1 - iterate.dual.length() / iterate.friction
-    path = ContractedPath(iterate, parts, tied & (margin > SURELY))
+def _followed(iterate: Iterate, parts: list[Part], matrix: NewtonMatrix, top: Pair) -> Resolved | None:
+    """The same by the last decades of the path: on and on, until tied contacts bear what the slipping ones leave."""
+    path, found = LastDecades(iterate, matrix), None
     for _ in range(TRIALS):
         slipping = path.decide()
-        found = None if slipping is None else _minimum(iterate, parts, path, slipping, top, NEWTON_TRIALS)
-        if found is None:
+        if slipping is None:
+            return None
+        found = _minimum(iterate, parts, path.spins, slipping, top)
+        settled = None if found is None else _nearly_borne(iterate, matrix, found, path.point.dual)
+        if settled is not None:
+            return settled
+        if path.ended:
             break
-        near = near.placed(path.kept, path.point.dual)
-        whole = _nearly_borne(iterate, matrix, found, near)
-        if whole is not None:
-            return whole
-        borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
-        if borne.dual is not None:
-            return replace(found, dual=borne.dual, borne=True)
-        if borne.motion is None:
-            break
-        motion, unit = largest_parts(borne.motion, iterate.system, iterate.friction, found.difference, SHARE)
-        settled = replace(found, dual=iterate.dual) if unit < NEGLIGIBLE else None
-        if unit < LOST:
-            break
-        path = _freed(iterate, parts, found, motion, unit)
-    return settled
+    if found is None:
+        return None
+    borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
+    if borne.dual is not None:
+        return replace(found, dual=borne.dual, borne=True)
+    if borne.motion is None or gains(iterate, found, borne.motion):
+        return None
+    return replace(found, dual=iterate.dual)
+
+
+def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
+    """Does the power still fall where the motion, (unknowns,), has led to slips of NEGLIGIBLE?"""
+    change = iterate.system.change(motion)
+    change = change * (NEGLIGIBLE / max(change.length().max(), TINY))
+    there = found.difference + change
+    return (iterate.friction * each(inner, there, change) / each(np.maximum, there.length(), TINY)).sum() < 0
 
 
 def _nearly_borne(iterate: Iterate, matrix: NewtonMatrix, found: Resolved, near: Arrays) -> Resolved | None:
@@ -132,25 +128,21 @@ def _nearly_borne(iterate: Iterate, matrix: NewtonMatrix, found: Resolved, near:
     return None if whole is None else replace(found, dual=whole, borne=True)
 
 
-def _minimum(
-    whole: Iterate, parts: list[Part], path: ContractedPath, left: Arrays | None, top: Pair, trials: int
-) -> Resolved | None:
-    """The least power if just the contacts `left`, (n,) masks over those of the path, slip; None stands for all.
+def _minimum(whole: Iterate, parts: list[Part], spins: Pair, slipping: Arrays, top: Pair) -> Resolved | None:
+    """The least power if just the contacts `slipping`, (n,) masks a group, slip, or those of them that do not come to
+    rest.
 
-    trials : of Newton's method, each with those tied that have come to rest in the one before.
+    spins : where to begin.
     """
-    slipping, spins = each(np.zeros_like, whole.friction, bool), path.spins
-    slipping = slipping.placed(path.kept, each(np.ones_like, path.kept, bool) if left is None else left)
-    trial = _Slipping(whole, slipping, path.tied, path.matrix) if left is None else None
-    for _ in range(trials):
-        trial = trial or _Slipping.of(whole, parts, slipping)
-        at_rest = trial.descend(spins)
-        if at_rest is None:
-            return trial.resolved(top)
-        if not at_rest.any():
-            return None
-        spins = trial.tied.expanded(trial.spins)
-        slipping, trial = slipping & ~trial.everywhere(at_rest), None
+    with suppress(NotPositiveDefinite, Contradiction):
+        for _ in range(NEWTON_TRIALS):
+            trial = _Slipping(whole, parts, slipping)
+            at_rest = trial.descend(spins)
+            if at_rest is None:
+                return trial.resolved(top)
+            if not at_rest.any():
+                break
+            spins, slipping = trial.tied.expanded(trial.spins), slipping & ~trial.everywhere(at_rest)
     return None
 
 
@@ -160,16 +152,11 @@ class _Slipping:
     spins, difference, dual : in the end, of the contacts that slip.
     """
 
-    def __init__(self, whole: Iterate, slipping: Arrays, tied: Contraction, matrix: NewtonMatrix) -> None:
-        """tied : the system without those that do not slip. matrix : of it."""
-        self.slipping, self.tied, self.matrix = slipping, tied, matrix
-        self.friction = whole.friction[tied.kept]
-
-    @classmethod
-    def of(cls, whole: Iterate, parts: list[Part], slipping: Arrays) -> "_Slipping":
+    def __init__(self, whole: Iterate, parts: list[Part], slipping: Arrays) -> None:
         """parts : elimination tree over the unknowns of the whole system."""
-        tied = Contraction(whole.system, parts, ~slipping)
-        return cls(whole, slipping, tied, NewtonMatrix(tied.system, tied.parts))
+        self.slipping, self.tied = slipping, Contraction(whole.system, parts, ~slipping)
+        self.matrix = NewtonMatrix(self.tied.system, self.tied.parts)
+        self.friction = whole.friction[self.tied.kept]
 
     def descend(self, spins: Pair) -> Arrays | None:
         """Newton's method; masks (n,) of contacts that come to rest if it fails, None at the minimum. At rest are those
@@ -217,11 +204,3 @@ class _Slipping:
             return np.zeros((*new.shape[:-1], len(slipping)), new.dtype)
 
         return each(among, self.slipping, values).placed(self.tied.kept, values)
-
-
-def _freed(whole: Iterate, parts: list[Part], found: Resolved, motion: Motion, unit: float) -> ContractedPath:
-    """A path that begins at the end of the motion, its contacts free. unit : the largest slip among them."""
-    free = found.slipping | motion.slipping
-    difference = where(free, found.difference + whole.system.change(motion.spins), 0.0)
-    point = Iterate.near(whole.system, found.spins, whole.friction, difference, START * unit)
-    return ContractedPath(point, parts, ~free, unit, motion.spins + (0.0 if found.rest is None else found.rest))

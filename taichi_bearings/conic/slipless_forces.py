@@ -19,7 +19,6 @@ from taichi_bearings.conic.central_path import balance, newton_step
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
-from taichi_bearings.conic.motion import Motion
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
 
@@ -36,12 +35,12 @@ CLOSE = 1e-22  # mean product of the two at which nothing more can be told
 class Borne:
     """dual : of all contacts, (d, n) a group, balanced and inside the friction discs; None if there is none such.
 
-    motion : what moves instead. Where contacts are at the limit of their friction and yet need not slip, it is one that
-    gains nothing. Neither, if the method fails.
+    motion : (unknowns,), what moves instead. Where contacts are at the limit of their friction and yet need not slip,
+    it is one that gains nothing. Neither, if the method fails.
     """
 
     dual: Arrays | None = None
-    motion: Motion | None = None
+    motion: np.ndarray | None = None
 
 
 @np.errstate(all="ignore")  # where double precision ends, numbers that are not finite turn up
@@ -68,10 +67,8 @@ def bear(system: ContactSystem, parts: list[Part], friction: Arrays, dual: Array
             whole = dual.placed(kept, still.dual)
             if _inside(system, friction, whole, slipping):
                 return Borne(dual=whole)
-        ratios = point.slip_over_margin
-        if ratios.max() > CLEAR or point.complementarity < CLOSE:
-            moving = each(np.zeros_like, slipping).placed(kept, ratios > 1)
-            return Borne(motion=Motion(np.append(point.spins, 0.0)[number], moving))
+        if point.slip_over_margin.max() > CLEAR or point.complementarity < CLOSE:
+            return Borne(motion=np.append(point.spins, 0.0)[number])
     return Borne()
 
 

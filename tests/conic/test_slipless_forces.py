@@ -5,7 +5,8 @@ import pytest
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Grouped
-from taichi_bearings.conic.motion import Motion, largest_parts
+from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.resolution import Resolved, gains
 from taichi_bearings.conic.slipless_forces import bear
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.cholesky import Part
@@ -52,8 +53,7 @@ def test_two_contacts_bear_what_a_third_pulls(friction):
 def test_two_contacts_too_weak_for_it_slip():
     system, parts, mu, dual, slipping = pulled((0.25, 0.24, 0.5))
     motion = borne(system, parts, mu, dual, slipping).motion
-    assert motion.spins[0] > 0  # after the top, as the third contact pulls
-    assert [m.tolist() for m in motion.slipping] == [[True, True, False]]
+    assert motion[0] > 0  # after the top, as the third contact pulls
 
 
 @pytest.mark.parametrize("excess", [0.0, -1e-12, -1e-10, 1e-12], ids=str)
@@ -70,32 +70,17 @@ def test_a_free_domain_turns_as_a_whole_at_no_cost():
     (found,) = borne(system, parts, mu, dual, slipping).dual
     assert found[0] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-10)
     motion = borne(system, parts, np.array([0.4, 0.3, 0.4]), dual, slipping).motion
-    assert [m.tolist() for m in motion.slipping] == [[False, True, False]]
+    assert motion[1] > motion[0]  # apart
 
 
-def test_a_motion_leads_to_the_least_power_part_by_part_and_small_parts_wait():
-    """Spheres that no contact joins, each dragged by the top until that contact no longer slips; the last one rests."""
-    system, _ = chain(
-        (BOTTOM, 0, 0.0), (0, TOP, 1e-3), (BOTTOM, 1, 0.0), (1, TOP, 1e-9), (BOTTOM, 2, 0.0), (2, TOP, 1.0), unknowns=3
-    )
-    friction = Grouped([np.array([0.2, 0.5, 0.1, 0.5, 0.4, 0.3])])
-    slipless = np.array([True, False, True, False, False, False])
-    motion = Motion(np.array([0.3, 0.7, 0.0]), Grouped([slipless]))
-    difference = system.differences(np.zeros(3))
-    both, reach = largest_parts(motion, system, friction, difference, share=1e-12)
-    assert both.spins == pytest.approx([1e-3, 1e-9, 0.0], rel=0.02)
-    assert reach == pytest.approx(1e-3, rel=0.02)
-    largest, reach = largest_parts(motion, system, friction, difference, share=1e-3)
-    assert largest.spins == pytest.approx([1e-3, 0.0, 0.0], rel=0.02)
-    assert largest.slipping.parts[0].tolist() == [True, False, False, False, False, False]
-
-
-def test_a_motion_that_gains_nothing_goes_nowhere():
+@pytest.mark.parametrize(("held", "falls"), [(0.5, False), (0.4, False), (0.3, True)])
+def test_a_motion_gains_if_the_power_falls_along_it(held, falls):
+    """The top drags a sphere with 0.4 along; a contact holds it to the bottom."""
     system, _ = chain((BOTTOM, 0, 0.0), (0, TOP, 1e-3))
-    motion = Motion(np.array([1.0]), Grouped([np.array([True, False])]))
-    friction, difference = Grouped([np.array([0.5, 0.4])]), Grouped([np.array([[0.0, 1e-3]])])
-    moved, reach = largest_parts(motion, system, friction, difference, share=1e-3)
-    assert (moved.spins[0], reach) == (0.0, 0.0)
+    friction, slipping = Grouped([np.array([held, 0.4])]), Grouped([np.array([False, True])])
+    point = Iterate.start(system, np.zeros(1), friction, slack=1.0)
+    found = Resolved(np.zeros(1), point.difference, point.dual, slipping)
+    assert gains(point, found, np.array([0.7])) == falls
 
 
 def minimum_of(scene, start="linear"):
