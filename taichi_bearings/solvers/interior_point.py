@@ -43,7 +43,7 @@ from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
-SOONEST, LARGE = 1e-8, 4096  # that gap of the smallest samples, whose slips are larger; spheres of those it is not for
+SOONEST, LARGE = 1e-8, 8192  # that gap of the smallest samples, whose slips are larger; spheres of those it is not for
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
