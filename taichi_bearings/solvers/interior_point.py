@@ -14,7 +14,7 @@ margin, which the central path drives apart.
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -222,8 +222,17 @@ class InteriorPointMethod:
             sample.tried = gap
             with stage("settling contact states"):
                 found = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
-            sample.resolved = found or sample.resolved
+            if found is not None and self._honest_gap(sample, found) <= self._honest_gap(sample, sample.resolved):
+                sample.resolved = found
             sample.done |= found is not None and found.sure
+
+    def _honest_gap(self, sample: _Sample, found: Resolved | None) -> float:
+        """With what torques on the spheres take from the bound, at most: the more where coefficients differ by many
+        decades, the further the path goes. 0 if balanced forces bear the load."""
+        if found is None or found.borne:
+            return np.inf if found is None else 0.0
+        settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
+        return settled.gap + settled.price_of_torques
 
     def progress(self) -> Progress:
         scene = self.scene

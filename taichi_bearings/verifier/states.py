@@ -175,6 +175,7 @@ def _by_curvature(motion: Motion) -> list[States]:
     return [states for half in halves for states in _by_curvature(Motion(half))]
 
 
+@np.errstate(all="ignore")  # what is not finite proves nothing
 def _doubt(motion: Motion) -> str:
     """What is missing in the proof; "" if nothing is. Samples are like parts of one that no contact joins."""
     contacts = Slipping.of(motion)

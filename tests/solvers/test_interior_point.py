@@ -56,6 +56,12 @@ ODD = {
 }
 
 
+def test_settling_once_more_from_closer_by_spoils_nothing():
+    """Over four decades rounding leaves ever larger torques the further the path goes."""
+    solution = minimum_of(make_scene((3, 3, 8), distribution="bimodal:1,1e4,0.3", seeds=(9, 14)))
+    assert (solution.gap < 1e-10).all()
+
+
 @pytest.mark.parametrize("odd", ODD.values(), ids=ODD)
 def test_odd_scenes_are_certified(odd):
     scene = make_scene(**odd)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
@@ -202,3 +203,15 @@ def test_viscous_contacts_slip_where_the_gap_allows_nothing_else():
         driven = solution.scene.lattice.between_driven(axis)
         assert (proven[driven] == SLIPLESS).all()
         assert (proven[~driven] == SLIPPING).all()
+
+
+def test_absent_contacts_that_slip_are_judged_without_a_word():
+    """They have no stiffness, and nothing can be divided by it; warnings are errors here."""
+    rng, whole = np.random.default_rng(16), make_scene((4, 3, 3), seeds=(16,), direction=(1e-9, 1.0, 0.0))
+    coefficient = [values.copy() for values in whole.coefficient]
+    for _ in range(4):
+        some = coefficient[rng.integers(3)][0]
+        some[tuple(rng.integers(size) for size in some.shape)] = 0.0
+    scene = Scene(tuple(coefficient), direction=whole.direction)
+    answer = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-10))
+    assert float(answer.lower_bound[0]) <= float(answer.power[0])
