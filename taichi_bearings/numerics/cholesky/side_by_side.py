@@ -36,8 +36,22 @@ class CholeskySideBySide:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
+        unknowns, samples = right.shape
+        solution = self.solution[:unknowns, :samples]
+        np.take(right, self.pattern.order, axis=0, out=solution, mode="clip")
+        self.substitute()
+        return solution.take(self.pattern.place, axis=0)
+
+    @property
+    def solution(self) -> np.ndarray:
+        """Where what has been factorised finds its right-hand sides and leaves the solutions, in the pattern's order:
+        (unknowns, LANES), or of one matrix (unknowns or up to LANES - 1 more, 1)."""
+        return self._used.solution
+
+    def substitute(self) -> None:
+        """Solve in place the factorised systems for the right-hand sides in `solution`."""
         look_up()
-        return self._used.solve(right)
+        self._used.substitute()
 
     @cached_property
     def _alone(self) -> "_Storage":
@@ -73,13 +87,12 @@ class _Storage:
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
         self.lanes = lanes
-        self._order, self._place = pattern.order, pattern.place
         self._tables, size, self._pivots = _tables(pattern, LANES // lanes)
         samples = "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * size, f"the factorisation of {pattern.size:,} unknowns{samples}")
         longest = max(len(front.border) for front in pattern.fronts)
         counts = pattern.entries, size, pattern.size, longest + 1
-        self._entries, self._numbers, self._solution, self._work = (_vectors(count, lanes) for count in counts)
+        self._entries, self._numbers, self.solution, self._work = (_vectors(count, lanes) for count in counts)
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
         samples = values.shape[1]
@@ -91,17 +104,13 @@ class _Storage:
             kernels.eliminate(self._tables, self._entries, self._numbers)
         return np.isfinite(self._numbers[self._pivots, :samples]).all(axis=0)
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
+    def substitute(self) -> None:
         """As that of CholeskySideBySide."""
-        unknowns, samples = right.shape
-        np.take(right, self._order, axis=0, out=self._solution[:unknowns, :samples], mode="clip")
         if self.lanes == 1:
-            kernels.substitute_alone(
-                self._tables, *(part[:, 0] for part in (self._numbers, self._solution, self._work))
-            )
+            numbers, solution, work = (part[:, 0] for part in (self._numbers, self.solution, self._work))
+            kernels.substitute_alone(self._tables, numbers, solution, work)
         else:
-            kernels.substitute(self._tables, self._numbers, self._solution, self._work)
-        return self._solution[:unknowns, :samples].take(self._place, axis=0)
+            kernels.substitute(self._tables, self._numbers, self.solution, self._work)
 
 
 def _vectors(count: int, lanes: int) -> np.ndarray:
