@@ -7,6 +7,7 @@ import numpy as np
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels import elimination as kernels
 from taichi_bearings.kernels.elimination import HEADER, LANES, WIDTH
+from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros, refuse_beyond
 from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.factor import NotPositiveDefinite
@@ -25,41 +26,35 @@ class CholeskySideBySide:
 
     def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
         self.pattern = analyse(parts, first, second)
-        self._used: _Storage
+        self._used: Storage
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
         """Factorise the matrices with these values (entries, S) at the entries of the pattern; True (S,) for those that
         are positive definite to working precision."""
-        look_up()
-        self._used = self._alone if values.shape[1] == 1 else self._together
-        return self._used.factorise(values)
+        samples = values.shape[1]
+        self._used = self.storage(samples)
+        self._used.entries[: len(values), :samples] = values
+        return self._used.factorise()[:samples]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
         unknowns, samples = right.shape
-        solution = self.solution[:unknowns, :samples]
+        solution = self._used.solution[:unknowns, :samples]
         np.take(right, self.pattern.order, axis=0, out=solution, mode="clip")
-        self.substitute()
+        self._used.substitute()
         return solution.take(self.pattern.place, axis=0)
 
-    @property
-    def solution(self) -> np.ndarray:
-        """Where what has been factorised finds its right-hand sides and leaves the solutions, in the pattern's order:
-        (unknowns, LANES), or of one matrix (unknowns or up to LANES - 1 more, 1)."""
-        return self._used.solution
-
-    def substitute(self) -> None:
-        """Solve in place the factorised systems for the right-hand sides in `solution`."""
-        look_up()
-        self._used.substitute()
+    def storage(self, samples: int) -> "Storage":
+        """For the matrix of a single sample, or for those of up to LANES."""
+        return self._alone if samples == 1 else self._together
 
     @cached_property
-    def _alone(self) -> "_Storage":
-        return _Storage(self.pattern, 1)
+    def _alone(self) -> "Storage":
+        return Storage(self.pattern, 1)
 
     @cached_property
-    def _together(self) -> "_Storage":
-        return _Storage(self.pattern, LANES)
+    def _together(self) -> "Storage":
+        return Storage(self.pattern, LANES)
 
 
 class CholeskyAlone:
@@ -82,35 +77,39 @@ class CholeskyAlone:
         """Nothing: it is small."""
 
 
-class _Storage:
-    """Memory and tables for one matrix or for LANES."""
+class Storage:
+    """Memory and tables for one matrix or for LANES.
+
+    entries : (entries or more, samples), of the matrices, at those of the pattern. solution : (unknowns or more,
+    samples), right-hand sides and then solutions, in the pattern's order.
+    """
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
-        self.lanes = lanes
-        self._tables, size, self._pivots = _tables(pattern, LANES // lanes)
+        tables, size, self._pivots = _tables(pattern, LANES // lanes)
         samples = "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * size, f"the factorisation of {pattern.size:,} unknowns{samples}")
         longest = max(len(front.border) for front in pattern.fronts)
         counts = pattern.entries, size, pattern.size, longest + 1
-        self._entries, self._numbers, self.solution, self._work = (_vectors(count, lanes) for count in counts)
-
-    def factorise(self, values: np.ndarray) -> np.ndarray:
-        samples = values.shape[1]
-        self._entries[: len(values), :samples] = values
-        if self.lanes == 1:
-            numbers = self._numbers[:, 0]
-            kernels.eliminate_alone(self._tables, self._entries[:, 0], numbers, numbers.reshape(-1, LANES))
+        self.entries, self._numbers, self.solution, work = (_vectors(count, lanes) for count in counts)
+        entries, numbers, solution = self.entries, self._numbers, self.solution
+        if lanes == 1:
+            entries, numbers, solution, work = (part[:, 0] for part in (entries, numbers, solution, work))
+            self._eliminate = prepared(kernels.eliminate_alone, tables, entries, numbers, numbers.reshape(-1, LANES))
+            self._substitute = prepared(kernels.substitute_alone, tables, numbers, solution, work)
         else:
-            kernels.eliminate(self._tables, self._entries, self._numbers)
-        return np.isfinite(self._numbers[self._pivots, :samples]).all(axis=0)
+            self._eliminate = prepared(kernels.eliminate, tables, entries, numbers)
+            self._substitute = prepared(kernels.substitute, tables, numbers, solution, work)
+
+    def factorise(self) -> np.ndarray:
+        """Factorise; True (samples,) for matrices that are positive definite to working precision."""
+        look_up()
+        self._eliminate()
+        return np.isfinite(self._numbers[self._pivots]).all(axis=0)
 
     def substitute(self) -> None:
-        """As that of CholeskySideBySide."""
-        if self.lanes == 1:
-            numbers, solution, work = (part[:, 0] for part in (self._numbers, self.solution, self._work))
-            kernels.substitute_alone(self._tables, numbers, solution, work)
-        else:
-            kernels.substitute(self._tables, self._numbers, self.solution, self._work)
+        """Solve the factorised systems in place."""
+        look_up()
+        self._substitute()
 
 
 def _vectors(count: int, lanes: int) -> np.ndarray:
