@@ -9,7 +9,6 @@ bears the force of its cone and eta v. Nothing else changes: eta adds to the sti
 the torques that the forces leave, and cost less dual cost stays friction times slip less force times slip in the cones.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -20,8 +19,8 @@ from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.kernels import central_path as kernels
-from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
 CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
@@ -32,6 +31,7 @@ TINY = np.finfo(np.float64).tiny
 WEAK = 1e-18  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
 REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the mean friction, that needs no second one
 SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
+Viscous = np.ndarray | None
 
 
 def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
@@ -50,12 +50,19 @@ def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: floa
 class Matrix(Protocol):
     """The matrices of one system in several samples S side by side."""
 
-    def factorise_each(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
-        """stiffness : (entries, S) upper triangles as `stacked` gives them. True (S,) where that succeeds."""
+    def rows(self, samples: int) -> ContactRows:
+        """Memory for their Newton steps; right-hand sides and solutions go to its spins."""
         ...
 
-    def solve_each(self, right: np.ndarray) -> np.ndarray:
-        """(unknowns, S)."""
+    def factorise_each(self, rows: ContactRows, wanted: np.ndarray, inertia: float, viscous: Viscous) -> np.ndarray:
+        """With the stiffnesses in the rows. True (S,) where that succeeds, of the `wanted` ones.
+
+        viscous : stiffnesses (entries, S) to add, as `stacked` gives them; None for none.
+        """
+        ...
+
+    def solve_each(self, rows: ContactRows) -> None:
+        """In place."""
         ...
 
 
@@ -64,28 +71,11 @@ def newton_step(iterate: Iterate, matrix: Matrix) -> Iterate:
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
-    (found,) = newton_steps([iterate], matrix)
-    if found is None:
+    path = Path(matrix)
+    path.put(0, iterate)
+    if not path.step()[0]:
         raise NotPositiveDefinite
-    return found
-
-
-def newton_steps(iterates: Sequence[Iterate], matrix: Matrix) -> list[Iterate | None]:
-    """The next points along the paths of samples of one system, whose numbers do not depend on each other; None where
-    the Newton matrix is singular to working precision."""
-    directions = _Directions(iterates, matrix)
-    step = directions.predicted()
-    target = directions.target(step)
-    step, going = directions.corrected(step, target), np.ones(len(target), dtype=bool)
-    for _ in range(CORRECTORS):
-        going &= ~(np.minimum(step.along, step.dual_along) > LONG_ENOUGH)
-        if not going.any():
-            break
-        further = directions.recentred(step, target)
-        going &= ~(further.reach < step.reach + WORTHWHILE)
-        step = directions.chosen(going, further, step)
-    step = directions.refined(step)
-    return [directions.taken(step, sample) for sample in range(len(iterates))]
+    return path.iterate(0)
 
 
 def flowing(
@@ -130,41 +120,62 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 class _Step:
     """A step of the spins (unknowns, S), its contacts in slot `slot` of the rows.
 
-    along, dual_along : (S,), how far primal and dual points may go.
+    found : (numbers, S), what the kernel found: how far primal and dual points may go, and the sums of products.
     """
 
     slot: int
     spins: np.ndarray
-    along: np.ndarray
-    dual_along: np.ndarray
+    found: np.ndarray
+
+    @property
+    def shorter(self) -> np.ndarray:
+        return self.found[[kernels.REACH, kernels.DUAL_REACH]].min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
-        return np.minimum(1.0, self.along) + np.minimum(1.0, self.dual_along)
+        along, dual_along = self.within(1.0)
+        return along + dual_along
+
+    def within(self, share: float) -> np.ndarray:
+        """Lengths (2, S) of the steps of primal and dual points that go this share of the way, and are at most 1."""
+        return np.minimum(1.0, share * self.found[[kernels.REACH, kernels.DUAL_REACH]])
+
+    def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
+        """The same with what another one knows of the samples (S,) that are `kept`."""
+        return replace(
+            self,
+            spins=np.where(kept, other.spins, self.spins),
+            found=np.where(kept, other.found, self.found),
+        )
 
 
-class _Directions:
-    """Search directions from one iterate of each sample, of right-hand sides that share one factorisation."""
+class Path:
+    """Up to S samples of one system side by side, each at a point of its central path.
 
-    def __init__(self, iterates: Sequence[Iterate], matrix: Matrix) -> None:
-        self.iterates, self.matrix = iterates, matrix
-        first, samples = iterates[0], 1 if len(iterates) == 1 else LANES
-        self.all = [*iterates, *[first] * (samples - len(iterates))]  # where there is no sample, the first once more
-        self.rows = first.system.rows(samples)
-        for sample, iterate in enumerate(self.all):
-            self._put(sample, iterate)
-        self.spins = np.stack([iterate.spins for iterate in self.all], axis=1)
-        self.rows.run(kernels.prepare, (0, 0), WEAK)
-        stiffness, self.viscosity = self.rows.upper_stiffness(), None
-        if first.viscosity is not None:
-            flows = [(i.difference, i.viscosity) for i in self.all if i.viscosity is not None]
-            stiffness = stiffness + np.stack([stacked(isotropic(z, eta)) for z, eta in flows], axis=1)
-            self.viscosity = self.rows.flattened([eta * each(np.ones_like, z) for z, eta in flows])
-        self.regular = matrix.factorise_each(stiffness, first.inertia.weight if first.inertia else 0.0)
-        # spins and forces that balance each other go on together
-        self.together = first.inertia is not None or first.viscosity is not None
+    Their numbers stay in the rows from step to step, and do not depend on each other.
+    """
 
-    def _put(self, sample: int, iterate: Iterate) -> None:
+    def __init__(self, matrix: Matrix, samples: int = 1) -> None:
+        self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
+        self._given: list[Iterate | None] = [None] * samples
+        self._spins = self._spins_before = np.zeros_like(self._rows.spins)
+        self._loaded = self._together = False
+        self._inertia = 0.0
+        self._viscosity: np.ndarray | None = None  # of the slips in two rows, and as stiffnesses
+        self._viscous: Viscous = None
+        self._power, self._excess = np.zeros((2, samples))
+        self._price: np.ndarray | None = None
+
+    @property
+    def used(self) -> np.ndarray:
+        return np.array([iterate is not None for iterate in self._given])
+
+    def put(self, sample: int, iterate: Iterate | None) -> None:
+        """Have a sample go on from there; with None, its place is free."""
+        self._given[sample] = iterate
+        if iterate is None:
+            return
+        rows = self._rows
         smooth = each(np.zeros_like, iterate.bound) if iterate.smooth is None else iterate.smooth
         for row, values in (
             (kernels.FRICTION, iterate.friction),
@@ -173,111 +184,162 @@ class _Directions:
             (kernels.DUAL, iterate.dual),
             (kernels.SMOOTH, smooth),
         ):
-            self.rows.put(row, sample, values)
+            rows.put(row, sample, values)
+        self._spins[rows.place, sample] = iterate.spins
+        self._inertia = iterate.inertia.weight if iterate.inertia else 0.0
+        self._loaded = iterate.inertia is not None or isinstance(iterate.load, np.ndarray)
+        # spins and forces that balance each other go on together
+        self._together = iterate.inertia is not None or iterate.viscosity is not None
+        if iterate.viscosity is not None:
+            self._put_viscosity(sample, iterate.viscosity, iterate.difference)
 
-    def predicted(self) -> _Step:
-        """Straight at the solution: all products zero."""
-        return self._solved(0)
+    def _put_viscosity(self, sample: int, viscosity: Arrays, like: Arrays) -> None:
+        rows, stiffness = self._rows, stacked(isotropic(like, viscosity))
+        if self._viscosity is None or self._viscous is None:
+            self._viscosity = np.zeros_like(rows.two(kernels.FORCE))
+            self._viscous = np.zeros((len(stiffness), self.samples))
+        rows.put(kernels.FORCE, sample, viscosity * each(np.ones_like, like))
+        self._viscosity[:, sample] = rows.two(kernels.FORCE)[:, sample]
+        self._viscous[:, sample] = stiffness
 
-    def target(self, step: _Step) -> np.ndarray:
+    def step(self) -> np.ndarray:
+        """One Newton step of every sample: predictor, corrector and recentring, most of the way to the boundary.
+
+        True (S,) where it could be taken, and is: not where the Newton matrix is singular to working precision.
+        """
+        rows = self._rows
+        rows.run(kernels.prepare, (0, 0), WEAK)
+        going = self._matrix.factorise_each(rows, self.used, self._inertia, self._viscous)
+        taken, step = going.copy(), self._solved(0)
+        target = self._target(step)
+        rows.run(kernels.correct, (0, 1), target)
+        step, rejected = self._solved(1), np.zeros_like(going)
+        for _ in range(CORRECTORS):
+            going &= ~(step.shorter > LONG_ENOUGH)
+            if not going.any():
+                break
+            further = self._recentred(step, target, going, rejected)
+            rejected = going & (further.reach < step.reach + WORTHWHILE)
+            step = further.but(rejected, step) if rejected.any() else further
+            going &= ~rejected
+        if rejected.any():  # what is better is in the other slot
+            changes = (slice(_in(slot, kernels.CHANGE), _in(slot, kernels.STEP_ROWS)) for slot in (0, 1))
+            slots = [rows.values[own] for own in changes]
+            slots[step.slot][..., rejected] = slots[1 - step.slot][..., rejected]
+        self._take(self._refined(step))
+        return taken
+
+    def _target(self, step: _Step) -> np.ndarray:
         """Mehrotra: a product (S,) that the predictor makes credible."""
-        mean = self._mean_product(step, 0.0, 0.0)
-        after = self._mean_product(step, np.minimum(1.0, step.along), np.minimum(1.0, step.dual_along))
-        remaining = np.maximum(after, 0.0) / np.maximum(mean, TINY)
-        return np.minimum(1.0, remaining**2) * mean / 4
+        count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
+        product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
+        along, dual_along = step.within(1.0)
+        after = product + along * by_reach + dual_along * by_dual_reach + along * dual_along * by_both
+        remaining = np.maximum(after, 0.0) / np.maximum(product, TINY)
+        return np.minimum(1.0, remaining**2) * product / count / 4
 
-    def corrected(self, step: _Step, target: np.ndarray) -> _Step:
-        """Aim at the target, and mend the second-order error of the predictor."""
-        self.rows.run(kernels.correct, (step.slot, 1 - step.slot), target)
+    def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
+        """Gondzio: bring outlying products of a longer step closer to the target, of the samples that are `going`.
+
+        The others have the same step once more, of which `rejected` ones had a better one before.
+        """
+        lengths = np.minimum(1.0, 1.5 * step.found[[kernels.REACH, kernels.DUAL_REACH]] + 0.1)
+        other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
+        choice = np.where(going, kernels.GO_ON, other)
+        slots = step.slot, 1 - step.slot
+        self._rows.run(kernels.recentre, slots, *lengths, target / SPREAD, target * SPREAD, choice)
         return self._solved(1 - step.slot)
 
-    def recentred(self, step: _Step, target: np.ndarray) -> _Step:
-        """Gondzio: bring outlying products of a longer step closer to the target."""
-        lengths = (np.minimum(1.0, 1.5 * length + 0.1) for length in (step.along, step.dual_along))
-        self.rows.run(kernels.recentre, (step.slot, 1 - step.slot), *lengths, target / SPREAD, target * SPREAD)
-        return self._solved(1 - step.slot)
-
-    def chosen(self, better: np.ndarray, one: _Step, other: _Step) -> _Step:
-        """The one step of the samples (S,) where it is better, and the other of the rest, that go no further."""
-        if better.all() or not better.any():
-            return one if better.all() else other
-        here, there = (self.rows.values[_in(step.slot, 0) : _in(step.slot, kernels.REACH)] for step in (one, other))
-        here[..., ~better] = there[..., ~better]
-        return _Step(
-            one.slot,
-            np.where(better, one.spins, other.spins),
-            np.where(better, one.along, other.along),
-            np.where(better, one.dual_along, other.dual_along),
-        )
-
-    def refined(self, step: _Step) -> _Step:
+    def _refined(self, step: _Step) -> _Step:
         """Solve for the torques that rounding left, as long as that helps."""
-        last, going = np.full(len(step.along), np.inf), np.ones(len(step.along), dtype=bool)
+        rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(REFINEMENTS):
-            change, dual_step = (self.rows.two(_in(step.slot, row)) for row in (kernels.CHANGE, kernels.DUAL_STEP))
-            slip = None if self.viscosity is None else self.rows.two(kernels.SLIP) + change
-            imbalance = self._imbalance(self.spins + step.spins, self.rows.two(kernels.DUAL) + dual_step, slip)
-            size = np.abs(imbalance).max(axis=0, initial=0.0)
+            force = rows.two(kernels.FORCE)
+            np.add(rows.two(kernels.DUAL), rows.two(_in(step.slot, kernels.DUAL_STEP)), out=force)
+            if self._viscosity is not None:
+                force -= self._viscosity * (rows.two(kernels.SLIP) + rows.two(_in(step.slot, kernels.CHANGE)))
+            self._imbalance(kernels.FORCE, self._spins + step.spins)
+            size = np.abs(rows.spins).max(axis=0, initial=0.0)
             going &= (size > BALANCED) & (size < last / 2)
             if not going.any():
                 break
             last = size
-            correction = np.where(going, self.matrix.solve_each(imbalance), 0.0)
-            step = self._expanded(step.slot, step.spins + correction)
+            self._matrix.solve_each(rows)
+            rows.spins[:] = step.spins + np.where(going, rows.spins, 0.0)
+            step = self._expanded(step.slot)
         return step
-
-    def taken(self, step: _Step, sample: int) -> Iterate | None:
-        """The iterate of a sample most of the way to the boundary; None if it has no step."""
-        if not self.regular[sample]:
-            return None
-        iterate, rows, slot = self.iterates[sample], self.rows, step.slot
-        along, dual_along = (
-            min(1.0, STEP_SHARE * length[sample]) for length in (step.along.tolist(), step.dual_along.tolist())
-        )
-        bound_step = rows.values[_in(slot, kernels.BOUND_STEP)]
-        change, dual_step = (
-            rows.vectors(rows.two(_in(slot, row)), sample) for row in (kernels.CHANGE, kernels.DUAL_STEP)
-        )
-        return replace(
-            iterate,
-            spins=iterate.spins + along * step.spins[:, sample],
-            # not from the spins anew: their rounding is coarser than the last distances from the cones
-            difference=iterate.difference + along * change,
-            bound=iterate.bound + along * rows.numbers(bound_step, sample),
-            dual=iterate.dual + dual_along * dual_step,
-        ).obeying()
 
     def _solved(self, slot: int) -> _Step:
         """Steps for W^-2 d(primal) + d(dual) = right-hand side that leave the forces balanced."""
-        pull = self.rows.two(_in(slot, kernels.PULL))
-        imbalance = self._imbalance(self.spins, pull, self.rows.two(kernels.SLIP))
-        return self._expanded(slot, self.matrix.solve_each(imbalance))
+        pull = _in(slot, kernels.PULL)
+        if self._viscosity is not None:
+            forces = self._rows.two(pull) - self._viscosity * self._rows.two(kernels.SLIP)
+            pull, self._rows.two(kernels.FORCE)[:] = kernels.FORCE, forces
+        self._imbalance(pull, self._spins)
+        self._matrix.solve_each(self._rows)
+        return self._expanded(slot)
 
-    def _imbalance(self, spins: np.ndarray, dual: np.ndarray, slip: np.ndarray | None) -> np.ndarray:
-        """As :meth:`Iterate.imbalance`, (unknowns, S), of two rows each; nobody looks at slips without viscosity."""
-        forces = dual if self.viscosity is None or slip is None else dual - self.viscosity * slip
-        torques = self.rows.transposed @ forces
-        for sample, iterate in enumerate(self.all):
-            torques[:, sample] -= iterate.to_balance(spins[:, sample])
-        return torques
+    def _imbalance(self, row: int, spins: np.ndarray) -> None:
+        """As :meth:`Iterate.imbalance`, for the forces in two rows and spins (unknowns, S), in place of the spins."""
+        rows = self._rows
+        rows.torques(row)
+        if self._loaded:
+            for sample, iterate in enumerate(self._given):
+                if iterate is not None:
+                    rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
-    def _expanded(self, slot: int, spins: np.ndarray) -> _Step:
+    def _expanded(self, slot: int) -> _Step:
         """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
-        rows = self.rows
-        rows.two(_in(slot, kernels.CHANGE))[:] = rows.operator @ spins
-        rows.run(kernels.expand, (slot, slot))
-        along, dual_along = (
-            rows.values[_in(slot, row)].min(axis=0, initial=np.inf) for row in (kernels.REACH, kernels.DUAL_REACH)
-        )
-        if self.together:
-            along = dual_along = np.minimum(along, dual_along)
-        return _Step(slot, spins, along, dual_along)
+        spins = self._rows.spins.copy()
+        self._rows.change(_in(slot, kernels.CHANGE))
+        found = self._rows.run(kernels.expand, (slot, slot))
+        if self._together:
+            found[[kernels.REACH, kernels.DUAL_REACH]] = found[[kernels.REACH, kernels.DUAL_REACH]].min(axis=0)
+        return _Step(slot, spins, found)
 
-    def _mean_product(self, step: _Step, along: float | np.ndarray, dual_along: float | np.ndarray) -> np.ndarray:
-        """Of the contacts in cones after steps of these lengths, (S,)."""
-        self.rows.run(kernels.multiply, (step.slot, step.slot), along, dual_along)
-        total = self.rows.total(_in(step.slot, kernels.PRODUCT))
-        return total / np.array([max(1, iterate.in_cones) for iterate in self.all])
+    def _take(self, step: _Step) -> None:
+        """Go there."""
+        along, dual_along = step.within(STEP_SHARE)
+        found = self._rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
+        self._power, self._excess, self._price = found[kernels.POWER], found[kernels.EXCESS], None
+        self._spins_before, self._spins = self._spins, self._spins + along * step.spins
+
+    def gap(self, sample: int) -> float:
+        """:attr:`Iterate.gap` after a step."""
+        if self._viscosity is not None:
+            return self.iterate(sample).gap
+        return float(self._excess[sample] / self._power[sample])
+
+    def price_of_torques(self, sample: int) -> float:
+        """:attr:`Iterate.price_of_torques` after a step."""
+        if self._viscosity is not None:
+            return self.iterate(sample).price_of_torques
+        if self._price is None:
+            self._rows.torques(kernels.DUAL)
+            left = self._rows.spins[: len(self._rows.place)].T
+            self._price = np.abs(left).copy().sum(axis=1) / self._power
+        return float(self._price[sample])
+
+    def iterate(self, sample: int) -> Iterate:
+        """Where a sample is."""
+        return self._read(sample, self._spins, kernels.BOUND, kernels.SLIP, kernels.DUAL)
+
+    def before(self, sample: int) -> Iterate:
+        """Where it was before the last step."""
+        of_before = kernels.BOUND_BEFORE, kernels.SLIP_BEFORE, kernels.DUAL_BEFORE
+        return self._read(sample, self._spins_before, *of_before)
+
+    def _read(self, sample: int, spins: np.ndarray, bound: int, slip: int, dual: int) -> Iterate:
+        iterate, rows = self._given[sample], self._rows
+        assert iterate is not None
+        return replace(
+            iterate,
+            spins=spins[rows.place, sample],
+            # not from the spins anew: their rounding is coarser than the last distances from the cones
+            difference=rows.vectors(slip, sample),
+            bound=rows.numbers(bound, sample),
+            dual=rows.vectors(dual, sample),
+        )
 
 
 def _in(slot: int, row: int) -> int:

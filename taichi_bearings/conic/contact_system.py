@@ -172,16 +172,9 @@ class ContactSystem:
                     free = (first >= 0) & (second >= 0)
                     yield first[free], second[free], source[free], sign
 
-    def rows(self, samples: int) -> ContactRows:
-        """Memory for Newton steps of so many samples side by side."""
-        if samples not in self._kept_rows:
-            components = [len(offset) for offset in self.offset]
-            self._kept_rows[samples] = ContactRows([group.operator for group in self.groups], components, samples)
-        return self._kept_rows[samples]
-
-    @cached_property
-    def _kept_rows(self) -> dict[int, ContactRows]:
-        return {}
+    def rows(self, spins: np.ndarray, place: np.ndarray | None = None) -> ContactRows:
+        """Memory for Newton steps of several samples side by side; see there for spins and place."""
+        return ContactRows([g.operator for g in self.groups], [len(offset) for offset in self.offset], spins, place)
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""

@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from taichi_bearings.conic.contact_system import ContactSystem, lattice_system, stacked
-from taichi_bearings.conic.grouped import isotropic
+from taichi_bearings.conic.contact_system import ContactSystem, lattice_system
 from taichi_bearings.conic.newton_matrix import SHIFTS
+from taichi_bearings.conic.rows import ContactRows, Sums
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Part, dissect
 from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide
@@ -17,28 +17,47 @@ class NewtonMatrices:
 
     def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
         """parts : elimination tree over the unknowns of `system`."""
-        self._cholesky = CholeskySideBySide(parts, *system.couplings())
+        self._system, self._cholesky = system, CholeskySideBySide(parts, *system.couplings())
         pattern = self._cholesky.pattern
         self._map, self._diagonal = system.laplacian_map(pattern.entry, pattern.entries), pattern.diagonal
+        self._kept: dict[int, tuple[ContactRows, Sums]] = {}
 
-    def factorise_each(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
-        """stiffness : (entries, S), upper triangles as `stacked` gives them. True (S,) where that succeeds, if need be
-        with a raised diagonal."""
-        values = self._map @ stiffness
-        diagonal = values[self._diagonal] + inertia
-        shift = np.zeros(values.shape[1])
-        for further in (*SHIFTS[1:], None):
-            values[self._diagonal] = diagonal * (1 + shift)
-            regular = self._cholesky.factorise(values)
-            hopeless = ~np.isfinite(diagonal).all(axis=0)
-            if further is None or (regular | hopeless).all():
-                break
+    def rows(self, samples: int) -> ContactRows:
+        """Memory for Newton steps of a single sample or of LANES; right-hand sides and solutions go to its spins."""
+        if samples not in self._kept:
+            rows = self._system.rows(self._cholesky.storage(samples).solution, self._cholesky.pattern.place)
+            self._kept[samples] = rows, rows.stiffness_sums(self._map)
+        return self._kept[samples][0]
+
+    def factorise_each(
+        self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
+    ) -> np.ndarray:
+        """With the stiffnesses in the rows, and `viscous` ones (entries, S) to add, as `stacked` gives them.
+
+        True (S,) for `wanted` samples where that succeeds, if need be with a raised diagonal.
+        """
+        storage = self._cholesky.storage(rows.samples)
+        rows.add_stiffnesses(self._kept[rows.samples][1], storage.entries)
+        if viscous is not None:
+            storage.entries[: self._map.shape[0]] += self._map @ viscous
+        if inertia:
+            storage.entries[self._diagonal] += inertia
+        regular = storage.factorise()
+        if (regular | ~wanted).all():
+            return regular & wanted
+        diagonal, shift = storage.entries[self._diagonal], np.zeros(rows.samples)
+        hopeless = ~(wanted & np.isfinite(diagonal).all(axis=0))
+        for further in SHIFTS[1:]:
             shift[~regular] = further
-        return regular
+            storage.entries[self._diagonal] = diagonal * (1 + shift)
+            regular = storage.factorise()
+            if (regular | hopeless).all():
+                break
+        return regular & wanted
 
-    def solve_each(self, right: np.ndarray) -> np.ndarray:
-        """Solutions of the factorised systems, (unknowns, S)."""
-        return self._cholesky.solve(right)
+    def solve_each(self, rows: ContactRows) -> None:
+        """In place."""
+        self._cholesky.storage(rows.samples).substitute()
 
 
 @lru_cache
@@ -46,6 +65,7 @@ def compile_eliminations(samples: int) -> None:
     """Compile the kernels of one or of several samples, on a tiny lattice: they are the same for all."""
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))
-    matrices, stiffness = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes)), isotropic(system.offset)
-    matrices.factorise_each(np.repeat(stacked(stiffness)[:, None], samples, axis=1))
-    matrices.solve_each(np.zeros((system.unknowns, samples)))
+    matrices = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes))
+    rows = matrices.rows(samples)
+    matrices.factorise_each(rows, np.zeros(samples, dtype=bool))
+    matrices.solve_each(rows)

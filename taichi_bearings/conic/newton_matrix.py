@@ -1,9 +1,12 @@
 """The matrix of a Newton step: a Laplacian over the spins with a d x d stiffness at every contact."""
 
+from functools import cached_property
+
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each
+from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, Part, WholeCholesky
 from taichi_bearings.numerics.cholesky.side_by_side import MANY, CholeskyAlone
 
@@ -54,17 +57,28 @@ class NewtonMatrix:
                 if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
                     raise
 
-    def factorise_each(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
-        """The same for a single sample, (entries, 1): True (1,) where that succeeds."""
+    def rows(self, samples: int = 1) -> ContactRows:
+        """Memory for Newton steps of a single sample."""
+        return self._rows
+
+    @cached_property
+    def _rows(self) -> ContactRows:
+        return self._system.rows(np.zeros((max(1, self._system.unknowns), 1)))
+
+    def factorise_each(
+        self, rows: ContactRows, wanted: np.ndarray, inertia: float, viscous: np.ndarray | None = None
+    ) -> np.ndarray:
+        """As that of NewtonMatrices."""
+        stiffness = rows.upper_stiffness()[:, 0]
         try:
-            self.factorise_stacked(stiffness[:, 0], inertia)
+            self.factorise_stacked(stiffness if viscous is None else stiffness + viscous[:, 0], inertia)
         except NotPositiveDefinite:
             return np.zeros(1, dtype=bool)
-        return np.ones(1, dtype=bool)
+        return wanted
 
-    def solve_each(self, right: np.ndarray) -> np.ndarray:
-        """Solution for a single sample, (unknowns, 1)."""
-        return self.solve(right[:, 0])[:, None]
+    def solve_each(self, rows: ContactRows) -> None:
+        """In place."""
+        rows.spins[: self._system.unknowns, 0] = self.solve(rows.spins[: self._system.unknowns, 0])
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system, (unknowns,)."""

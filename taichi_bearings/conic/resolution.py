@@ -71,15 +71,18 @@ class Resolved:
         return self.dual
 
 
-def resolve(iterate: Iterate, tied: Arrays, parts: list[Part], matrix: NewtonMatrix, top: Pair) -> Resolved | None:
+def resolve(
+    iterate: Iterate, tied: Arrays | None, parts: list[Part], matrix: NewtonMatrix, top: Pair
+) -> Resolved | None:
     """Spins, forces and contact states at the minimum; None if they cannot be had in double precision.
 
-    iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick.
+    iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely
+    stick; None if that is not known.
     parts, matrix : of its system. top : (C,), imposed on the top, in twice the precision.
     """
     matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        found = _minimum(iterate, parts, exactly(iterate.spins), ~tied, top)
+        found = None if tied is None else _minimum(iterate, parts, exactly(iterate.spins), ~tied, top)
         settled = None if found is None else _nearly_borne(iterate, matrix, found, iterate.dual)
         if settled is None:
             with suppress(NotPositiveDefinite):

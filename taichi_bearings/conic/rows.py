@@ -6,106 +6,157 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings import runtime
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.kernels import central_path as kernels
+from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros
 
-ALONE = {kernels.FRICTION: 1.0, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}  # of no contact: no harm
+# of no contact: no harm, and next to no power
+ALONE = {kernels.FRICTION: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
+CONSTANTS = 5  # that a law is told of each sample, at most
+Sums = tuple[np.ndarray, np.ndarray]  # what numbers to add up or take off, for kernels.add_up
 
 
 class ContactRows:
-    """Memory for one Newton step of S samples, and what the spins have to do with it; see kernels/central_path.py.
+    """Memory for the Newton steps of S samples, and what the spins have to do with it; see kernels/central_path.py.
 
     A row holds the numbers of a contact in all samples one after the other, contact by contact. Two rows one after the
-    other, (2*contacts, S), hold slips or forces; the second counts where contacts have two slipping components:
+    other, (2*contacts, S), hold slips or forces; the second counts where contacts have two slipping components.
 
-        change of the slips = operator @ change of the spins,   torques = transposed @ forces
+    values : (rows, contacts, S). spins : (unknowns or more, S), changes of the spins, or torques on them.
     """
 
-    def __init__(self, operators: Sequence[sparse.csr_matrix], components: Sequence[int], samples: int = 1) -> None:
-        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. samples : S, at most 8."""
-        self.samples, self._components, block = samples, components, kernels.BLOCK // samples
+    def __init__(
+        self,
+        operators: Sequence[sparse.csr_matrix],
+        components: Sequence[int],
+        spins: np.ndarray,
+        place: np.ndarray | None = None,
+    ) -> None:
+        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. S is 1 or 8.
+
+        spins : where they are to be. place : (unknowns,), that of each among them; the same if None.
+        """
+        self.samples, self._components, self.spins = spins.shape[1], components, spins
         sizes = [operator.shape[0] // d for operator, d in zip(operators, components, strict=True)]
         starts, contacts = [0] * len(sizes), 0
         for d in (1, 2):
             for group in (g for g, of_group in enumerate(components) if of_group == d):
-                starts[group], contacts = contacts, contacts + -(-sizes[group] // block) * block
+                starts[group], contacts = contacts, contacts + -(-sizes[group] // kernels.BLOCK) * kernels.BLOCK
             if d == 1:
-                self._first_two = contacts // block
+                self._first_two = contacts * self.samples // kernels.BLOCK
         self._spans = [slice(start, start + size) for start, size in zip(starts, sizes, strict=True)]
-        self._length, rows = contacts * samples, kernels.ROWS
-        self._flat = aligned_zeros(rows * self._length, kernels.BLOCK)
-        self._blocks, self._numbers = self._flat.reshape(-1, kernels.BLOCK), np.zeros((4, block, samples))
-        self.values = self._flat.reshape(rows, contacts, samples)
+        self._contacts, self._length = contacts, contacts * self.samples
+        self._flat = aligned_zeros(kernels.ROWS * self._length, kernels.BLOCK)
+        self.values = self._flat.reshape(kernels.ROWS, contacts, self.samples)
         for row, value in ALONE.items():
             self.values[row] = value
-        places = [
-            np.arange(span.start, span.stop) + contacts * np.arange(d)[:, None]
-            for span, d in zip(self._spans, components, strict=True)
-        ]
-        self.operator = _spread(sparse.vstack(operators), np.concatenate([p.ravel() for p in places]), 2 * contacts)
-        self.transposed = self.operator.T.tocsr()
+        self._numbers = np.zeros((CONSTANTS, kernels.BLOCK // self.samples, self.samples))
+        found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
+        self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
+        self.place = np.arange(operators[0].shape[1]) if place is None else place
+        of_all = sparse.vstack(operators).tocoo()
+        rows = np.concatenate([places.ravel() for places in self._vector_places()])
+        ends = rows[of_all.row], self.place[of_all.col], of_all.data
+        self._changes = _sums(*ends, 2 * contacts)
+        self._torques = _sums(ends[1], ends[0], ends[2], len(spins))
+        self._starts: dict[tuple, Callable[[], None]] = {}
 
-    def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> None:
-        """Walk all contacts. slots : of the step that is read and that is written. numbers : of each sample, or all."""
+    def _vector_places(self) -> list[np.ndarray]:
+        """Where the components (d, n) of each group are in two rows one after the other."""
+        return [
+            np.arange(span.start, span.stop) + self._contacts * np.arange(d)[:, None]
+            for span, d in zip(self._spans, self._components, strict=True)
+        ]
+
+    def stiffness_sums(self, laplacian_map: sparse.spmatrix) -> Sums:
+        """For :meth:`add_stiffnesses`, from the map from `stacked` stiffnesses to the entries of the Laplacian."""
+        places = [
+            np.arange(span.start, span.stop) + self._contacts * np.arange(d * (d + 1) // 2)[:, None]
+            for span, d in zip(self._spans, self._components, strict=True)
+        ]
+        terms = laplacian_map.tocoo()
+        return _sums(terms.row, np.concatenate([p.ravel() for p in places])[terms.col], terms.data, terms.shape[0])
+
+    def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> np.ndarray:
+        """Walk all contacts, for what is found, (found, S). slots : of the step that is read and that is written.
+
+        numbers : of each sample, or all.
+        """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
-        blocks = len(self.values[0]) * self.samples // kernels.BLOCK
-        runtime.current()  # starts it
-        kernel(self._flat, self._blocks, self._numbers.ravel(), self._length, self._first_two, blocks, *slots)
+        self._found[: kernels.LEAST], self._found[kernels.LEAST :] = np.inf, 0.0
+        key = (kernel, slots)
+        if key not in self._starts:
+            blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
+            arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
+            self._starts[key] = prepared(kernel, *arrays, self._length, self._first_two, blocks, *slots)
+        self._starts[key]()
+        return self._over_contacts()
+
+    def _over_contacts(self) -> np.ndarray:
+        """Added up in the same order however many samples there are."""
+        by_sample = self._found.transpose(0, 2, 1).copy()
+        return np.concatenate([by_sample[: kernels.LEAST].min(axis=2), by_sample[kernels.LEAST :].sum(axis=2)])
+
+    def change(self, row: int) -> None:
+        """Write the change of the slips that that of the spins makes into two rows from this one on."""
+        self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
+
+    def torques(self, row: int) -> None:
+        """Write the torques of the forces in two rows from this one on over the spins: the transpose of `change`."""
+        self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
+
+    def add_stiffnesses(self, sums: Sums, entries: np.ndarray) -> None:
+        """Write the entries (n or more, S) of the Laplacian that they make."""
+        self._add_up(sums, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
+
+    def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
+        key = (id(sums), first, to)
+        if key not in self._starts:
+            shape = (-1,) if self.samples == 1 else (-1, self.samples)
+            kernel = kernels.add_up_alone if self.samples == 1 else kernels.add_up
+            self._starts[key] = prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)
+        self._starts[key]()
 
     def put(self, row: int, sample: int, values: Arrays) -> None:
         """Write numbers (n,) or vectors (d, n) a group from a row on."""
         for span, new in zip(self._spans, values, strict=True):
             self.values[row : row + (len(new) if new.ndim == 2 else 1), span, sample] = new
 
-    def numbers(self, values: np.ndarray, sample: int) -> Arrays:
-        """Numbers (n,) a group of a sample from those of all, (contacts, S)."""
-        return Grouped(values[span, sample].copy() for span in self._spans)
+    def numbers(self, row: int, sample: int) -> Arrays:
+        """Numbers (n,) a group of a sample."""
+        return Grouped(self.values[row, span, sample].copy() for span in self._spans)
 
-    def vectors(self, two: np.ndarray, sample: int) -> Arrays:
-        """Vectors (d, n) a group of a sample from two rows one after the other."""
-        both = two.reshape(2, -1, self.samples)
-        return Grouped(both[:d, span, sample].copy() for d, span in zip(self._components, self._spans, strict=True))
-
-    def total(self, row: int) -> np.ndarray:
-        """Sum over the contacts, (S,), in the same order however many samples there are."""
-        return np.concatenate([self.values[row, span].T for span in self._spans], axis=1).copy().sum(axis=1)
+    def vectors(self, row: int, sample: int) -> Arrays:
+        """Vectors (d, n) a group of a sample, from a row on."""
+        groups = zip(self._components, self._spans, strict=True)
+        return Grouped(self.values[row : row + d, span, sample].copy() for d, span in groups)
 
     def two(self, row: int) -> np.ndarray:
         """Two rows from one on, one after the other, (2*contacts, S), as a view."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
-    def flattened(self, vectors: Sequence[Arrays]) -> np.ndarray:
-        """Inverse of :meth:`vectors`, for all samples."""
-        both = np.zeros((2, self.values.shape[1], self.samples))
-        for sample, of_sample in enumerate(vectors):
-            for span, new in zip(self._spans, of_sample, strict=True):
-                both[: len(new), span, sample] = new
-        return both.reshape(-1, self.samples)
-
     def upper_stiffness(self) -> np.ndarray:
         """Upper triangles of the stiffnesses (entries, S), as `stacked` has them."""
-        rows = {1: 1, 2: 3}
-        return np.concatenate(
-            [
-                self.values[kernels.STIFFNESS + k, span]
-                for d, span in zip(self._components, self._spans, strict=True)
-                for k in range(rows[d])
-            ]
-        )
+        groups = zip(self._components, self._spans, strict=True)
+        rows = [(kernels.STIFFNESS + k, span) for d, span in groups for k in range(d * (d + 1) // 2)]
+        return np.concatenate([self.values[row, span] for row, span in rows])
 
 
 @lru_cache
-def compile_passes() -> None:
-    """Compile the passes, on next to nothing: they are the same for all systems and numbers of samples."""
-    rows = ContactRows([sparse.csr_matrix(np.ones((1, 1))), sparse.csr_matrix(np.ones((2, 1)))], [1, 2])
-    for kernel in (kernels.prepare, kernels.expand, kernels.multiply, kernels.correct, kernels.recentre):
+def compile_passes(samples: int = 1) -> None:
+    """Compile the passes, on next to nothing: they are the same for all systems."""
+    operators = [sparse.csr_matrix(np.ones((1, 1))), sparse.csr_matrix(np.ones((2, 1)))]
+    rows = ContactRows(operators, [1, 2], aligned_zeros(samples, samples).reshape(1, samples))
+    for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
         rows.run(kernel)
+    rows.torques(kernels.FORCE)
 
 
-def _spread(matrix: sparse.spmatrix, places: np.ndarray, rows: int) -> sparse.csr_matrix:
-    """A matrix with its rows at other places among `rows`."""
-    found = matrix.tocoo()
-    return sparse.csr_matrix((found.data, (places[found.row], found.col)), shape=(rows, matrix.shape[1]))
+def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, rows: int) -> Sums:
+    """Tables for kernels.add_up of a matrix with these entries, 1 or -1: terms in the order of columns."""
+    order = np.lexsort((column, row))
+    begins = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
+    places = np.where(sign[order] > 0, column[order], ~column[order])
+    return begins.astype(np.int32), places.astype(np.int32)

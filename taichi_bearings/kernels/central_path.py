@@ -13,7 +13,8 @@ precision, whatever that of the runtime.
 from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, fill, places
+from taichi_bearings.kernels.elimination import LANES, TABLES, VALUES, VECTORS
+from taichi_bearings.kernels.memory import BLOCKS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
 NEVER = 1e30  # length of a step that never leaves its cone
@@ -22,12 +23,20 @@ NEVER = 1e30  # length of a step that never leaves its cone
 # point, W^-2 in the blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
 FRICTION, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
 WEIGHT, HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
-STATE_ROWS = 20
-# Rows of a step, of which there are two: right-hand side, pull on the spheres, change of slip, bound and dual, how far
-# primal and dual point can go, and friction * bound + difference . dual after a part of it
-RIGHT_HEAD, RIGHT_TAIL, PULL, CHANGE, BOUND_STEP, DUAL_STEP, REACH, DUAL_REACH, PRODUCT = 0, 1, 3, 5, 7, 8, 10, 11, 12
-STEP_ROWS = 13
+# the iterate before, and room for forces
+BOUND_BEFORE, SLIP_BEFORE, DUAL_BEFORE, FORCE = 20, 21, 23, 25
+STATE_ROWS = 27
+# Rows of a step, of which there are two: right-hand side, pull on the spheres, change of slip, bound and dual
+RIGHT_HEAD, RIGHT_TAIL, PULL, CHANGE, BOUND_STEP, DUAL_STEP = 0, 1, 3, 5, 7, 8
+STEP_ROWS = 10
 ROWS = STATE_ROWS + 2 * STEP_ROWS
+# What is found over all contacts. Of a step: how far primal and dual point can go at least; over cones the sums of
+# friction * bound + difference . dual, of its derivatives by either length, and of the mixed one. Of an iterate: the
+# sums of friction * slip, and of what of it the forces do not bear
+REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH = 0, 1, 2, 3, 4, 5
+POWER, EXCESS = 2, 3
+LEAST, FOUND = 2, 6  # of how many numbers the least is found, and how many there are
+GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # what recentring does: its work, or nothing to the one step or the other
 
 
 @ti.func
@@ -166,7 +175,7 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Steps of bound and dual that belong to the change of the slip, and how far they may go."""
+    """Steps of bound and dual that belong to the change of the slip, how far they may go, and their products."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth = values[state[SMOOTH] + m] > 0.0
@@ -193,23 +202,14 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
     along = ti.select(smooth, half, reach(bound, slip, bound_step, change))
     dual_along = ti.select(smooth, never, reach(friction, dual, ti.cast(0.0, ti.f64), dual_step))
-    return [ti.select(smooth, 0.0, bound_step)] + dual_step + [along, dual_along]
-
-
-@ti.func
-def product(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """friction * bound + difference . dual after steps of two given lengths; 0 outside cones."""
-    state, step, like = at[0], at[1], at[2]
-    slip = vector(values, state, SLIP, like, m)
-    dual = vector(values, state, DUAL, like, m)
-    change = vector(values, step, CHANGE, like, m)
-    dual_step = vector(values, step, DUAL_STEP, like, m)
-    along, dual_along = numbers[m], numbers[BLOCK + m]
-    after = [slip[k] + along * change[k] for k in ti.static(range(len(like)))]
-    dual_after = [dual[k] + dual_along * dual_step[k] for k in ti.static(range(len(like)))]
-    bound = values[state[BOUND] + m] + along * values[step[BOUND_STEP] + m]
-    found = bound * values[state[FRICTION] + m] + dot(after, dual_after)
-    return [ti.select(values[state[SMOOTH] + m] > 0.0, 0.0, found)]
+    products = [
+        friction * bound + dot(slip, dual),
+        friction * bound_step + dot(change, dual),
+        dot(slip, dual_step),
+        dot(change, dual_step),
+    ]
+    counted = [ti.select(smooth, 0.0, x) for x in ti.static([bound_step] + products)]
+    return [counted[0]] + dual_step + [along, dual_along] + counted[1:]
 
 
 @ti.func
@@ -229,7 +229,7 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """Bring products outside given limits, after steps of two given lengths, closer, by the upper limit at most
-    (Gondzio 1996)."""
+    (Gondzio 1996); or make a step that is good enough once more."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     along, dual_along, low, high = numbers[m], numbers[BLOCK + m], numbers[2 * BLOCK + m], numbers[3 * BLOCK + m]
@@ -250,8 +250,33 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     lowered = ti.max(ti.min(ti.max(above, low), high) - above, -high)
     share = ti.select(length > 0.0, (lowered - raised) / 2.0 / length, 0.0)
     mend = divided(values, state, (raised + lowered) / 2.0, [share * tail[k] for k in axes], m)
-    right = vector(values, step, RIGHT_TAIL, like, m)
-    return aimed(values, state, values[step[RIGHT_HEAD] + m] + mend[0], [right[k] + mend[1 + k] for k in axes], m)
+    choice, written = numbers[4 * BLOCK + m], at[3]
+    right = [values[step[RIGHT_HEAD + k] + m] for k in ti.static(range(1 + len(like)))]
+    kept = [values[written[RIGHT_HEAD + k] + m] for k in ti.static(range(1 + len(like)))]
+    aim = [
+        ti.select(choice == AS_WRITTEN, kept[k], ti.select(choice == AS_READ, right[k], right[k] + mend[k]))
+        for k in ti.static(range(1 + len(like)))
+    ]
+    return aimed(values, state, aim[0], aim[1:], m)
+
+
+@ti.func
+def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """The iterate after steps of two given lengths, the one before, and what the new one comes to."""
+    state, step, like = at[0], at[1], at[2]
+    axes = ti.static(range(len(like)))
+    smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION] + m], values[state[BOUND] + m]
+    along, dual_along = numbers[m], numbers[BLOCK + m]
+    slip = vector(values, state, SLIP, like, m)
+    dual = vector(values, state, DUAL, like, m)
+    change = vector(values, step, CHANGE, like, m)
+    dual_step = vector(values, step, DUAL_STEP, like, m)
+    after = [slip[k] + along * change[k] for k in axes]
+    length = size(after)
+    dual_after = [ti.select(smooth, -friction * after[k] / length, dual[k] + dual_along * dual_step[k]) for k in axes]
+    bound_after = ti.select(smooth, length, bound + along * values[step[BOUND_STEP] + m])
+    power = friction * length
+    return [bound_after] + after + dual_after + [bound] + slip + dual + [power, power + dot(after, dual_after)]
 
 
 def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -266,69 +291,97 @@ MADE = _numbered(
     (WEIGHT, SCALAR), (HEAD, SCALAR), (TAIL, VECTOR), (POINT_HEAD, SCALAR), (POINT_TAIL, VECTOR),
     (DIAGONAL, SCALAR), (OFF, VECTOR), (STIFFNESS, (1, 3)),
 )  # fmt: skip
-EXTENT = _numbered((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR), (REACH, SCALAR), (DUAL_REACH, SCALAR))
+EXTENT = _numbered((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR))
+TAKEN = _numbered(
+    (BOUND, SCALAR), (SLIP, VECTOR), (DUAL, VECTOR),
+    (BOUND_BEFORE, SCALAR), (SLIP_BEFORE, VECTOR), (DUAL_BEFORE, VECTOR),
+)  # fmt: skip
 NONE = ((), ())
 
 
 @ti.func
 def walk(
-    values: ti.template(),
-    blocks: ti.template(),
-    law: ti.template(),
-    length,
-    first,
-    slots: ti.template(),
-    writes: ti.template(),
-    like: ti.template(),
-    numbers: ti.template(),
-):
-    """A law over the block of contacts that begins at `first`. slots : of the step that is read and that is written.
+    values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block,
+    slots: ti.template(), writes: ti.template(), finds: ti.template(), like: ti.template(), numbers: ti.template(),
+):  # fmt: skip
+    """A law over a block of contacts. slots : of the step that is read and that is written. finds : the numbers, after
+    those that are written, of which it finds the least or the sum, in the same order whatever the samples.
 
     writes : rows of the iterate and of the step, and of neither. like : as many entries as slipping components.
     """
+    first = block * BLOCK
     state = places(ti.static(tuple(range(STATE_ROWS))), length, first)
-    old = places(ti.static(tuple(range(STEP_ROWS))), length, first + (STATE_ROWS + slots[0] * STEP_ROWS) * length)
-    to = places(ti.static(writes[0]), length, first) + places(
-        ti.static(writes[1]), length, first + (STATE_ROWS + slots[1] * STEP_ROWS) * length
-    )
-    rows = [ti.Vector.zero(ti.f64, BLOCK) for _ in ti.static(range(len(to)))]
-    fill(rows, values, BLOCK, law, [state, old, like], numbers)
+    step = ti.static(tuple(range(STEP_ROWS)))
+    old = places(step, length, first + (STATE_ROWS + slots[0] * STEP_ROWS) * length)
+    new = places(step, length, first + (STATE_ROWS + slots[1] * STEP_ROWS) * length)
+    to = places(ti.static(writes[0]), length, first) + [new[k] for k in ti.static(writes[1])]
+    rows = [ti.Vector.zero(ti.f64, BLOCK) for _ in ti.static(range(len(to) + len(finds)))]
+    fill(rows, values, BLOCK, law, [state, old, like, new], numbers)
     for k in ti.static(range(len(to))):
         blocks[to[k] // BLOCK] = rows[k]
+    turns = found.shape[0] // FOUND
+    for k in ti.static(range(len(finds))):
+        at, more = finds[k] * turns + block % turns, rows[ti.static(len(to) + k)]
+        if ti.static(finds[k] < LEAST):
+            found[at] = ti.min(found[at], more)
+        else:
+            found[at] = found[at] + more
 
 
-def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE) -> Callable:
+def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE, finds: tuple = ()) -> Callable:
     """Kernel that walks a law over all contacts. iterate, step : rows that it writes, of one component and of two."""
 
     @ti.kernel
     def run(
-        values: VALUES,
-        blocks: BLOCKS,
-        numbers: VALUES,
-        length: int,
-        first_two: int,
-        count: int,
-        read_slot: int,
-        write_slot: int,
-    ):
+        values: VALUES, blocks: BLOCKS, found: BLOCKS, numbers: VALUES, length: int, first_two: int, count: int,
+        read_slot: int, write_slot: int,
+    ):  # fmt: skip
         ti.loop_config(serialize=True)
         for block in range(first_two):
             walk(
-                values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
-                ti.static((iterate[0], step[0])), ti.static((0,)), numbers,
+                values, blocks, found, law, length, block, [read_slot, write_slot],
+                ti.static((iterate[0], step[0])), ti.static(finds), ti.static((0,)), numbers,
             )  # fmt: skip
         ti.loop_config(serialize=True)
         for block in range(first_two, count):
             walk(
-                values, blocks, law, length, block * BLOCK, [read_slot, write_slot],
-                ti.static((iterate[1], step[1])), ti.static((0, 1)), numbers,
+                values, blocks, found, law, length, block, [read_slot, write_slot],
+                ti.static((iterate[1], step[1])), ti.static(finds), ti.static((0, 1)), numbers,
             )  # fmt: skip
 
     return run
 
 
 prepare = _pass(prepared, MADE, AIM)
-expand = _pass(expanded, step=EXTENT)
-multiply = _pass(product, step=_numbered((PRODUCT, SCALAR)))
+expand = _pass(expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH))
 correct = _pass(corrected, step=AIM)
 recentre = _pass(recentred, step=AIM)
+take = _pass(taken, TAKEN, finds=(POWER, EXCESS))
+
+
+@ti.func
+def nothing(together: ti.template()):
+    if ti.static(together):
+        return ti.Vector.zero(ti.f64, LANES)
+    return ti.cast(0.0, ti.f64)
+
+
+def _sums(together: bool) -> Callable:
+    """Kernel that adds numbers up, those of LANES samples or of a sample alone."""
+    kind = VECTORS if together else VALUES
+
+    @ti.kernel
+    def run(begins: TABLES, places: TABLES, values: kind, found: kind, first: int, to: int):
+        """found[to + i] = sum over k from begins[i] on of values[first + places[k]]; ~place : to be taken off."""
+        ti.loop_config(serialize=True)
+        for i in range(begins.shape[0] - 1):
+            total = nothing(together)
+            for k in range(begins[i], begins[i + 1]):
+                off = places[k] >> 31  # -1 for what is taken off, 0 for the rest
+                total = total + ti.cast(1 | off, ti.f64) * values[first + (places[k] ^ off)]
+            found[to + i] = total
+
+    return run
+
+
+add_up, add_up_alone = _sums(True), _sums(False)

@@ -12,7 +12,7 @@ margin, which the central path drives apart.
 """
 
 import threading
-from collections.abc import Sequence
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Matrix, balance, flowing, newton_steps
+from taichi_bearings.conic.central_path import Matrix, Path, balance, flowing
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
@@ -55,21 +55,16 @@ TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a s
 
 @dataclass
 class _Sample:
-    """One replica: its iterate and the one before, and the power of two near the mean coefficient in which its friction
-    is measured."""
+    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured."""
 
     iterate: Iterate
-    before: Iterate
     unit: float
+    steps: int = 0
+    gap: float = np.inf  # relative
     done: bool = False
     ended: int | None = None  # iteration of its last step
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
-
-    def sticking(self) -> Arrays:
-        """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
-        (slip, margin), (slip_before, margin_before) = _slip_and_margin(self.iterate), _slip_and_margin(self.before)
-        return (margin > APART * slip) & (slip < TREND * slip_before) & (margin > TREND * margin_before)
 
     def creep(self) -> float:
         """Largest slip of a contact that counts as slipless, relative to the jump."""
@@ -86,6 +81,12 @@ class _Sample:
         if iterate.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
             slip = slip * (1 + iterate.viscosity / iterate.friction)
         return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
+
+
+def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
+    """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
+    (slip, margin), (slip_before, margin_before) = _slip_and_margin(iterate), _slip_and_margin(before)
+    return (margin > APART * slip) & (slip < TREND * slip_before) & (margin > TREND * margin_before)
 
 
 def _slip_and_margin(iterate: Iterate) -> tuple[Arrays, Arrays]:
@@ -137,7 +138,6 @@ class InteriorPointMethod:
         self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])
         jump = self.top[0]
         self.frustrated = bool((jump != 0).any())
-        self.iteration = 0
         self.system, self.parts, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
         if matrix is not None and matrices is not None:
             self.matrix, self.matrices = matrix, matrices
@@ -170,61 +170,84 @@ class InteriorPointMethod:
                 spins = flowing(self.system, viscosity, self.matrix, spins)
         slack = 1.0 / (scene.lattice.shape[-1] - 1)
         start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
-        return _Sample(start, start, unit)
+        return _Sample(start, unit)
+
+    @property
+    def iteration(self) -> int:
+        return max(sample.steps for sample in self.samples)
 
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
         if self.scene.lattice.sites < SMALL and self.options.settle:
             return iteration + AT_ONCE
-        far = self.frustrated and max(sample.iterate.gap for sample in self.samples) > FAR
+        far = self.frustrated and max(sample.gap for sample in self.samples) > FAR
         return iteration + (2 if far else 1)
 
     def advance(self, steps: int) -> None:
+        """As many of every sample that is not done. Where one leaves, another takes its place beside the others."""
+        waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
+        together = isinstance(self.matrices, NewtonMatrices) and len(waiting) > 1
+        path, going = Path(self.matrices, LANES if together else 1), dict[int, tuple[_Sample, int]]()
         with one_thread():  # fronts are shared among threads here, not inside the library
-            for _ in range(steps):
-                going = [sample for sample in self.samples if not sample.done]
-                if not going:
-                    break
-                together = LANES if isinstance(self.matrices, NewtonMatrices) else 1
-                for first in range(0, len(going), together):
-                    self._steps(going[first : first + together])
-                self.iteration += 1
+            try:
+                while waiting or going:
+                    for place in [place for place in range(path.samples) if place not in going][: len(waiting)]:
+                        going[place] = waiting.popleft()
+                        path.put(place, going[place][0].iterate)
+                    taken = path.step()
+                    for place, (sample, last) in list(going.items()):
+                        self._judge(sample, path, place, bool(taken[place]))
+                        if sample.done or sample.steps == last:
+                            self._leave(path, place, going.pop(place)[0])
+            finally:
+                for place, (sample, _) in going.items():
+                    self._leave(path, place, sample)
 
-    def _steps(self, samples: Sequence[_Sample]) -> None:
-        """One step of samples side by side."""
-        with np.errstate(all="ignore"):  # at the end numbers that are not finite turn up
-            found = newton_steps([sample.iterate for sample in samples], self.matrices)
-        for sample, iterate in zip(samples, found, strict=True):
-            self._judge(sample, iterate)
-            sample.ended = self.iteration + 1 if sample.done else None
+    def _leave(self, path: Path, place: int, sample: _Sample) -> None:
+        if not sample.done:
+            sample.iterate = path.iterate(place)
+        path.put(place, None)
 
     @property
     def settles_at(self) -> float:
         """Relative gap. A step costs little beside a round of settling in large samples, and much in small ones."""
         return float(np.clip(SETTLE * (LARGE / self.scene.lattice.sites) ** 3, SETTLE, SOONEST))
 
-    def _judge(self, sample: _Sample, iterate: Iterate | None) -> None:
+    def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
         """See where a step of a sample has led, and settle its states if that can be tried."""
-        done, gap = True, np.nan
-        with suppress(NotPositiveDefinite), np.errstate(all="ignore"):
-            if iterate is not None:
-                gap = iterate.gap
-                if not gap > FAR and iterate.price_of_torques > max(gap, CLOSEST):
-                    iterate = balance(iterate, self.matrix)
-                    gap = iterate.gap
-                if np.isfinite(gap):
-                    sample.before, sample.iterate, done = sample.iterate, iterate, False
-        gap = gap if np.isfinite(gap) else sample.iterate.gap
-        sample.done = done or not gap > CLOSEST
-        if not self.scene.law.is_rate_independent:
-            return  # slips of any size are met with a force: there is no set of contacts that rest to be found
-        if gap < min(self.settles_at, sample.tried / AGAIN) or (sample.done and gap < LAST_RESORT):
-            sample.tried = gap
-            with stage("settling contact states"):
-                found = resolve(sample.iterate, sample.sticking(), self.parts, self.matrix, self.top)
-            if found is not None and self._honest_gap(sample, found) <= self._honest_gap(sample, sample.resolved):
-                sample.resolved = found
-            sample.done |= found is not None and found.sure
+        gap = self._gap(path, place) if taken else np.nan
+        sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
+        sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > CLOSEST
+        near = sample.gap < min(self.settles_at, sample.tried / AGAIN) or (sample.done and sample.gap < LAST_RESORT)
+        # slips of any size are met with a force where it depends on the rate: there are no contacts at rest to be found
+        settle = near and self.scene.law.is_rate_independent
+        if sample.done or settle:
+            sample.iterate = path.iterate(place) if accepted else path.before(place)
+        if settle:
+            self._settle(sample, _sticking(sample.iterate, path.before(place)) if accepted else None)
+            path.put(place, sample.iterate)  # settling may have needed the same memory
+        sample.ended = sample.steps if sample.done else None
+
+    @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
+    def _gap(self, path: Path, place: int) -> float:
+        """Relative gap of a sample after a step, its forces balanced if need be; not finite if it cannot be told."""
+        gap = path.gap(place)
+        if not gap > FAR and path.price_of_torques(place) > max(gap, CLOSEST):
+            try:
+                balanced = balance(path.iterate(place), self.matrix)
+            except NotPositiveDefinite:
+                return np.nan
+            path.put(place, balanced)
+            gap = balanced.gap
+        return gap
+
+    def _settle(self, sample: _Sample, sticking: Arrays | None) -> None:
+        sample.tried = sample.gap
+        with stage("settling contact states"):
+            found = resolve(sample.iterate, sticking, self.parts, self.matrix, self.top)
+        if found is not None and self._honest_gap(sample, found) <= self._honest_gap(sample, sample.resolved):
+            sample.resolved = found
+        sample.done |= found is not None and found.sure
 
     def _honest_gap(self, sample: _Sample, found: Resolved | None) -> float:
         """With what torques on the spheres take from the bound, at most: the more where coefficients differ by many

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
-from taichi_bearings.conic.contact_system import stacked
+from taichi_bearings.conic.grouped import each
 from taichi_bearings.conic.matrices import NewtonMatrices
+from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import dissect
 from tests.numerics.test_cholesky import SCENES, assembled, random_stiffness, system_of
 from tests.scenes import make_scene
@@ -14,53 +15,64 @@ pytestmark = pytest.mark.usefixtures("taichi_runtime")
 
 
 def matrices_of(options, leaf, samples=8, seed=4):
-    """Matrices over a scene, stiffnesses (entries, samples), and their groups."""
+    """Matrices over a scene, stiffnesses of the samples, and right-hand sides."""
     scene, rng = make_scene(**options), np.random.default_rng(seed)
     system = system_of(scene)
     stiffness = [random_stiffness(system, rng) for _ in range(samples)]
     matrices = NewtonMatrices(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf))
-    right = rng.standard_normal((system.unknowns, samples))
-    return system, matrices, stiffness, np.stack([stacked(k) for k in stiffness], axis=1), right
+    return system, matrices, stiffness, rng.standard_normal((system.unknowns, samples))
+
+
+def solved(matrices, stiffness, right, inertia=0.0):
+    """Which samples are regular, and solutions (unknowns, S)."""
+    rows, count = matrices.rows(1 if len(stiffness) == 1 else 8), len(stiffness)
+    for sample, of_sample in enumerate(stiffness):
+        upper = each(lambda k: np.stack([k[i, j] for i in range(len(k)) for j in range(i, len(k))]), of_sample)
+        rows.put(kernels.STIFFNESS, sample, upper)
+    regular = matrices.factorise_each(rows, np.arange(rows.samples) < count, inertia)
+    assert not regular[count:].any()
+    rows.spins[rows.place, :count] = right
+    matrices.solve_each(rows)
+    return regular[:count], rows.spins[rows.place, :count].copy()
 
 
 @pytest.mark.parametrize("leaf", [3, 20, 10_000])
 @pytest.mark.parametrize("options", SCENES.values(), ids=SCENES)
 def test_solutions_equal_those_of_scipy_and_those_of_each_alone(options, leaf):
-    system, matrices, stiffness, entries, right = matrices_of(options, leaf)
-    assert matrices.factorise_each(entries).all()
-    together = matrices.solve_each(right)
+    system, matrices, stiffness, right = matrices_of(options, leaf)
+    regular, together = solved(matrices, stiffness, right)
+    assert regular.all()
     for sample in range(8):
         one = slice(sample, sample + 1)
         expected = spsolve(assembled(system, stiffness[sample]), right[:, sample])
         assert together[:, sample] == pytest.approx(expected, rel=1e-8, abs=1e-9 * abs(expected).max())
-        assert matrices.factorise_each(entries[:, one]).all()
-        assert (matrices.solve_each(right[:, one]) == together[:, one]).all()
+        regular, alone = solved(matrices, stiffness[one], right[:, one])
+        assert regular.all()
+        assert (alone == together[:, one]).all()
 
 
 def test_three_of_them_do_as_well_as_eight():
-    _, matrices, _, entries, right = matrices_of(SCENES["two components"], 20)
-    matrices.factorise_each(entries)
-    eight = matrices.solve_each(right)
-    matrices.factorise_each(entries[:, 3:6])
-    assert (matrices.solve_each(right[:, 3:6]) == eight[:, 3:6]).all()
+    _, matrices, stiffness, right = matrices_of(SCENES["two components"], 20)
+    _, eight = solved(matrices, stiffness, right)
+    _, three = solved(matrices, stiffness[3:6], right[:, 3:6])
+    assert (three == eight[:, 3:6]).all()
 
 
 @pytest.mark.parametrize("fault", [0.0, np.nan, np.inf])
 def test_what_is_singular_is_no_matter_to_the_others(fault):
     """A sphere that nothing holds, or numbers that are none: a raised diagonal mends neither."""
-    _, matrices, _, entries, right = matrices_of(SCENES["two components"], 20)
-    matrices.factorise_each(entries)
-    sound = matrices.solve_each(right)
-    entries[:, 5] = entries[:, 5] * fault
-    regular = matrices.factorise_each(entries)
+    _, matrices, stiffness, right = matrices_of(SCENES["two components"], 20)
+    _, sound = solved(matrices, stiffness, right)
+    stiffness[5] = stiffness[5] * fault
+    regular, found = solved(matrices, stiffness, right)
     assert regular.tolist() == [sample != 5 for sample in range(8)]
-    assert (matrices.solve_each(right) == sound)[:, regular].all()
+    assert (found == sound)[:, regular].all()
 
 
 def test_springs_of_every_spin_count():
-    system, matrices, stiffness, entries, right = matrices_of(SCENES["one component"], 20)
-    assert matrices.factorise_each(entries, 0.3).all()
-    solved = matrices.solve_each(right)
+    system, matrices, stiffness, right = matrices_of(SCENES["one component"], 20)
+    regular, found = solved(matrices, stiffness, right, 0.3)
+    assert regular.all()
     for sample in range(8):
-        left = assembled(system, stiffness[sample]) @ solved[:, sample] + 0.3 * solved[:, sample]
+        left = assembled(system, stiffness[sample]) @ found[:, sample] + 0.3 * found[:, sample]
         assert left == pytest.approx(right[:, sample], abs=1e-8 * abs(right).max())
