@@ -245,17 +245,18 @@ class InteriorPointMethod:
         sample.tried = sample.gap
         with stage("settling contact states"):
             found = resolve(sample.iterate, sticking, self.parts, self.matrix, self.top)
-        if found is not None and self._honest_gap(sample, found) <= self._honest_gap(sample, sample.resolved):
+        if found is None:
+            return
+        if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):
             sample.resolved = found
-        sample.done |= found is not None and found.sure
+        sample.done |= found.sure
 
-    def _honest_gap(self, sample: _Sample, found: Resolved | None) -> float:
-        """With what torques on the spheres take from the bound, at most: the more where coefficients differ by many
-        decades, the further the path goes. 0 if balanced forces bear the load."""
-        if found is None or found.borne:
-            return np.inf if found is None else 0.0
+    def _misses(self, sample: _Sample, found: Resolved) -> tuple[bool, bool, float]:
+        """What a settled state misses, the most important first: balanced forces that bear the load, certainty, and the
+        gap with what torques on the spheres take from the bound, at most: the more where coefficients differ by many
+        decades, the further the path goes."""
         settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
-        return settled.gap + settled.price_of_torques
+        return not found.borne, not found.sure, settled.gap + settled.price_of_torques
 
     def progress(self) -> Progress:
         scene = self.scene
