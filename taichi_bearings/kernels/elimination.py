@@ -4,6 +4,9 @@ The fronts of the elimination tree one after the other, children first (numerics
 stored column by column: m columns of own unknowns with all their n rows, then the update that it leaves for its border,
 b columns of b rows of which the lower triangle counts. A number goes through the same operations in the same order
 whether its matrix is alone or not.
+
+All loops step by a number that stands in the tables, be it 1: loops of a known step LLVM unrolls up to eight times
+over, which takes every process seconds and makes none of them faster.
 """
 
 from taichi_bearings.compiler import ti
@@ -14,8 +17,8 @@ VALUES = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 TABLES = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
-# Where the tables begin in the array of integers is written at its start, after the number of fronts
-FRONTS, PLACES, MAPS, BORDERS, HEADER = 0, 1, 2, 3, 4
+# Where the tables begin in the array of integers is written at its start, after the number of fronts; then a 1
+FRONTS, PLACES, MAPS, BORDERS, STEP, HEADER = 0, 1, 2, 3, 4, 5
 # A row of the table of fronts: own unknowns and border, where columns and update begin, first and last entry, children
 # or -1, where its part of maps and borders begins, first own unknown, numbers from one column and one column of the
 # update to the next, and the row at which columns of the update begin
@@ -24,12 +27,14 @@ HEIGHT, UPDATE_HEIGHT, SKIP, WIDTH = 10, 11, 12, 13
 
 
 @ti.func
-def clear(alone: ti.template(), numbers: ti.template(), begin, end):
-    for i in range(begin, end):
+def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
+    i = begin
+    while i < end:
         if ti.static(alone):
             numbers[i] = 0.0
         else:
             numbers[i] = ti.Vector.zero(ti.f64, LANES)
+        i += step
 
 
 @ti.func
@@ -45,21 +50,29 @@ def column_of(tables: ti.template(), at, column):
 @ti.func
 def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template(), numbers: ti.template()):
     """Fill a front with its entries and with what its children leave."""
-    columns = tables[at + COLUMNS]
-    for column in range(tables[at + OWN] + tables[at + BORDER]):
-        begin = column_of(tables, at, column)
-        clear(alone, numbers, begin + column - column % ti.static(LANES if alone else 1), begin + tables[at + HEIGHT])
-    for entry in range(tables[at + ENTRIES], tables[at + ENTRIES_END]):
+    columns, step = tables[at + COLUMNS], tables[STEP]
+    column, rows = 0, tables[at + OWN] + tables[at + BORDER]
+    while column < rows:
+        begin, unit = column_of(tables, at, column), ti.static(LANES if alone else 1)
+        clear(alone, numbers, begin + column - column % unit, begin + tables[at + HEIGHT], step)
+        column += step
+    entry, entries_end = tables[at + ENTRIES], tables[at + ENTRIES_END]
+    while entry < entries_end:
         numbers[columns + tables[tables[PLACES] + entry]] = entries[entry]
+        entry += step
     for which in ti.static(range(2)):
         if tables[at + CHILD + which] >= 0:
             child = HEADER + tables[at + CHILD + which] * WIDTH
             own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + SHARE]
-            for j in range(length):
+            j = 0
+            while j < length:
                 start, source = column_of(tables, at, tables[places + j]), column_of(tables, child, own + j) + own
-                for i in range(j, length):
+                i = j
+                while i < length:
                     to = start + tables[places + i]
                     numbers[to] = numbers[to] + numbers[source + i]
+                    i += step
+                j += step
 
 
 @ti.func
@@ -70,11 +83,13 @@ def corner(tables: ti.template(), at, numbers: ti.template(), j, wide: ti.templa
     found = [
         numbers[column_of(tables, at, j + c) + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))
     ]
-    for k in range(ti.min(j, own)):
-        left = [numbers[columns + k * height + j + r] for r in ti.static(range(wide))]
+    source, end = columns + j, columns + j + ti.min(j, own) * height
+    while source < end:
+        left = [numbers[source + r] for r in ti.static(range(wide))]
         for r in ti.static(range(wide)):
             for c in ti.static(range(r + 1)):
                 found[r * (r + 1) // 2 + c] = found[r * (r + 1) // 2 + c] - left[r] * left[c]
+        source += height
     if j < own:
         for r in ti.static(range(wide)):
             row = ti.static(r * (r + 1) // 2)
@@ -100,13 +115,14 @@ def block(
     own, columns, height = tables[at + OWN], tables[at + COLUMNS], tables[at + HEIGHT]
     to = [column_of(tables, at, j + c) // unit + i for c in ti.static(range(wide))]
     found = [vectors[to[c] + r] for c in ti.static(range(wide)) for r in ti.static(range(tall))]
-    for k in range(ti.min(j, own)):
-        source = columns + k * height
+    source, end = columns, columns + ti.min(j, own) * height
+    while source < end:
         left = [vectors[source // unit + i + r] for r in ti.static(range(tall))]
         for c in ti.static(range(wide)):
             factor = numbers[source + j + c]
             for r in ti.static(range(tall)):
                 found[c * tall + r] = found[c * tall + r] - left[r] * factor
+        source += height
     if j < own:
         for c in ti.static(range(wide)):
             for r in ti.static(range(tall)):
@@ -175,25 +191,29 @@ def forward(
 ):
     """Solve for `wide` own unknowns, and take what they are to the own ones behind and to the border.
 
-    where : place of their first pivot, and from one column to the next; row of the first, end of all own; border.
+    where : place of their first pivot, and from one column to the next; row of the first, end of all own; border; 1.
     """
-    start, height, row, end, border = where
+    start, height, row, end, border, step = where
     value = [solution[row + c] for c in ti.static(range(wide))]
     for c in ti.static(range(wide)):
         for p in ti.static(range(c)):
             value[c] = value[c] - numbers[start + p * height + c] * value[p]
         value[c] = value[c] * numbers[start + c * height + c]
         solution[row + c] = value[c]
-    for i in range(wide, end - row):
+    i = wide
+    while i < end - row:
         rest = solution[row + i]
         for c in ti.static(range(wide)):
             rest = rest - numbers[start + c * height + i] * value[c]
         solution[row + i] = rest
-    for i in range(border):
+        i += step
+    i = 0
+    while i < border:
         total = work[i]
         for c in ti.static(range(wide)):
             total = total + numbers[start + c * height + end - row + i] * value[c]
         work[i] = total
+        i += step
 
 
 @ti.func
@@ -201,16 +221,20 @@ def backward(
     numbers: ti.template(), solution: ti.template(), work: ti.template(), where: ti.template(), wide: ti.template()
 ):
     """The same the other way, once border and own unknowns behind are known."""
-    start, height, row, end, border = where
+    start, height, row, end, border, step = where
     rest = [solution[row + c] for c in ti.static(range(wide))]
-    for i in range(border):
+    i = 0
+    while i < border:
         known = work[i]
         for c in ti.static(range(wide)):
             rest[c] = rest[c] - numbers[start + c * height + end - row + i] * known
-    for i in range(wide, end - row):
+        i += step
+    i = wide
+    while i < end - row:
         known = solution[row + i]
         for c in ti.static(range(wide)):
             rest[c] = rest[c] - numbers[start + c * height + i] * known
+        i += step
     for back in ti.static(range(wide)):
         c = ti.static(wide - 1 - back)
         for p in ti.static(range(c + 1, wide)):
@@ -228,33 +252,38 @@ def substituted(
         at = HEADER + (turn if down else 2 * tables[FRONTS] - 1 - turn) * WIDTH
         own, border, first = tables[at + OWN], tables[at + BORDER], tables[at + FIRST]
         places, height, end = tables[BORDERS] + tables[at + SHARE], tables[at + HEIGHT], first + own
+        step = tables[STEP]
         if down:
-            clear(alone, work, 0, border)
+            clear(alone, work, 0, border, step)
             k = 0
             while k < own:
                 start = tables[at + COLUMNS] + k * (height + 1)
                 if k + PANEL <= own:
-                    forward(numbers, solution, work, [start, height, first + k, end, border], PANEL)
+                    forward(numbers, solution, work, [start, height, first + k, end, border, step], PANEL)
                     k += PANEL
                 else:
-                    forward(numbers, solution, work, [start, height, first + k, end, border], 1)
+                    forward(numbers, solution, work, [start, height, first + k, end, border, step], 1)
                     k += 1
-            for i in range(border):
+            i = 0
+            while i < border:
                 to = tables[places + i]
                 solution[to] = solution[to] - work[i]
+                i += step
         else:
-            for i in range(border):
+            i = 0
+            while i < border:
                 work[i] = solution[tables[places + i]]
+                i += step
             k = own
             while k > 0:
                 if k % PANEL == 0:
                     k -= PANEL
                     start = tables[at + COLUMNS] + k * (height + 1)
-                    backward(numbers, solution, work, [start, height, first + k, end, border], PANEL)
+                    backward(numbers, solution, work, [start, height, first + k, end, border, step], PANEL)
                 else:
                     k -= 1
                     start = tables[at + COLUMNS] + k * (height + 1)
-                    backward(numbers, solution, work, [start, height, first + k, end, border], 1)
+                    backward(numbers, solution, work, [start, height, first + k, end, border, step], 1)
 
 
 @ti.kernel

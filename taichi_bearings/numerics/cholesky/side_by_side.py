@@ -148,7 +148,7 @@ def _tables(pattern: Pattern, unit: int) -> tuple[np.ndarray, int, np.ndarray]:
     maps = np.concatenate([*none, *(np.resize(f.place_in_parent, len(f.border)) for f in fronts)])
     parts = [table.ravel(), np.concatenate(places), maps, np.concatenate([*none, *(f.border for f in fronts)])]
     begins = HEADER + np.cumsum([len(part) for part in parts[:-1]])
-    packed = np.concatenate([[len(fronts)], begins, *parts]).astype(np.int32)
+    packed = np.concatenate([[len(fronts)], begins, [1], *parts]).astype(np.int32)
     return packed, size, np.concatenate(pivots)
 
 
