@@ -96,9 +96,41 @@ def __getattr__(attribute: str) -> Any:
     with environment(), warnings.catch_warnings():  # it adds filters of its own
         globals()["ti"] = importlib.import_module(name())
         with contextlib.suppress(ImportError):
-            reader: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")
-            reader.TextWrapper = _Unwrapped
+            walker: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")
+            walker.TextWrapper = _Unwrapped
+        with contextlib.suppress(ImportError, AttributeError):
+            _read_functions_once(importlib.import_module(f"{name()}.lang.kernel_impl"))
     return globals()["ti"]
+
+
+def _read_functions_once(reader: Any) -> None:
+    """Taichi reads a function from its file on wherever a kernel calls it, and notes anew where each expression stands.
+    Here it is read once, or as often as it calls itself, and the notes are kept: every process reads all its kernels
+    before it finds the compiled ones, and this takes half the time. Quadrants is left as it is."""
+    read, walk, variables = reader._get_tree_and_ctx, reader.transform_tree, reader._get_global_vars
+    context, found = reader.ASTTransformerContext, reader.ASTTransformerContext.get_pos_info
+    free: dict[Any, list[Any]] = {}  # function -> its trees of which none is being walked, file, lines, first line
+
+    def read_again(function: Any, **wishes: Any) -> tuple[Any, Any]:
+        if not free.get(function):
+            return read(function, **wishes)
+        tree, origin = free[function].pop()
+        wishes |= {"func": function, "argument_data": wishes.pop("args"), "global_vars": variables(function.func)}
+        return tree, context(**wishes, **origin)
+
+    def walk_and_keep(tree: Any, used: Any) -> Any:
+        result = walk(tree, used)
+        if not used.is_kernel and not used.is_real_function:
+            origin = {"file": used.file, "src": used.src, "start_lineno": used.lineno_offset + 1}
+            free.setdefault(used.func, []).append((tree, origin))
+        return result
+
+    def position(used: Any, node: Any) -> str:
+        if not hasattr(node, "position"):
+            node.position = found(used, node)
+        return node.position
+
+    reader._get_tree_and_ctx, reader.transform_tree, context.get_pos_info = read_again, walk_and_keep, position
 
 
 class _Unwrapped:

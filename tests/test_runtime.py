@@ -1,5 +1,7 @@
 """The runtime: one choice a process, honest errors, quiet start, same bits for any number of workers."""
 
+import ast
+import inspect
 import json
 import os
 import subprocess
@@ -8,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from taichi_bearings import runtime
+from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import DeviceError
 
 ROOT = Path(__file__).parents[1]
@@ -52,7 +54,7 @@ def test_importing_the_package_does_not_load_taichi():
 
 SMALL_RUN = """
 import numpy as np
-from taichi_bearings import runtime
+from taichi_bearings import compiler, runtime
 runtime.start("cpu", "f64", {threads})
 from tests.scenes import make_scene
 import taichi_bearings.fields.fields as fields
@@ -125,3 +127,79 @@ def test_a_mistake_in_a_kernel_is_named_with_its_line(taichi_runtime):
     with pytest.raises(Exception, match="a_number_that_nobody_has_ever_heard_of") as error:
         mistaken()
     assert "two_others = 1.0 + a_number_that_nobody_has_ever_heard_of  #" in str(error.value)
+
+
+def test_a_mistake_in_a_function_is_named_with_its_line_however_often_it_was_read(taichi_runtime):
+    from taichi_bearings.compiler import ti
+
+    @ti.func
+    def first(sound: ti.template()):
+        if ti.static(not sound):
+            nobody_has_ever_heard_of_it()  # noqa: F821
+        return 1.0
+
+    @ti.func
+    def second(sound: ti.template()):
+        if ti.static(not sound):
+            nobody_has_ever_heard_of_it()  # noqa: F821
+        return 1.0
+
+    @ti.kernel
+    def called(which: ti.template(), sound: ti.template()) -> ti.f32:
+        result = second(True)
+        if ti.static(which == 1):
+            result += first(sound)
+        else:
+            result += second(sound)
+        return result
+
+    def line_of(function):
+        return inspect.unwrap(function).__code__.co_firstlineno + 3
+
+    assert called(1, True) == called(2, True) == 2.0
+    for which, function in ((1, first), (2, second)):
+        with pytest.raises(Exception, match="nobody_has_ever_heard_of_it") as error:
+            called(which, False)
+        assert f"line {line_of(function)}, in {function.__name__}" in str(error.value)
+
+
+def test_a_function_that_calls_itself_is_read_as_often(taichi_runtime):
+    """What it finds on the left is needed once what it calls has been read."""
+    from taichi_bearings.compiler import ti
+
+    @ti.func
+    def nested(x, depth: ti.template()):
+        result = 1.0
+        if ti.static(depth > 0):
+            result = depth + x * nested(x, depth - 1)
+        return result
+
+    @ti.kernel
+    def called(x: ti.f32) -> ti.f32:
+        return nested(x, 2) + nested(x, 3)
+
+    assert called(2.0) == (2 + 2 * (1 + 2)) + (3 + 2 * (2 + 2 * (1 + 2)))
+
+
+@pytest.mark.skipif(compiler.name() != "taichi", reason="Quadrants reads kernels in its own way")
+def test_a_function_is_parsed_once_for_all_kernels(taichi_runtime, monkeypatch):
+    from taichi_bearings.compiler import ti
+
+    @ti.func
+    def half(x):
+        return x / 2
+
+    @ti.kernel
+    def quarter(x: ti.f32) -> ti.f32:
+        return half(half(x))
+
+    @ti.kernel
+    def eighth(x: ti.f32) -> ti.f32:
+        return half(half(half(x)))
+
+    parsed, parse = [], ast.parse
+    with monkeypatch.context() as during:
+        during.setattr(ast, "parse", lambda text: parsed.append(text) or parse(text))
+        assert (quarter(8.0), eighth(8.0)) == (2.0, 1.0)
+    assert len([text for text in parsed if "def half" in text]) == 1
+    assert len(parsed) == 3
