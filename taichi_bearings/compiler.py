@@ -6,11 +6,14 @@ Quadrants, its maintained fork, stands in for it if the environment variable TAI
 
 import contextlib
 import importlib.util
+import inspect
+import linecache
 import os
 import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from taichi_bearings.errors import DeviceError
@@ -93,14 +96,31 @@ def environment() -> Iterator[None]:
 def __getattr__(attribute: str) -> Any:
     if attribute != "ti":
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
-    with environment(), warnings.catch_warnings():  # it adds filters of its own
+    with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
         globals()["ti"] = importlib.import_module(name())
         with contextlib.suppress(ImportError):
             walker: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")
-            walker.TextWrapper = _Unwrapped
-        with contextlib.suppress(ImportError, AttributeError):
-            _read_functions_once(importlib.import_module(f"{name()}.lang.kernel_impl"))
+            reader: Any = importlib.import_module(f"{name()}.lang.kernel_impl")
+            walker.TextWrapper, reader.inspect = _Unwrapped, SimpleNamespace(**vars(inspect))
+            with contextlib.suppress(AttributeError):
+                _read_functions_once(reader)
     return globals()["ti"]
+
+
+@contextlib.contextmanager
+def _lines_found_quickly() -> Iterator[None]:
+    """The compiler asks `inspect` for the line that defines each kernel, be it that of a class, and `inspect` would go
+    through all modules each time."""
+
+    def line_of(frame: Any) -> tuple[None, None, None, list[str]]:
+        return None, None, None, [linecache.getline(frame.f_code.co_filename, frame.f_lineno)]
+
+    before: Any = inspect.getframeinfo
+    inspect.getframeinfo = line_of  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        inspect.getframeinfo = before
 
 
 def _read_functions_once(reader: Any) -> None:

@@ -203,3 +203,22 @@ def test_a_function_is_parsed_once_for_all_kernels(taichi_runtime, monkeypatch):
         assert (quarter(8.0), eighth(8.0)) == (2.0, 1.0)
     assert len([text for text in parsed if "def half" in text]) == 1
     assert len(parsed) == 3
+
+
+def test_a_kernel_may_belong_to_a_class(taichi_runtime):
+    from taichi_bearings.compiler import ti
+
+    @ti.data_oriented
+    class Line:
+        def __init__(self, slope):
+            self.slope = slope
+
+        @ti.func
+        def rise(self, x):
+            return self.slope * x
+
+        @ti.kernel
+        def value(self, x: ti.f32) -> ti.f32:
+            return self.rise(x) + 1
+
+    assert Line(3.0).value(2.0) == 7.0
