@@ -76,21 +76,18 @@ def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template
 
 
 @ti.func
-def corner(tables: ti.template(), at, numbers: ti.template(), j, wide: ti.template()):
+def corner(numbers: ti.template(), shape: ti.template(), j, wide: ti.template()):
     """The lower triangle where `wide` columns from j on meet the diagonal, row by row; of columns to eliminate it is
     factorised, with inverse pivots, which is what the substitutions need."""
-    own, columns, height = tables[at + OWN], tables[at + COLUMNS], tables[at + HEIGHT]
-    found = [
-        numbers[column_of(tables, at, j + c) + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))
-    ]
-    source, end = columns + j, columns + j + ti.min(j, own) * height
+    source, end, height, start, pitch, own = shape
+    found = [numbers[start + c * pitch + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))]
     while source < end:
-        left = [numbers[source + r] for r in ti.static(range(wide))]
+        left = [numbers[source + j + r] for r in ti.static(range(wide))]
         for r in ti.static(range(wide)):
             for c in ti.static(range(r + 1)):
                 found[r * (r + 1) // 2 + c] = found[r * (r + 1) // 2 + c] - left[r] * left[c]
         source += height
-    if j < own:
+    if own:
         for r in ti.static(range(wide)):
             row = ti.static(r * (r + 1) // 2)
             for c in ti.static(range(r + 1)):
@@ -105,17 +102,16 @@ def corner(tables: ti.template(), at, numbers: ti.template(), j, wide: ti.templa
 
 @ti.func
 def block(
-    tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j, i,
+    numbers: ti.template(), vectors: ti.template(), unit: ti.template(), shape: ti.template(), j, i,
     first: ti.template(), wide: ti.template(), tall: ti.template(),
 ):  # fmt: skip
     """Entries of `wide` columns from j on in `tall` vectors from the i-th on, less what the columns before contribute.
 
     first : the corner of these columns.
     """
-    own, columns, height = tables[at + OWN], tables[at + COLUMNS], tables[at + HEIGHT]
-    to = [column_of(tables, at, j + c) // unit + i for c in ti.static(range(wide))]
+    source, end, height, start, pitch, own = shape
+    to = [(start + c * pitch) // unit + i for c in ti.static(range(wide))]
     found = [vectors[to[c] + r] for c in ti.static(range(wide)) for r in ti.static(range(tall))]
-    source, end = columns, columns + ti.min(j, own) * height
     while source < end:
         left = [vectors[source // unit + i + r] for r in ti.static(range(tall))]
         for c in ti.static(range(wide)):
@@ -123,7 +119,7 @@ def block(
             for r in ti.static(range(tall)):
                 found[c * tall + r] = found[c * tall + r] - left[r] * factor
         source += height
-    if j < own:
+    if own:
         for c in ti.static(range(wide)):
             for r in ti.static(range(tall)):
                 for p in ti.static(range(c)):
@@ -139,18 +135,26 @@ def panel(
     tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j,
     wide: ti.template(),
 ):  # fmt: skip
-    """Eliminate `wide` columns from j on, or update them."""
-    first = corner(tables, at, numbers, j, wide)
-    i, end = (j + wide) // unit, (tables[at + OWN] + tables[at + BORDER] + unit - 1) // unit
+    """Eliminate `wide` columns from j on, or update them: either all are own, or none.
+
+    shape : where the columns before begin and end, of which the own ones count, and numbers from one to the next; the
+    same for these columns, from where row 0 would stand; whether they are own.
+    """
+    own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + COLUMNS]
+    pitch = height if j < own else tables[at + UPDATE_HEIGHT]
+    start = column_of(tables, at, j)
+    shape = [begin, begin + ti.min(j, own) * height, height, start, pitch, j < own]
+    first = corner(numbers, shape, j, wide)
+    i, end = (j + wide) // unit, (own + tables[at + BORDER] + unit - 1) // unit
     while i + PANEL <= end:
-        block(tables, at, numbers, vectors, unit, j, i, first, wide, PANEL)
+        block(numbers, vectors, unit, shape, j, i, first, wide, PANEL)
         i += PANEL
     while i < end:
-        block(tables, at, numbers, vectors, unit, j, i, first, wide, 1)
+        block(numbers, vectors, unit, shape, j, i, first, wide, 1)
         i += 1
     for r in ti.static(range(wide)):
         for c in ti.static(range(r + 1)):
-            numbers[column_of(tables, at, j + c) + j + r] = first[r * (r + 1) // 2 + c]
+            numbers[start + c * pitch + j + r] = first[r * (r + 1) // 2 + c]
 
 
 @ti.func
