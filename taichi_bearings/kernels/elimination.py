@@ -5,8 +5,8 @@ stored column by column: m columns of own unknowns with all their n rows, then t
 b columns of b rows of which the lower triangle counts. A number goes through the same operations in the same order
 whether its matrix is alone or not.
 
-All loops step by a number that stands in the tables, be it 1: loops of a known step LLVM unrolls up to eight times
-over, which takes every process seconds and makes none of them faster.
+The innermost loops, and those of `gather`, step by a number that stands in the tables, be it 1: of known step LLVM
+would unroll them eight times over, which takes every process seconds and makes none of them faster.
 """
 
 from taichi_bearings.compiler import ti
