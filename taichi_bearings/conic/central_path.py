@@ -65,6 +65,14 @@ class Matrix(Protocol):
         """In place."""
         ...
 
+    def factorise_given(self, stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+        """The same with stiffnesses (entries, S), and springs (unknowns, S) at the spins, that are in no rows."""
+        ...
+
+    def solve_given(self, right: np.ndarray) -> np.ndarray:
+        """Solutions, both (unknowns, S), after :meth:`factorise_given`."""
+        ...
+
 
 def newton_step(iterate: Iterate, matrix: Matrix) -> Iterate:
     """The next point along the path.

@@ -7,7 +7,7 @@ as many slipping components form a group: the vectors (d, n) across its n contac
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -56,6 +56,15 @@ class ContactGroup:
     @cached_property
     def transposed(self) -> sparse.csr_matrix:
         return self.operator.T.tocsr()
+
+    def copies(self, count: int) -> "ContactGroup":
+        """The same contacts so many times, each time over spins of their own."""
+        shift = self.unknowns * np.arange(count)[:, None]
+        below, above = (
+            np.where(end[:, None] >= 0, end[:, None] + shift, -1).reshape(len(end), -1)
+            for end in (self.below, self.above)
+        )
+        return ContactGroup(below, above, np.tile(self.offset, count), self.unknowns * count)
 
     def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
         """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
@@ -114,12 +123,18 @@ class ContactSystem:
         ends = np.cumsum([offset.size for offset in self.offset]).tolist()
         return [(slice(end - offset.size, end), offset.shape) for end, offset in zip(ends, self.offset, strict=True)]
 
+    def copies(self, count: int) -> "ContactSystem":
+        """So many samples as parts of one system that no contact joins, one after the other in every group."""
+        if count == 1:
+            return self
+        return ContactSystem(self.unknowns * count, tuple(group.copies(count) for group in self.groups))
+
     def grouped(self, rows: np.ndarray) -> Arrays:
-        """Values of all rows as vectors (d, n) a group."""
-        return Grouped(rows[own].reshape(shape) for own, shape in self._rows)
+        """Values of all rows, (rows,) or (rows, S) of alike samples, as vectors (d, n) or (d, n, S) a group."""
+        return Grouped(rows[own].reshape(*shape, *rows.shape[1:]) for own, shape in self._rows)
 
     def change(self, step: np.ndarray) -> Arrays:
-        """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes."""
+        """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes; or of S samples."""
         return self.grouped(self.operator @ step)
 
     def differences(self, spins: np.ndarray) -> Arrays:
@@ -127,11 +142,9 @@ class ContactSystem:
         return self.change(spins) + self.offset
 
     def torques(self, forces: Arrays) -> np.ndarray:
-        """Transpose of the differences: (unknowns,) from (d, n) a group."""
-        total = np.zeros(self.unknowns)
-        for group, force in zip(self.groups, forces, strict=True):
-            total += group.transposed @ force.ravel()
-        return total
+        """Transpose of the differences: (unknowns,) from (d, n) a group, or (unknowns, S) from (d, n, S)."""
+        pairs = zip(self.groups, forces, strict=True)
+        return reduce(np.add, (group.transposed @ force.reshape(-1, *force.shape[2:]) for group, force in pairs))
 
     def gather(self, fields: Sequence[np.ndarray], replica: int) -> Arrays:
         """Values (..., n) a group of one sample; fields : one array (..., R, *contacts) a lattice axis."""
@@ -178,8 +191,13 @@ class ContactSystem:
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""
-        pairs = list(self._entries())
-        return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+        return self.terms()[:2]
+
+    def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """All terms of the Laplacian, each pair once: first and second unknown, place in `stacked` stiffness, sign."""
+        terms = [(first, second, source, np.full(len(first), sign)) for first, second, source, sign in self._entries()]
+        first, second, source, signs = (np.concatenate(parts) for parts in zip(*terms, strict=True))
+        return first, second, source, signs
 
     def laplacian_map(self, entry: Callable, entries: int) -> sparse.csr_matrix:
         """Matrix from the stacked stiffnesses of all contacts to the stored entries of the weighted Laplacian.

@@ -2,7 +2,11 @@
 
 A slipless contact makes the spin components across it equal. Near the minimum that leaves about one unknown in six at
 32^3, and a contact system in which no stiffness is huge: there the last digits can be had.
+
+Several samples of one lattice are parts of one system that no contact joins.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,31 +16,57 @@ from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.numerics.double_double import Pair, two_sum
 
 
-class Contradiction(Exception):
-    """The contacts to be tied join bottom and top, which turn differently."""
+@dataclass(frozen=True)
+class Owners:
+    """The sample, of so many, that each spin (unknowns,) and each contact (n,) a group belongs to."""
+
+    samples: int
+    spins: np.ndarray
+    contacts: Arrays
+
+    def largest(self, values: Arrays) -> np.ndarray:
+        """Of numbers (n,) or (d, n) a group that are not negative, (samples,); 0 of none."""
+        found = np.zeros(self.samples)
+        for own, numbers in zip(self.contacts, values, strict=True):
+            for row in np.atleast_2d(numbers):
+                np.maximum.at(found, own, row)
+        return found
+
+    def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
+        """The same of one number (unknowns,) a spin."""
+        found = np.zeros(self.samples)
+        np.maximum.at(found, self.spins, values)
+        return found
+
+    def any(self, chosen: Arrays) -> np.ndarray:
+        """Samples (samples,) with one of the chosen contacts, (n,) masks a group."""
+        return self.largest(chosen) > 0
+
+    def at_contacts(self, values: np.ndarray) -> Arrays:
+        """The number, (samples,), of the sample of each contact, (n,) a group."""
+        return each(lambda own: values[own], self.contacts)
 
 
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
-    whole : the system before. system : contacts that are not tied, over the new unknowns; kept : (n,) a group, their
-    places in the old system.
-    parts : elimination tree over the new unknowns.
+    whole : the systems before. system : contacts that are not tied, over the new unknowns; kept : (n,) a group, their
+    places in the old system. owners : what belongs to which sample.
+    contradicts : (samples,), tied contacts join bottom and top, which turn differently.
     """
 
-    def __init__(self, whole: ContactSystem, parts: list[Part], tied: Arrays) -> None:
-        """whole : contacts before; parts : elimination tree over their unknowns; tied : (n,) mask a group.
-
-        Raises Contradiction if the tied contacts cannot all rest.
-        """
-        self.whole = whole
-        self._label(whole, tied)
+    def __init__(self, whole: ContactSystem, parts: list[Part], tied: Arrays, samples: int = 1) -> None:
+        """whole : contacts before, of all samples; parts : elimination tree over the unknowns of a sample; tied : (n,)
+        mask a group."""
+        self.whole, self._parts = whole, parts
+        self._label(whole, tied, samples)
         self.kept = each(np.flatnonzero, ~tied)
         groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]
         self.system = ContactSystem(self.unknowns, tuple(groups))
-        self.parts = self._contracted_parts(parts)
+        size = each(lambda mask: max(len(mask) // samples, 1), tied)
+        self.owners = Owners(samples, self._owner, each(np.floor_divide, self.kept, size))
 
-    def _label(self, whole: ContactSystem, tied: Arrays) -> None:
+    def _label(self, whole: ContactSystem, tied: Arrays, samples: int) -> None:
         """Number of the set that each spin belongs to, or its imposed value if the set is tied to a driven plane."""
         imposed, value = [], []
         for group, mask in zip(whole.groups, tied, strict=True):
@@ -47,14 +77,15 @@ class Contraction:
                 imposed.append(end[only])
                 value.append(sign * offset.ravel()[only])
         count, label = whole.pieces(tied)
-        imposed_value = np.full(count, np.nan)
+        imposed_value, owner = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
+        owner[label] = np.arange(whole.unknowns) // max(whole.unknowns // samples, 1)
         held, held_at = label[np.concatenate(imposed)], np.concatenate(value)
         imposed_value[held] = held_at
-        if (imposed_value[held] != held_at).any():
-            raise Contradiction
+        self.contradicts = np.zeros(samples, dtype=bool)
+        self.contradicts[owner[held[imposed_value[held] != held_at]]] = True
         is_free = np.isnan(imposed_value)
         number = np.where(is_free, np.cumsum(is_free) - 1, -1)
-        self.unknowns = int(is_free.sum())
+        self.unknowns, self._owner = int(is_free.sum()), owner[is_free]
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
@@ -64,17 +95,26 @@ class Contraction:
             offset += sign * imposed[end[:, keep]]  # the end is -1 where a spin was imposed before
         return group.renamed(keep, self.number, self.unknowns, offset)
 
-    def _contracted_parts(self, parts: list[Part]) -> list[Part]:
-        """A set goes to the part nearest the root that holds one of its spins; being connected, it has just one."""
-        home = np.full(self.unknowns, -1)
-        for place, part in enumerate(parts):  # children come first, so the last one to write is nearest the root
-            numbers = self.number[part.unknowns]
-            home[numbers[numbers >= 0]] = place
+    def span(self, sample: int) -> slice:
+        """The unknowns of a sample: they are one after the other."""
+        return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
+
+    def parts(self, sample: int) -> list[Part]:
+        """Elimination tree over the unknowns of a sample, counted from its first.
+
+        A set goes to the part nearest the root that holds one of its spins; being connected, it has just one.
+        """
+        own = self.span(sample)
+        number = np.split(self.number, self.owners.samples)[sample]
+        home = np.full(own.stop - own.start, -1)
+        for place, part in enumerate(self._parts):  # children come first, so the last one to write is nearest the root
+            numbers = number[part.unknowns]
+            home[numbers[numbers >= 0] - own.start] = place
         members = np.argsort(home, kind="stable")
-        bounds = np.searchsorted(home[members], np.arange(len(parts) + 1))
+        bounds = np.searchsorted(home[members], np.arange(len(self._parts) + 1))
         return [
             Part(members[begin:end], part.children)
-            for part, begin, end in zip(parts, bounds[:-1], bounds[1:], strict=True)
+            for part, begin, end in zip(self._parts, bounds[:-1], bounds[1:], strict=True)
         ]
 
     def contracted(self, spins: Pair) -> Pair:

@@ -4,7 +4,7 @@ Groups differ in the number of their slipping components, so one array would not
 a vector field (d, n). `friction * difference` is then the product in every group, `.sum()` the sum over all contacts.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import repeat
 from typing import Generic, TypeVar
 
@@ -71,6 +71,28 @@ Arrays = Grouped[np.ndarray]
 def each(function: Callable[..., T], *values: object) -> Grouped[T]:
     """function(*values) of every group; what is not :class:`Grouped` is the same for all."""
     return Grouped(map(function, *[value.parts if isinstance(value, Grouped) else repeat(value) for value in values]))
+
+
+def together(samples: Sequence[Arrays]) -> Arrays:
+    """Values (..., n) of alike samples, one sample after the other in every group."""
+    return samples[0] if len(samples) == 1 else each(lambda *parts: np.concatenate(parts, axis=-1), *samples)
+
+
+def apart(values: Arrays, samples: int) -> list[Arrays]:
+    """Inverse of :func:`together`."""
+    if samples == 1:
+        return [values]
+    return list(map(Grouped, zip(*(np.split(part, samples, axis=-1) for part in values), strict=True)))
+
+
+def side_by_side(values: Arrays, samples: int) -> Arrays:
+    """(..., n, samples) from values (..., samples * n) of alike samples one after the other."""
+    return each(lambda v: np.ascontiguousarray(np.swapaxes(v.reshape(*v.shape[:-1], samples, -1), -2, -1)), values)
+
+
+def one_by_one(values: Arrays) -> Arrays:
+    """Inverse of :func:`side_by_side`."""
+    return each(lambda v: np.swapaxes(v, -2, -1).reshape(*v.shape[:-2], -1), values)
 
 
 def where(chosen: Arrays, values: Arrays | float, others: Arrays | float) -> Arrays:

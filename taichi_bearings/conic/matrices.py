@@ -9,7 +9,7 @@ from taichi_bearings.conic.newton_matrix import SHIFTS
 from taichi_bearings.conic.rows import ContactRows, Sums
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Part, dissect
-from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide
+from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide, Storage
 
 
 class NewtonMatrices:
@@ -42,10 +42,23 @@ class NewtonMatrices:
             storage.entries[: self._map.shape[0]] += self._map @ viscous
         if inertia:
             storage.entries[self._diagonal] += inertia
+        return self._raised(storage, wanted)
+
+    def factorise_given(self, stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+        """The same with stiffnesses (entries, S), and springs (unknowns, S) at the spins, that are in no rows."""
+        samples = stiffness.shape[1]
+        storage = self._cholesky.storage(samples)
+        values = self._map @ stiffness
+        values[self._diagonal] += inertia[self._cholesky.pattern.order]
+        storage.entries[: len(values), :samples] = values
+        return self._raised(storage, np.arange(storage.entries.shape[1]) < samples)[:samples]
+
+    def _raised(self, storage: Storage, wanted: np.ndarray) -> np.ndarray:
+        """Factorise with the diagonal raised as little as helps; True (S,) for `wanted` samples where it does."""
         regular = storage.factorise()
         if (regular | ~wanted).all():
             return regular & wanted
-        diagonal, shift = storage.entries[self._diagonal], np.zeros(rows.samples)
+        diagonal, shift = storage.entries[self._diagonal], np.zeros(len(wanted))
         hopeless = ~(wanted & np.isfinite(diagonal).all(axis=0))
         for further in SHIFTS[1:]:
             shift[~regular] = further
@@ -54,6 +67,10 @@ class NewtonMatrices:
             if (regular | hopeless).all():
                 break
         return regular & wanted
+
+    def solve_given(self, right: np.ndarray) -> np.ndarray:
+        """Solutions (unknowns, S) after :meth:`factorise_given`."""
+        return self._cholesky.solve(right)
 
     def solve_each(self, rows: ContactRows) -> None:
         """In place."""

@@ -1,5 +1,6 @@
 """The matrix of a Newton step: a Laplacian over the spins with a d x d stiffness at every contact."""
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,35 @@ REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 
 
+AnyCholesky = WholeCholesky | CholeskyAlone | Cholesky
+
+
+def cholesky_of(
+    unknowns: int, parts: Callable[[], list[Part]], couplings: tuple[np.ndarray, np.ndarray]
+) -> AnyCholesky:
+    """What is quickest for so many unknowns. parts : elimination tree. couplings : pairs that are coupled."""
+    if unknowns <= FEW:
+        return WholeCholesky(unknowns)
+    return (CholeskyAlone if unknowns < MANY else Cholesky)(parts(), *couplings)
+
+
+def factorise_raised(cholesky: AnyCholesky, values: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
+    """Factorise the matrix with these values at the entries of the pattern, and a spring at every spin, (unknowns,).
+
+    Raises NotPositiveDefinite if no addition to the diagonal helps. The values are changed.
+    """
+    if isinstance(inertia, np.ndarray):
+        inertia = inertia[cholesky.pattern.order]
+    diagonal = values[cholesky.pattern.diagonal] + inertia
+    for shift in SHIFTS:
+        values[cholesky.pattern.diagonal] = diagonal * (1 + shift)
+        try:
+            return cholesky.factorise(values)
+        except NotPositiveDefinite:
+            if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
+                raise
+
+
 class NewtonMatrix:
     """Factorised weighted Laplacian of a contact system; the pattern is analysed once."""
 
@@ -23,13 +53,9 @@ class NewtonMatrix:
         self._empty = system.unknowns == 0  # everything is tied to the driven planes
         if self._empty:
             return
-        self._cholesky: WholeCholesky | CholeskyAlone | Cholesky
-        if system.unknowns <= FEW:
-            self._cholesky = WholeCholesky(system.unknowns)
-        else:
-            self._cholesky = (CholeskyAlone if system.unknowns < MANY else Cholesky)(parts, *system.couplings())
+        self._cholesky = cholesky_of(system.unknowns, lambda: parts, system.couplings())
         pattern = self._cholesky.pattern
-        self._map, self._diagonal = system.laplacian_map(pattern.entry, pattern.entries), pattern.diagonal
+        self._map = system.laplacian_map(pattern.entry, pattern.entries)
 
     def factorise(self, stiffness: Arrays, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin, (unknowns,).
@@ -45,17 +71,7 @@ class NewtonMatrix:
         """The same for upper triangles as `stacked` gives them."""
         if self._empty:
             return
-        values = self._map @ stiffness
-        if isinstance(inertia, np.ndarray):
-            inertia = inertia[self._cholesky.pattern.order]
-        diagonal = values[self._diagonal] + inertia
-        for shift in SHIFTS:
-            values[self._diagonal] = diagonal * (1 + shift)
-            try:
-                return self._cholesky.factorise(values)
-            except NotPositiveDefinite:
-                if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
-                    raise
+        factorise_raised(self._cholesky, self._map @ stiffness, inertia)
 
     def rows(self, samples: int = 1) -> ContactRows:
         """Memory for Newton steps of a single sample."""
@@ -75,6 +91,18 @@ class NewtonMatrix:
         except NotPositiveDefinite:
             return np.zeros(1, dtype=bool)
         return wanted
+
+    def factorise_given(self, stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+        """As that of NewtonMatrices."""
+        try:
+            self.factorise_stacked(stiffness[:, 0], inertia[:, 0])
+        except NotPositiveDefinite:
+            return np.zeros(1, dtype=bool)
+        return np.ones(1, dtype=bool)
+
+    def solve_given(self, right: np.ndarray) -> np.ndarray:
+        """As that of NewtonMatrices."""
+        return self.solve(right[:, 0])[:, None]
 
     def solve_each(self, rows: ContactRows) -> None:
         """In place."""

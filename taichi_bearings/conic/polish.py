@@ -12,9 +12,8 @@ from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.contact_system import ContactGroup
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite
-from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square_root, subtract
+from taichi_bearings.conic.newton_blocks import NewtonBlocks
+from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, scaled, square, square_root, subtract
 
 STEPS, ENOUGH = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
 FAITHFUL = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
@@ -25,62 +24,73 @@ SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without round
 
 
 def polished(
-    tied: Contraction, matrix: NewtonMatrix, friction: Arrays, spins: Pair, difference: Arrays, top: Pair
-) -> tuple[Pair, Arrays, Arrays] | None:
-    """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance.
+    tied: Contraction,
+    matrix: NewtonBlocks,
+    friction: Arrays,
+    spins: Pair,
+    difference: Arrays,
+    top: Pair,
+    chosen: np.ndarray,
+) -> tuple[Pair, Arrays, Arrays, np.ndarray]:
+    """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance; and the
+    samples (samples,), of those chosen, in which no slip is lost.
 
     matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
-    may be more precise than those of the spins. top : (C,), imposed on the top. Returns None where some slip is lost.
+    may be more precise than those of the spins. top : (C,), imposed on the top.
     """
-    system, unknown = _PreciseSystem(tied, top), spins
-    try:
-        if (difference.length() < VISIBLE).any():
-            unknown = _fitted(system, matrix, unknown, difference)
-        balanced = _balanced(system, matrix, friction, unknown)
-    except NotPositiveDefinite:
-        return None
-    if balanced is None:
-        return None
+    system, owners = _PreciseSystem(tied, top), tied.owners
+    rough = chosen & owners.any(difference.length() < VISIBLE)
+    unknown, fitted = _fitted(system, matrix, spins, difference, rough) if rough.any() else (spins, rough)
+    balanced, fine = _balanced(system, matrix, friction, unknown, chosen & (fitted | ~rough))
     slips = system.differences(balanced)
-    return system.expanded(balanced), _high(slips), -_high(each(_along, friction, slips))
+    return system.expanded(balanced), _high(slips), -_high(each(_along, friction, slips)), fine
 
 
-def _balanced(system: "_PreciseSystem", matrix: NewtonMatrix, friction: Arrays, unknown: Pair) -> Pair | None:
-    """Newton's method until the torques do not fall any more."""
-    strongest = friction.max()
-    best, least, factorised = None, np.inf, False
+def _balanced(
+    system: "_PreciseSystem", matrix: NewtonBlocks, friction: Arrays, unknown: Pair, going: np.ndarray
+) -> tuple[Pair, np.ndarray]:
+    """Newton's method until the torques do not fall any more, and where that leads anywhere; (samples,).
+
+    going : samples that it is for.
+    """
+    owners, strongest = system.owners, system.owners.largest(friction)
+    best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
     for _ in range(STEPS):
         precise = system.differences(unknown)
         difference = _high(precise)
-        if (difference.length() == 0).any():
-            return best
+        slip = difference.length()
         torques = system.torques(each(_along, friction, precise))
-        size = float(np.abs(torques).max(initial=0.0))
-        if not size < least:
-            return best
-        if size > least / 2 or size <= ENOUGH * strongest:
-            return unknown
-        best, least = unknown, size
-        if not factorised:
-            matrix.factorise(each(friction_stiffness, friction, difference, FAINT))
-        step = matrix.solve(-torques)
-        change = (system.contracted.change(step).length() / difference.length()).max()
-        if not change <= LONGEST:
-            return None
-        factorised = change < FAITHFUL
-        unknown = add(unknown, exactly(step))
-    return best
+        size = owners.largest_of_spins(np.abs(torques))
+        going = going & (size < least) & ~owners.any(slip == 0)
+        best, fine = _chosen(going[owners.spins], unknown, best), fine | going
+        going = going & (size <= least / 2) & (size > ENOUGH * strongest)
+        if not going.any():
+            break
+        least, anew, before = np.where(going, size, least), going & ~factorised, going
+        if anew.any():
+            stiffness = each(friction_stiffness, friction, difference, FAINT)
+            going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
+        step = matrix.solve_each(-torques, going)
+        change = owners.largest(system.contracted.change(step).length() / slip)
+        going = going & (change <= LONGEST)
+        fine, factorised = fine & (going | ~before), change < FAITHFUL
+        unknown = _chosen(going[owners.spins], add(unknown, exactly(step)), unknown)
+    return best, fine
 
 
-def _fitted(system: "_PreciseSystem", matrix: NewtonMatrix, unknown: Pair, tracked: Arrays) -> Pair:
-    """The spins corrected so that they have the tracked differences, relative to the size of these."""
+def _fitted(
+    system: "_PreciseSystem", matrix: NewtonBlocks, unknown: Pair, tracked: Arrays, chosen: np.ndarray
+) -> tuple[Pair, np.ndarray]:
+    """The spins of the chosen samples corrected so that they have the tracked differences, relative to the size of
+    these; and where that succeeds."""
     weight = 1 / tracked.length() ** 2
-    matrix.factorise(isotropic(tracked, weight))
+    fitted = matrix.factorise_each(isotropic(tracked, weight), chosen)
     for _ in range(2):
         now = system.differences(unknown)
         missing = each(lambda w, z, pair: exactly(w * (z - pair[0] - pair[1])), weight, tracked, now)
-        unknown = add(unknown, exactly(matrix.solve(system.torques(missing))))
-    return unknown
+        corrected = add(unknown, exactly(matrix.solve_each(system.torques(missing), fitted)))
+        unknown = _chosen(fitted[system.owners.spins], corrected, unknown)
+    return unknown, fitted
 
 
 class _PreciseSystem:
@@ -90,7 +100,7 @@ class _PreciseSystem:
     """
 
     def __init__(self, tied: Contraction, top: Pair) -> None:
-        self.contracted, self.top, self._tied = tied.system, top, tied
+        self.contracted, self.owners, self.top, self._tied = tied.system, tied.owners, top, tied
         self.slot = np.arange(len(tied.number)) % len(top[0])
         self.imposed = Grouped(map(self._imposed, tied.whole.groups, tied.system.groups, tied.kept))
 
@@ -115,13 +125,13 @@ class _PreciseSystem:
         The leading bits of all numbers, multiples of one unit, are summed without any rounding, then those that follow.
         """
         total, rest = np.zeros(self.contracted.unknowns), _high(pulls)
-        largest = np.abs(rest).max()
+        largest = self.owners.largest(abs(rest))
         for _ in range(2):
-            grain = np.ldexp(1.5, int(np.frexp(largest)[1]) + SPARE)
+            grain = self.owners.at_contacts(np.ldexp(1.5, np.frexp(largest)[1] + SPARE))
             leading = (rest + grain) - grain
             total = total + self.contracted.torques(leading)
             rest = rest - leading
-            largest *= 2.0 ** (SPARE - 52)
+            largest = largest * 2.0 ** (SPARE - 52)
         return total + self.contracted.torques(rest + each(lambda pair: pair[1], pulls))
 
     def expanded(self, unknown: Pair) -> Pair:
@@ -141,11 +151,18 @@ def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:
     """Friction along the slip, (d, n)."""
-    size = (np.abs(difference[0][0]), np.sign(difference[0][0]) * difference[1][0])
-    if len(difference[0]) == 2:
-        squares = multiply(difference, difference)
-        size = square_root(add((squares[0][0], squares[1][0]), (squares[0][1], squares[1][1])))
-    return multiply(exactly(friction), divide(difference, size))
+    if len(difference[0]) == 1:
+        return exactly(friction * np.sign(difference[0]))
+    high, low = square(difference)
+    size = square_root(add((high[0], low[0]), (high[1], low[1])))
+    return scaled(friction, divide(difference, size))
+
+
+def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
+    """One pair where the mask is true, and the other elsewhere."""
+    if mask.all():
+        return one
+    return np.where(mask, one[0], other[0]), np.where(mask, one[1], other[1])
 
 
 __all__ = ["polished"]

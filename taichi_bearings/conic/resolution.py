@@ -13,17 +13,20 @@ margins of 1e-9 can, and double precision ends before. Here
    limit of their friction that need not slip are settled, though not proven.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import friction_stiffness
+from taichi_bearings.conic.central_path import Matrix, friction_stiffness
 from taichi_bearings.conic.cone import inner
-from taichi_bearings.conic.contraction import Contraction, Contradiction
-from taichi_bearings.conic.grouped import Arrays, each, power, where
+from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
+from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.grouped import Arrays, Grouped, apart, each, power, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.last_decades import LastDecades
+from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import bear, nearly_borne
@@ -71,43 +74,62 @@ class Resolved:
         return self.dual
 
 
-def resolve(
-    iterate: Iterate, tied: Arrays | None, parts: list[Part], matrix: NewtonMatrix, top: Pair
-) -> Resolved | None:
-    """Spins, forces and contact states at the minimum; None if they cannot be had in double precision.
+@dataclass(frozen=True)
+class Surroundings:
+    """What samples of one lattice share. system : of each; parts : elimination tree over its unknowns.
 
-    iterate : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely
-    stick; None if that is not known.
-    parts, matrix : of its system. top : (C,), imposed on the top, in twice the precision.
+    matrix, matrices : of one of them, and of several at once. top : (C,), imposed on the top, in twice the precision.
     """
-    matrix.forget()
+
+    system: ContactSystem
+    parts: list[Part]
+    matrix: NewtonMatrix
+    matrices: Matrix
+    top: Pair
+
+
+def resolve(iterates: Sequence[Iterate], tied: Sequence[Arrays | None], lattice: Surroundings) -> list[Resolved | None]:
+    """Spins, forces and contact states of each sample at the minimum; None if they cannot be had in double precision.
+
+    What becomes of a sample, bit by bit, does not depend on the others.
+
+    iterates : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick;
+    None if that is not known.
+    """
+    lattice.matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        found = None if tied is None else _minimum(iterate, parts, exactly(iterate.spins), ~tied, top)
-        settled = None if found is None else _nearly_borne(iterate, matrix, found, iterate.dual)
-        if settled is None:
-            with suppress(NotPositiveDefinite):
-                settled = _followed(iterate, parts, matrix, top)
-    if settled is None or not -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME:
-        return None
-    return settled
+        slipping = [None if mask is None else ~mask for mask in tied]
+        minima = _minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, lattice)
+        found = _nearly_borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)
+        for number, iterate in enumerate(iterates):
+            if found[number] is None:
+                with suppress(NotPositiveDefinite):
+                    found[number] = _followed(iterate, lattice)
+        pairs = zip(iterates, found, strict=True)
+        return [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
 
 
-def _followed(iterate: Iterate, parts: list[Part], matrix: NewtonMatrix, top: Pair) -> Resolved | None:
+def _is_least(iterate: Iterate, settled: Resolved) -> bool:
+    """Is the power that of the path?"""
+    return -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME
+
+
+def _followed(iterate: Iterate, lattice: Surroundings) -> Resolved | None:
     """The same by the last decades of the path: on and on, until tied contacts bear what the slipping ones leave."""
-    path, found = LastDecades(iterate, matrix), None
+    path, found = LastDecades(iterate, lattice.matrix), None
     for _ in range(TRIALS):
         slipping = path.decide()
         if slipping is None:
             return None
-        found = _minimum(iterate, parts, path.spins, slipping, top)
-        settled = None if found is None else _nearly_borne(iterate, matrix, found, path.point.dual)
+        (found,) = _minima([iterate], [path.spins], [slipping], lattice)
+        (settled,) = _nearly_borne([iterate], [found], [path.point.dual], lattice)
         if settled is not None:
             return settled
         if path.ended:
             break
     if found is None:
         return None
-    borne = bear(iterate.system, parts, iterate.friction, found.dual, found.slipping)
+    borne = bear(iterate.system, lattice.parts, iterate.friction, found.dual, found.slipping)
     if borne.dual is not None:
         return replace(found, dual=borne.dual, borne=True)
     if borne.motion is None or gains(iterate, found, borne.motion):
@@ -123,87 +145,136 @@ def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
     return (iterate.friction * each(inner, there, change) / each(np.maximum, there.length(), TINY)).sum() < 0
 
 
-def _nearly_borne(iterate: Iterate, matrix: NewtonMatrix, found: Resolved, near: Arrays) -> Resolved | None:
-    """The same with forces of the slipless contacts, if they can have nearly those of which `near` is the dual."""
-    near = where(found.slipping, found.dual, near)
-    whole = nearly_borne(iterate.system, matrix, iterate.friction, near, found.slipping)
-    matrix.forget()
-    return None if whole is None else replace(found, dual=whole, borne=True)
+def _nearly_borne(
+    iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[Arrays], lattice: Surroundings
+) -> list[Resolved | None]:
+    """The same with forces of the slipless contacts, where they can have nearly those of which `near` is the dual."""
+    settled: list[Resolved | None] = [None] * len(minima)
+    some = [(number, found) for number, found in enumerate(minima) if found is not None]
+    if some:
+        slipping = together([found.slipping for _, found in some])
+        known = together([found.dual for _, found in some])
+        dual = where(slipping, known, together([near[number] for number, _ in some]))
+        friction = together([iterates[number].friction for number, _ in some])
+        duals, borne = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, len(some))
+        for (number, found), whole, fine in zip(some, apart(duals, len(some)), borne, strict=True):
+            settled[number] = replace(found, dual=whole, borne=True) if fine else None
+        lattice.matrix.forget()
+    return settled
 
 
-def _minimum(whole: Iterate, parts: list[Part], spins: Pair, slipping: Arrays, top: Pair) -> Resolved | None:
-    """The least power if just the contacts `slipping`, (n,) masks a group, slip, or those of them that do not come to
-    rest.
+def _minima(
+    iterates: Sequence[Iterate], spins: Sequence[Pair], given: Sequence[Arrays | None], lattice: Surroundings
+) -> list[Resolved | None]:
+    """The least power of each sample if just the contacts given, (n,) masks a group, slip, or those of them that do not
+    come to rest; None for a sample of which they are not known.
 
     spins : where to begin.
     """
-    with suppress(NotPositiveDefinite, Contradiction):
-        for _ in range(NEWTON_TRIALS):
-            trial = _Slipping(whole, parts, slipping)
-            at_rest = trial.descend(spins)
-            if at_rest is None:
-                return trial.resolved(top)
-            if not at_rest.any():
-                break
-            spins, slipping = trial.tied.expanded(trial.spins), slipping & ~trial.everywhere(at_rest)
-    return None
+    found: list[Resolved | None] = [None] * len(iterates)
+    slipping = [mask for mask in given if mask is not None]
+    numbers = [number for number, mask in enumerate(given) if mask is not None]
+    spins = [spins[number] for number in numbers]
+    for _ in range(NEWTON_TRIALS if numbers else 0):
+        trial = _Slipping([iterates[number] for number in numbers], slipping, lattice)
+        at_rest = trial.descend((np.concatenate([s[0] for s in spins]), np.concatenate([s[1] for s in spins])))
+        for number, resolved in zip(numbers, trial.resolved(lattice.top), strict=True):
+            found[number] = resolved
+        again = np.flatnonzero(trial.tied.owners.any(at_rest)).tolist()
+        if not again:
+            break
+        whole, resting = trial.tied.expanded(trial.spins), trial.everywhere(at_rest)
+        high, low = (part.reshape(len(numbers), -1) for part in whole)
+        spins = [(high[sample], low[sample]) for sample in again]
+        slipping = [slipping[sample] & ~resting[sample] for sample in again]
+        numbers = [numbers[sample] for sample in again]
+    return found
 
 
 class _Slipping:
-    """The power of some contacts, (n,) masks a group, while all others are tied: a smooth function.
+    """The power of some contacts of samples, (n,) masks a group, while all others are tied: a smooth function.
 
-    spins, difference, dual : in the end, of the contacts that slip.
+    balanced : (samples,), those that have come to its minimum.
     """
 
-    def __init__(self, whole: Iterate, parts: list[Part], slipping: Arrays) -> None:
-        """parts : elimination tree over the unknowns of the whole system."""
-        self.slipping, self.tied = slipping, Contraction(whole.system, parts, ~slipping)
-        self.matrix = NewtonMatrix(self.tied.system, self.tied.parts)
-        self.friction = whole.friction[self.tied.kept]
+    def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[Arrays], lattice: Surroundings) -> None:
+        self.samples, self.slipping = len(iterates), slipping
+        whole = lattice.system.copies(self.samples)
+        self.tied = Contraction(whole, lattice.parts, together([~mask for mask in slipping]), self.samples)
+        self.matrix = NewtonBlocks(self.tied)
+        self.friction = together([iterate.friction for iterate in iterates])[self.tied.kept]
+        self.balanced = np.zeros(self.samples, dtype=bool)
+        self.spins: Pair
+        self.difference: Arrays
 
-    def descend(self, spins: Pair) -> Arrays | None:
-        """Newton's method; masks (n,) of contacts that come to rest if it fails, None at the minimum. At rest are those
-        between spheres that others tie, or that the next step would turn round.
+    def descend(self, spins: Pair) -> Arrays:
+        """Newton's method from these spins of the whole systems until the torques are in balance. No slip may turn
+        round.
+
+        Returns masks (n,) a group, contacts that come to rest and have to be tied: that did not slip after what was
+        last tied, or that the next step would turn round. Their samples, and those where it fails, end unbalanced.
         """
-        system, self.spins = self.tied.system, self.tied.contracted(spins)
+        system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)
         first = self.difference.length()
-        if (first == 0).any():
-            return first == 0
+        at_rest = (first == 0) & owners.at_contacts(~self.tied.contradicts)
+        going = ~self.tied.contradicts & ~owners.any(at_rest)
         for count in range(STEPS):
             torques = system.torques(self.dual)
-            left = float(np.abs(torques).max(initial=0.0))
-            if left < (BALANCED if count < STEPS - 1 else ROUGHLY):
-                return None
-            self.matrix.factorise(each(friction_stiffness, self.friction, self.difference, HARDLY))
-            step = self.matrix.solve(torques)
+            left = owners.largest_of_spins(np.abs(torques))
+            self.balanced |= going & (left < (BALANCED if count < STEPS - 1 else ROUGHLY))
+            going = going & ~self.balanced
+            if not going.any():
+                return at_rest
+            going = self.matrix.factorise_each(each(friction_stiffness, self.friction, self.difference, HARDLY), going)
+            step = self.matrix.solve_each(torques, going)
             change, slip = system.change(step), self.difference.length()
             turned = each(inner, self.difference + change, self.difference) <= 0
-            at_rest = turned & (slip < COLLAPSED * first)
-            if at_rest.any():
-                return at_rest
-            along = min(1.0, 1 / max((change.length() / (where(turned, NEARLY_ALL, HALF) * slip)).max(), TINY))
-            self.spins = self.spins[0], self.spins[1] + along * step
-            self.difference = self.difference + along * change
-        return self.difference.length() < LOST
+            resting = turned & (slip < COLLAPSED * first) & owners.at_contacts(going)
+            at_rest, going = at_rest | resting, going & ~owners.any(resting)
+            reach = owners.largest(change.length() / (where(turned, NEARLY_ALL, HALF) * slip))
+            along = np.minimum(1.0, 1 / np.maximum(reach, TINY))
+            self._take(along, step, change, going)
+        return at_rest | (owners.at_contacts(going) & (self.difference.length() < LOST))
+
+    def _take(self, along: np.ndarray, step: np.ndarray, change: Arrays, going: np.ndarray) -> None:
+        """Take this part (samples,) of a step of the spins, and of the differences, in samples where it is `going`."""
+        owners, (high, low) = self.tied.owners, self.spins
+        self.spins = high, np.where(going[owners.spins], low + along[owners.spins] * step, low)
+        there = self.difference + owners.at_contacts(along) * change
+        self.difference = where(owners.at_contacts(going), there, self.difference)
 
     @property
     def dual(self) -> Arrays:
         return -self.friction * self.difference / self.difference.length()
 
-    def resolved(self, top: Pair) -> Resolved:
-        """The minimum, in twice the precision where that can be had."""
-        high, low = self.tied.expanded(self.spins)
-        spins, rest, difference, dual = high + low, None, self.difference, self.dual
-        better = polished(self.tied, self.matrix, self.friction, self.spins, difference, top)
-        if better is not None:
-            (spins, rest), difference, dual = better
-        return Resolved(spins, self.everywhere(difference), self.everywhere(dual), self.slipping, rest)
+    def resolved(self, top: Pair) -> list[Resolved | None]:
+        """The minima of samples that are balanced, in twice the precision where that can be had."""
+        if not self.balanced.any():
+            return [None] * self.samples
+        (spins, rest), difference, dual, fine = polished(
+            self.tied, self.matrix, self.friction, self.spins, self.difference, top, self.balanced
+        )
+        rests = np.split(rest, self.samples)
+        precise, rough = self._each(spins, rests, difference, dual), []
+        if not fine[self.balanced].all():
+            high, low = self.tied.expanded(self.spins)
+            rough = self._each(high + low, [None] * self.samples, self.difference, self.dual)
+        pairs = zip(self.balanced, fine, strict=True)
+        return [(precise if known else rough)[n] if balanced else None for n, (balanced, known) in enumerate(pairs)]
 
-    def everywhere(self, values: Arrays) -> Arrays:
-        """Values of slipping contacts with zeros for the others."""
+    def _each(
+        self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: Arrays, dual: Arrays
+    ) -> list[Resolved]:
+        of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
+        return list(map(Resolved, *of_samples, self.slipping, rests))
 
-        def among(slipping: np.ndarray, new: np.ndarray) -> np.ndarray:
-            return np.zeros((*new.shape[:-1], len(slipping)), new.dtype)
+    def everywhere(self, values: Arrays) -> list[Arrays]:
+        """Values of slipping contacts with zeros for the others, sample by sample."""
 
-        return each(among, self.slipping, values).placed(self.tied.kept, values)
+        def among(kept: np.ndarray, before: ContactGroup, new: np.ndarray) -> np.ndarray:
+            found = np.zeros((*new.shape[:-1], before.below.shape[1]), new.dtype)
+            found[..., kept] = new
+            return found
+
+        return apart(each(among, self.tied.kept, Grouped(self.tied.whole.groups), values), self.samples)

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import balance, newton_step
-from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
+from taichi_bearings.conic.central_path import Matrix, balance, newton_step
+from taichi_bearings.conic.contact_system import ContactSystem, stacked
+from taichi_bearings.conic.grouped import Arrays, apart, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
+from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
+from taichi_bearings.numerics.cholesky import Part
 
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
@@ -65,7 +65,7 @@ def bear(system: ContactSystem, parts: list[Part], friction: Arrays, dual: Array
             still = balance(still, matrix)
         if still.unbalanced < BALANCED:
             whole = dual.placed(kept, still.dual)
-            if _inside(system, friction, whole, slipping):
+            if _inside(friction, whole, slipping, system.torques(whole)[:, None])[0]:
                 return Borne(dual=whole)
         if point.slip_over_margin.max() > CLEAR or point.complementarity < CLOSE:
             return Borne(motion=np.append(point.spins, 0.0)[number])
@@ -74,27 +74,35 @@ def bear(system: ContactSystem, parts: list[Part], friction: Arrays, dual: Array
 
 @np.errstate(all="ignore")
 def nearly_borne(
-    system: ContactSystem, matrix: NewtonMatrix, friction: Arrays, dual: Arrays, slipping: Arrays
-) -> Arrays | None:
-    """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance.
+    system: ContactSystem, matrix: Matrix, friction: Arrays, dual: Arrays, slipping: Arrays, samples: int
+) -> tuple[Arrays, np.ndarray]:
+    """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
+    the samples (samples,) in which that is enough, as it is most often near the end of the central path.
 
-    Most often that is enough near the end of the central path; None if not. matrix : of the system. The others as for
-    :func:`bear`, the dual of slipless contacts nearly in balance and inside their friction discs.
+    system, matrix : of a sample. The others as for :func:`bear`, of all samples together, the dual of slipless contacts
+    nearly in balance and inside their friction discs.
     """
     room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), 0.0))
-    domains = (_held(system, slipping) < 0).astype(float)  # a spring each, that nothing stretches
-    try:
-        whole = matrix.balanced(dual, isotropic(dual, room**2), inertia=domains)
-    except NotPositiveDefinite:
-        return None
-    return whole if _inside(system, friction, whole, slipping) else None
+    domains = _held(system.copies(samples), slipping) < 0  # a spring each, that nothing stretches
+    springs = each(lambda z, k: np.broadcast_to(k, z.shape), dual, room**2)
+    pairs = zip(apart(dual, samples), apart(room**2, samples), strict=True)
+    stiffness = np.stack([stacked(isotropic(z, k)) for z, k in pairs], axis=1)
+    regular = matrix.factorise_given(stiffness, domains.reshape(samples, -1).T.astype(float))
+    side, springs = side_by_side(dual, samples), side_by_side(springs, samples)
+    for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
+        side = side - springs * system.change(matrix.solve_given(system.torques(side)))
+    whole = one_by_one(side)
+    return whole, regular & _inside(friction, whole, slipping, system.torques(side))
 
 
-def _inside(system: ContactSystem, friction: Arrays, dual: Arrays, slipping: Arrays) -> bool:
-    """Is the dual in balance, and with room in all friction discs of slipless contacts for what is not?"""
-    left = np.abs(system.torques(dual))  # also on spins that are held
-    surely = slipping | (friction - dual.length() > SURELY * float(left.sum()))
-    return left.max(initial=0.0) < SURELY * BALANCED and surely.all()
+def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:
+    """Is the dual of each sample, (samples,), in balance, and with room in all friction discs of slipless contacts for
+    what is not? torques : (unknowns, samples), of the dual, also on spins that are held."""
+    left = np.abs(torques).T.copy()
+    total, samples = SURELY * left.sum(axis=1), len(left)
+    surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
+    inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
+    return (left.max(axis=1, initial=0.0) < SURELY * BALANCED) & np.all(inside, axis=0)
 
 
 def _free(numbers: np.ndarray) -> np.ndarray:

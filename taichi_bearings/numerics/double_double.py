@@ -46,9 +46,22 @@ def multiply(x: Pair, y: Pair) -> Pair:
     return two_sum(high, rest + (x[0] * y[1] + x[1] * y[0]))
 
 
+def scaled(factor: np.ndarray, x: Pair) -> Pair:
+    """factor * x."""
+    high, rest = two_product(factor, x[0])
+    return two_sum(high, rest + factor * x[1])
+
+
+def square(x: Pair) -> Pair:
+    high, (large, small) = x[0] * x[0], _halves(x[0])
+    both = large * small
+    rest = ((large * large - high) + both + both) + small * small
+    return two_sum(high, rest + 2 * (x[0] * x[1]))
+
+
 def divide(x: Pair, y: Pair) -> Pair:
     first = x[0] / y[0]
-    left = subtract(x, multiply((first, np.zeros_like(first)), y))
+    left = subtract(x, scaled(first, y))
     return two_sum(first, left[0] / y[0])
 
 

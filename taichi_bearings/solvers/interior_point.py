@@ -26,7 +26,7 @@ from taichi_bearings.conic.grouped import Arrays, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.resolution import Resolved, resolve
+from taichi_bearings.conic.resolution import Resolved, Surroundings, resolve
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
@@ -62,7 +62,8 @@ class _Sample:
     steps: int = 0
     gap: float = np.inf  # relative
     done: bool = False
-    ended: int | None = None  # iteration of its last step
+    at_end: bool = False  # its states are to be settled before it goes on
+    sticking: Arrays | None = None  # masks (n,) a group, contacts that then surely stick, if that is known
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
 
@@ -184,21 +185,32 @@ class InteriorPointMethod:
         return iteration + (2 if far else 1)
 
     def advance(self, steps: int) -> None:
-        """As many of every sample that is not done. Where one leaves, another takes its place beside the others."""
+        """As many of every sample that is not done. Where one leaves, another takes its place beside the others.
+
+        Samples near the end of their paths wait for others: together their states are settled in half the time.
+        """
         waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
         together = isinstance(self.matrices, NewtonMatrices) and len(waiting) > 1
         path, going = Path(self.matrices, LANES if together else 1), dict[int, tuple[_Sample, int]]()
+        at_end: list[tuple[_Sample, int]] = []
         with one_thread():  # fronts are shared among threads here, not inside the library
             try:
-                while waiting or going:
+                while waiting or going or at_end:
+                    if len(at_end) >= path.samples or not (waiting or going):
+                        some, at_end = at_end[: path.samples], at_end[path.samples :]
+                        self._settle([sample for sample, _ in some])
+                        waiting += [(sample, last) for sample, last in some if not sample.done and sample.steps < last]
+                        continue
                     for place in [place for place in range(path.samples) if place not in going][: len(waiting)]:
                         going[place] = waiting.popleft()
                         path.put(place, going[place][0].iterate)
                     taken = path.step()
                     for place, (sample, last) in list(going.items()):
                         self._judge(sample, path, place, bool(taken[place]))
-                        if sample.done or sample.steps == last:
+                        if sample.done or sample.at_end or sample.steps == last:
                             self._leave(path, place, going.pop(place)[0])
+                        if sample.at_end:
+                            at_end.append((sample, last))
             finally:
                 for place, (sample, _) in going.items():
                     self._leave(path, place, sample)
@@ -211,22 +223,20 @@ class InteriorPointMethod:
     @property
     def settles_at(self) -> float:
         """Relative gap. A step costs little beside a round of settling in large samples, and much in small ones."""
-        return float(np.clip(SETTLE * (LARGE / self.scene.lattice.sites) ** 3, SETTLE, SOONEST))
+        return min(max(SETTLE * (LARGE / self.scene.lattice.sites) ** 3, SETTLE), SOONEST)
 
     def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
-        """See where a step of a sample has led, and settle its states if that can be tried."""
+        """See where a step of a sample has led, and whether to try to settle its states."""
         gap = self._gap(path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > CLOSEST
         near = sample.gap < min(self.settles_at, sample.tried / AGAIN) or (sample.done and sample.gap < LAST_RESORT)
         # slips of any size are met with a force where it depends on the rate: there are no contacts at rest to be found
-        settle = near and self.scene.law.is_rate_independent
-        if sample.done or settle:
+        sample.at_end = near and self.scene.law.is_rate_independent
+        if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
-        if settle:
-            self._settle(sample, _sticking(sample.iterate, path.before(place)) if accepted else None)
-            path.put(place, sample.iterate)  # settling may have needed the same memory
-        sample.ended = sample.steps if sample.done else None
+        if sample.at_end:
+            sample.sticking = _sticking(sample.iterate, path.before(place)) if accepted else None
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, path: Path, place: int) -> float:
@@ -241,15 +251,17 @@ class InteriorPointMethod:
             gap = balanced.gap
         return gap
 
-    def _settle(self, sample: _Sample, sticking: Arrays | None) -> None:
-        sample.tried = sample.gap
+    def _settle(self, samples: list[_Sample]) -> None:
+        lattice = Surroundings(self.system, self.parts, self.matrix, self.matrices, self.top)
         with stage("settling contact states"):
-            found = resolve(sample.iterate, sticking, self.parts, self.matrix, self.top)
-        if found is None:
-            return
-        if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):
-            sample.resolved = found
-        sample.done |= found.sure
+            resolved = resolve([s.iterate for s in samples], [s.sticking for s in samples], lattice)
+        for sample, found in zip(samples, resolved, strict=True):
+            sample.tried, sample.at_end, sample.sticking = sample.gap, False, None
+            if found is None:
+                continue
+            if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):
+                sample.resolved = found
+            sample.done |= found.sure
 
     def _misses(self, sample: _Sample, found: Resolved) -> tuple[bool, bool, float]:
         """What a settled state misses, the most important first: balanced forces that bear the load, certainty, and the
@@ -291,7 +303,7 @@ class InteriorPointMethod:
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
             settles_at=self.settles_at,
-            ended=np.array([self.iteration if s.ended is None else s.ended for s in self.samples]),
+            ended=np.array([sample.steps for sample in self.samples]),
         )
 
     def _spins(self, sample: _Sample) -> Pair:

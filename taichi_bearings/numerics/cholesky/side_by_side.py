@@ -26,22 +26,22 @@ class CholeskySideBySide:
 
     def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
         self.pattern = analyse(parts, first, second)
-        self._used: Storage
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
         """Factorise the matrices with these values (entries, S) at the entries of the pattern; True (S,) for those that
         are positive definite to working precision."""
         samples = values.shape[1]
-        self._used = self.storage(samples)
-        self._used.entries[: len(values), :samples] = values
-        return self._used.factorise()[:samples]
+        storage = self.storage(samples)
+        storage.entries[: len(values), :samples] = values
+        return storage.factorise()[:samples]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
         unknowns, samples = right.shape
-        solution = self._used.solution[:unknowns, :samples]
+        storage = self.storage(samples)
+        solution = storage.solution[:unknowns, :samples]
         np.take(right, self.pattern.order, axis=0, out=solution, mode="clip")
-        self._used.substitute()
+        storage.substitute()
         return solution.take(self.pattern.place, axis=0)
 
     def storage(self, samples: int) -> "Storage":
