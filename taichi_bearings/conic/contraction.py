@@ -7,6 +7,7 @@ Several samples of one lattice are parts of one system that no contact joins.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,24 +19,34 @@ from taichi_bearings.numerics.double_double import Pair, two_sum
 
 @dataclass(frozen=True)
 class Owners:
-    """The sample, of so many, that each spin (unknowns,) and each contact (n,) a group belongs to."""
+    """The sample, of so many, that each spin (unknowns,) and each contact (n,) a group belongs to: in ascending order."""
 
     samples: int
     spins: np.ndarray
     contacts: Arrays
 
+    @cached_property
+    def _of_groups(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [_begins(own) for own in self.contacts]
+
+    @cached_property
+    def _of_spins(self) -> tuple[np.ndarray, np.ndarray]:
+        return _begins(self.spins)
+
     def largest(self, values: Arrays) -> np.ndarray:
         """Of numbers (n,) or (d, n) a group that are not negative, (samples,); 0 of none."""
         found = np.zeros(self.samples)
-        for own, numbers in zip(self.contacts, values, strict=True):
-            for row in np.atleast_2d(numbers):
-                np.maximum.at(found, own, row)
+        for (some, begins), numbers in zip(self._of_groups, values, strict=True):
+            if len(some):
+                most = np.maximum.reduceat(numbers, begins, axis=-1)
+                found[some] = np.maximum(found[some], most if numbers.ndim == 1 else most.max(axis=0))
         return found
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
         """The same of one number (unknowns,) a spin."""
-        found = np.zeros(self.samples)
-        np.maximum.at(found, self.spins, values)
+        found, (some, begins) = np.zeros(self.samples), self._of_spins
+        if len(some):
+            found[some] = np.maximum.reduceat(values, begins)
         return found
 
     def any(self, chosen: Arrays) -> np.ndarray:
@@ -45,6 +56,11 @@ class Owners:
     def at_contacts(self, values: np.ndarray) -> Arrays:
         """The number, (samples,), of the sample of each contact, (n,) a group."""
         return each(lambda own: values[own], self.contacts)
+
+
+def _begins(owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Owners that there are, and the place of the first of each."""
+    return np.unique(owner, return_index=True)
 
 
 class Contraction:

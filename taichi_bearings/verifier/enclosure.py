@@ -152,12 +152,14 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
         return row_sum(values.reshaped((1, -1)))
     order = np.argsort(owner, kind="stable")
     values, owner = values[order], owner[order]
-    while (owner[1:] == owner[:-1]).any():
-        place = np.arange(len(owner)) - np.searchsorted(owner, owner)
-        second = np.append(owner[1:] == owner[:-1], False) & (place % 2 == 0)  # a first with a second
+    place = np.arange(len(owner)) - np.searchsorted(owner, owner)  # among those of the same owner
+    while place.any():
         kept = np.flatnonzero(place % 2 == 0)
-        partner = Enclosure(*(np.where(second, np.append(part[1:], 0.0), 0.0)[kept] for part in values.parts))
-        values, owner = values[kept] + partner, owner[kept]
+        with_next = np.append(place[1:], 0)[kept] % 2 == 1
+        first = kept[with_next]
+        pairs, values, owner, place = values[first] + values[first + 1], values[kept], owner[kept], place[kept] // 2
+        for whole, part in zip(values.parts, pairs.parts, strict=True):
+            whole[with_next] = part
     total = [np.zeros(count) for _ in range(3)]
     for whole, part in zip(total, values.parts, strict=True):
         whole[owner] = part

@@ -39,8 +39,9 @@ class Motion:
     @cached_property
     def domain(self) -> dict[int, np.ndarray]:
         """Number (R, *N) of the domain of each sphere, component by component: 0 and 1 for all that turns with the
-        bottom and with the top, 2 and more for the others, of all samples together."""
-        return {k: self._domains(k) for k in self.samples.components}
+        bottom and with the top, 2 and more for the others, of all samples together. Of components that differ between
+        the planes, or seem to; nobody asks for others."""
+        return {k: self._domains(k) for k in self.samples.components if self._jumps(k) or self.shift[k].most.any()}
 
     def _domains(self, component: int) -> np.ndarray:
         number = whole_planes(self.samples)
@@ -96,7 +97,12 @@ class Motion:
     def _differences(self, component: int, axis: int, slips: np.ndarray) -> Enclosure:
         low, high = self.samples.ends(axis)
         stored, shift = self.samples.signed_spin[component], self.shift[component]
-        upper, lower = (Enclosure.exact(*(part[end][slips] for part in stored)) for end in (high, low))
+        ends = [[part[end][slips] for part in stored] for end in (high, low)]
+        if component not in self.domain and all((a == b).all() for a, b in zip(*ends, strict=True)):
+            return Enclosure.exact(np.zeros(len(ends[0][0])))
+        upper, lower = (Enclosure.exact(*parts) for parts in ends)
+        if component not in self.domain:
+            return upper - lower
         at_top = [self.domain[component][end][slips] == 1 for end in (high, low)]
         owner = np.nonzero(slips)[0]
         return (upper - lower) + shift[owner].signed(at_top[0].astype(float) - at_top[1])
@@ -149,6 +155,7 @@ def spread(one: Enclosure, count: int) -> Enclosure:
 
 def length(parts: list[Enclosure]) -> Enclosure:
     """Length of vectors given by their parts, (n,) each."""
+    parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # but those that are exactly 0
     if len(parts) == 1:
         return abs(parts[0])
     square = parts[0] * parts[0] + parts[1] * parts[1]
