@@ -19,7 +19,7 @@ from taichi_bearings.numerics.double_double import Pair, two_sum
 
 @dataclass(frozen=True)
 class Owners:
-    """The sample, of so many, that each spin (unknowns,) and each contact (n,) a group belongs to: in ascending order."""
+    """The sample, of so many, that each spin (unknowns,) and each contact (n,) a group belongs to; they ascend."""
 
     samples: int
     spins: np.ndarray

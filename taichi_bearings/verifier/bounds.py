@@ -131,18 +131,17 @@ def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.
     return found
 
 
-def torques(samples: Samples, component: int, which: tuple[np.ndarray, ...] | None = None) -> Enclosure:
+def torques(samples: Samples, component: int, pulls: list[Enclosure] | None = None) -> Enclosure:
     """Sum of a component of g over the contacts of each sphere, (R, *N); those between driven spheres take no part.
 
-    which : masks (R, *contacts) an axis, of the contacts that count.
+    pulls : (R, *contacts) an axis, other values of that component; it is the friction's by default.
     """
-    shape = (samples.count, *samples.shape)
-    total = Enclosure.exact(np.zeros(shape))
+    total = Enclosure.exact(np.zeros((samples.count, *samples.shape)))
     for axis, turning in enumerate(samples.turning):
         if component in turning:
-            counts = ~samples.between_driven(axis) & (True if which is None else which[axis])
+            pull = Enclosure.exact(turning[component]) if pulls is None else pulls[axis]
+            pull = pull.signed(np.where(samples.between_driven(axis), 0.0, 1.0))
             for end in samples.ends(axis):
-                padded = np.zeros(shape)
-                padded[end] = np.where(counts, turning[component], 0.0)
-                total = total + Enclosure.exact(padded)
+                for whole, part in zip(total.parts, (total[end] + pull).parts, strict=True):
+                    whole[end] = part
     return total

@@ -54,10 +54,10 @@ class Slipping:
         samples = motion.samples
         number, unknowns = [], 0
         for k in samples.needed:
-            labels, inverse = np.unique(motion.domain[k], return_inverse=True)
-            new = np.where(labels > 1, np.cumsum(labels > 1) - 1 + unknowns, -1)
-            number.append(new[inverse.reshape(motion.domain[k].shape)])
-            unknowns += int((labels > 1).sum())
+            free = np.bincount(motion.domain[k].ravel()) > 0
+            free[:2] = False
+            number.append(np.where(free, np.cumsum(free) - 1 + unknowns, -1)[motion.domain[k]])
+            unknowns += int(free.sum())
         sphere = np.arange(samples.count * samples.sublattice.size).reshape(samples.count, *samples.shape)
         lower, upper, two, ends, strengths = [], [], [], [], []
         parts: list[list[Enclosure]] = [[], []]
@@ -128,9 +128,10 @@ class Slipping:
     def slope(self) -> Enclosure:
         """(unknowns,), g: what the slipping contacts leave over on each domain."""
         owner, pulls = [], []
-        for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
-            for slot in range(2):
-                pull, free = self.strength * self.direction[slot], end[slot] >= 0
+        for slot in range(2):
+            pull = self.strength * self.direction[slot]
+            for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
+                free = end[slot] >= 0
                 owner.append(end[slot][free])
                 pulls.append(pull[free].signed(sign))
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
@@ -197,12 +198,12 @@ class Curvature:
         clusters = _clusters(contacts)
         changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exactly, without what both ends share
         rows, doubt = _conditions(contacts, changes)
-        scale = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
+        scale = np.bincount(rows.indices, rows.data**2, contacts.unknowns)
         if not (scale > 0).all():
             return None
-        inverse = sparse.diags_array(1 / np.sqrt(scale))
-        rows, doubt = (rows @ inverse).tocsr(), (doubt @ inverse).tocsr()
-        elimination = Elimination.of((rows.T @ rows).tocsc(), contacts.place @ rows.multiply(rows))
+        inverse = 1 / np.sqrt(scale)
+        rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
+        elimination = Elimination.of((rows.T @ rows).tocsc(), contacts.place @ _with(rows, rows.data**2))
         tau = _proven(rows, doubt, elimination)
         return None if tau is None else cls(clusters, scale, tau, elimination, changes)
 
@@ -237,14 +238,19 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     row, column = np.append(trees.row, np.full(len(heads), source)), np.append(trees.col, heads)
     linked = sparse.csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(source + 1, source + 1))
     before = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
-    inner = before < contacts.unknowns
-    step = sparse.csr_array(
-        (np.ones(int(inner.sum())), (np.flatnonzero(inner), before[inner])), shape=(contacts.unknowns,) * 2
-    )
-    total, further = sparse.eye_array(contacts.unknowns, format="csr"), step
-    while further.nnz:
-        total, further = (total + further).tocsr(), (further @ step).tocsr()
-    return total
+    at = [np.arange(contacts.unknowns)] * 2  # each, and what is before it on the way to the head
+    entries = []
+    while len(at[0]):
+        entries.append(at)
+        ahead = before[at[1]]
+        at = [at[0][ahead < contacts.unknowns], ahead[ahead < contacts.unknowns]]
+    rows, columns = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(contacts.unknowns,) * 2)
+
+
+def _with(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
+    """Other numbers at the same entries."""
+    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sparse.csr_array, sparse.csr_array]:
@@ -253,22 +259,22 @@ def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sp
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
     root = np.where(contacts.two, np.sqrt(stiffness.value), 0.0)
     inexact = stiffness.error / stiffness.most + 16 * EPS
-    rows = doubt = sparse.csr_array((len(contacts.two), contacts.unknowns))
+    rows, doubt = [], []
     for part, change in zip(across, changes, strict=True):
-        rows = rows + sparse.diags_array(root * part.value) @ change
-        doubt = doubt + sparse.diags_array(root * (part.error + inexact * part.most)) @ abs(change)
-    rows = rows.tocsr()
-    rows.eliminate_zeros()
-    return rows, doubt.tocsr()
+        row = np.repeat(np.arange(len(root)), np.diff(change.indptr))
+        rows.append(_with(change, (root * part.value)[row] * change.data))
+        doubt.append(_with(change, (root * (part.error + inexact * part.most))[row] * np.abs(change.data)))
+    found = rows[0] + rows[1]
+    found.eliminate_zeros()
+    return found, doubt[0] + doubt[1]
 
 
 def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination) -> float | None:
     """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
     elimination : of A^T A. The first guess saves a factorisation where it will do."""
-    terms = int(np.diff(rows.tocsc().indptr).max(initial=0)) + 4
-    most = (abs(rows) + doubt).T.tocsr()
-    error = 2 * np.sqrt(_largest_eigenvalue(most) * _largest_eigenvalue(doubt.T.tocsr()))
-    error += (terms + 1) * EPS * _largest_eigenvalue(most) + EPS
+    terms = int(np.bincount(rows.indices).max(initial=0)) + 4
+    most = _largest_eigenvalue((abs(rows) + doubt).T.tocsr())
+    error = 2 * np.sqrt(most * _largest_eigenvalue(doubt.T.tocsr())) + (terms + 1) * EPS * most + EPS
     for guess in (lambda: GUESS, lambda: _least_eigenvalue(elimination) / 2):
         tau = guess()
         missed = elimination.distance_from_positive(tau)

@@ -150,9 +150,10 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
     """Sum of the values (n,) of each owner (n,) from 0 to count - 1, pair by pair; (count,)."""
     if count == 1:
         return row_sum(values.reshaped((1, -1)))
-    order = np.argsort(owner, kind="stable")
+    order = np.argsort(owner.astype(np.uint16) if count <= 2**16 else owner, kind="stable")  # few are sorted by digits
     values, owner = values[order], owner[order]
-    place = np.arange(len(owner)) - np.searchsorted(owner, owner)  # among those of the same owner
+    own = np.bincount(owner)
+    place = np.arange(len(owner)) - (np.cumsum(own) - own)[owner]  # among those of the same owner
     while place.any():
         kept = np.flatnonzero(place % 2 == 0)
         with_next = np.append(place[1:], 0)[kept] % 2 == 1

@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from taichi_bearings.verifier.bounds import torques
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
-from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
+from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_planes
 from taichi_bearings.verifier.samples import Samples
 
@@ -221,19 +221,33 @@ def _bearable(motion: Motion, contacts: Slipping, turn: np.ndarray) -> bool:
     return True
 
 
+def _pulls(motion: Motion, component: int, slipping: Enclosure) -> list[Enclosure]:
+    """A component of g, (R, *contacts) an axis: of contacts that slip as given, (n,), of others as the file says."""
+    found, begin = [], 0
+    for still, turning in zip(motion.still, motion.samples.turning, strict=True):
+        pull, end = (
+            Enclosure.exact(np.array(turning.get(component, np.zeros(still.shape)))),
+            begin + int((~still).sum()),
+        )
+        for whole, part in zip(pull.parts, slipping[begin:end].parts, strict=True):
+            whole[~still] = part
+        found.append(pull)
+        begin = end
+    return found
+
+
 def _left_over(motion: Motion, contacts: Slipping, turn: np.ndarray, slot: int) -> np.ndarray:
     """E_D of the domain of each sphere in a component, (R, *N): the torques left over in it, summed."""
     samples = motion.samples
     component, spheres, domain = samples.needed[slot], contacts.spheres.ravel(), motion.domain[samples.needed[slot]]
     side = samples.sublattice.ravel()[contacts.spheres[1] % samples.sublattice.size]
-    exerted = (contacts.strength * contacts.direction[slot]).signed(side)
-    of_slipping = grouped_sum(joined([exerted, exerted]), spheres, domain.size)
-    pull = torques(samples, component, motion.still) + of_slipping.reshaped(domain.shape)
+    pull = torques(
+        samples, component, _pulls(motion, component, (contacts.strength * contacts.direction[slot]).signed(side))
+    )
     unsure = np.where(contacts.two, 2 * turn * contacts.strength.most, 0.0)
     residual = pull.most.ravel() + np.bincount(spheres, np.tile(unsure, 2), domain.size)
     residual = residual.reshape(pull.high.shape)
     residual[..., [0, -1]] = 0.0
-    own = domain * samples.count + np.arange(samples.count).reshape(-1, *(1,) * samples.dimension)  # driven ones too
-    inverse = np.unique(own.ravel(), return_inverse=True)[1]
-    of_domain = np.bincount(inverse, residual.ravel()) * UP
-    return of_domain[inverse].reshape(residual.shape)
+    sample = np.arange(samples.count).reshape(-1, *(1,) * samples.dimension)
+    own = np.where(domain > 1, domain + 2 * samples.count, domain * samples.count + sample)  # driven ones, too
+    return (np.bincount(own.ravel(), residual.ravel()) * UP)[own]
