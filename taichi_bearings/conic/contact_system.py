@@ -88,13 +88,13 @@ class Home:
     acting: np.ndarray
     own: slice
 
-    def among(self, fields: Sequence[np.ndarray], replica: int) -> tuple[np.ndarray, tuple]:
-        """Values (..., *contacts) of a sample on the contacts of the axis, and where among them those of the group are.
+    def among(self, fields: Sequence[np.ndarray], replica: int) -> np.ndarray:
+        """Values (..., contacts of the axis) of a sample, as a view.
 
-        fields : one array (..., R, *contacts) a lattice axis.
+        fields : one array (..., R, *contacts) a lattice axis, in which those of a sample lie in one piece.
         """
         values = np.moveaxis(fields[self.axis], -1 - len(fields), 0)[replica]
-        return values, (..., *np.unravel_index(self.acting, values.shape[-len(fields) :]))
+        return np.reshape(values, (*values.shape[: -len(fields)], -1))
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class ContactSystem:
         """Values (..., n) a group of one sample; fields : one array (..., R, *contacts) a lattice axis."""
 
         def gathered(homes: tuple[Home, ...]) -> np.ndarray:
-            return np.concatenate([values[places] for values, places in (h.among(fields, replica) for h in homes)], -1)
+            return np.concatenate([home.among(fields, replica)[..., home.acting] for home in homes], -1)
 
         return Grouped(map(gathered, self.homes))
 
@@ -158,8 +158,7 @@ class ContactSystem:
         """Inverse of :meth:`gather`: write the values into the fields."""
         for homes, new in zip(self.homes, values, strict=True):
             for home in homes:
-                into, places = home.among(fields, replica)
-                into[places] = new[..., home.own]
+                home.among(fields, replica)[..., home.acting] = new[..., home.own]
 
     def pieces(self, chosen: Arrays) -> tuple[int, np.ndarray]:
         """Number of the pieces that the chosen contacts, (n,) masks a group, join the spins to, and that of each."""

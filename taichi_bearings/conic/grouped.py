@@ -101,8 +101,8 @@ def where(chosen: Arrays, values: Arrays | float, others: Arrays | float) -> Arr
 
 
 def isotropic(like: Arrays, strength: Grouped | float = 1.0) -> Arrays:
-    """Stiffness (d, d, n) a group, `strength` in every direction, of contacts with vectors `like`."""
-    return each(lambda vector, k: np.eye(len(vector))[:, :, None] * (k * np.ones_like(vector[0])), like, strength)
+    """Stiffness (d, d, n) a group, `strength` in every direction, of contacts with vectors `like`; or (d, d, n, S)."""
+    return each(lambda vector, k: np.multiply.outer(np.eye(len(vector)), k * np.ones_like(vector[0])), like, strength)
 
 
 def power(friction: Arrays, difference: Arrays) -> float:

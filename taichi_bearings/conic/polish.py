@@ -22,6 +22,8 @@ LONGEST = 0.5  # largest such change that is allowed
 VISIBLE = 1e-10  # slips below which differences are to be trusted more than spins
 SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
 
+Places = tuple[np.ndarray, ...]
+
 
 def polished(
     tied: Contraction,
@@ -96,7 +98,8 @@ def _fitted(
 class _PreciseSystem:
     """Differences and torques of a contracted system, in twice the precision.
 
-    imposed : (d, n) a group, what the imposed spins add to the differences: -1, 0 or 1 times the jump.
+    imposed : a group each, the places in (d, n) where imposed spins add anything to the differences, and what: -1
+    or 1 times the jump.
     """
 
     def __init__(self, tied: Contraction, top: Pair) -> None:
@@ -104,18 +107,23 @@ class _PreciseSystem:
         self.slot = np.arange(len(tied.number)) % len(top[0])
         self.imposed = Grouped(map(self._imposed, tied.whole.groups, tied.system.groups, tied.kept))
 
-    def _imposed(self, before: ContactGroup, group: ContactGroup, kept: np.ndarray) -> Pair:
-        slot = np.maximum(before.below, before.above)[:, kept] % len(self.top[0])
-        times = _multiples(group.offset, self.top[0][slot])
-        return times * self.top[0][slot], times * self.top[1][slot]
+    def _imposed(self, before: ContactGroup, group: ContactGroup, kept: np.ndarray) -> tuple[Places, Pair]:
+        places = np.nonzero(group.offset)
+        slot = np.maximum(before.below, before.above)[:, kept][places] % len(self.top[0])
+        times = _multiples(group.offset[places], self.top[0][slot])
+        return places, (times * self.top[0][slot], times * self.top[1][slot])
 
     def differences(self, unknown: Pair) -> Grouped[Pair]:
         """Across each contact, (d, n) a group."""
         high, low = (np.append(part, 0.0) for part in unknown)
 
-        def difference(group: ContactGroup, imposed: Pair) -> Pair:
+        def difference(group: ContactGroup, imposed: tuple[Places, Pair]) -> Pair:
             above, below = (high[group.above], low[group.above]), (high[group.below], low[group.below])
-            return add(subtract(above, below), imposed)
+            found, (places, more) = subtract(above, below), imposed
+            driven = add((found[0][places], found[1][places]), more)
+            for whole, part in zip(found, driven, strict=True):
+                whole[places] = part
+            return found
 
         return each(difference, Grouped(self.contracted.groups), self.imposed)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import Matrix, balance, newton_step
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
-from taichi_bearings.conic.grouped import Arrays, apart, each, isotropic, one_by_one, side_by_side, where
+from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 from taichi_bearings.numerics.cholesky import Part
@@ -84,11 +84,9 @@ def nearly_borne(
     """
     room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), 0.0))
     domains = _held(system.copies(samples), slipping) < 0  # a spring each, that nothing stretches
-    springs = each(lambda z, k: np.broadcast_to(k, z.shape), dual, room**2)
-    pairs = zip(apart(dual, samples), apart(room**2, samples), strict=True)
-    stiffness = np.stack([stacked(isotropic(z, k)) for z, k in pairs], axis=1)
+    side, springs = side_by_side(dual, samples), side_by_side(room**2, samples)
+    stiffness = stacked(isotropic(side, springs))
     regular = matrix.factorise_given(stiffness, domains.reshape(samples, -1).T.astype(float))
-    side, springs = side_by_side(dual, samples), side_by_side(springs, samples)
     for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)

@@ -6,6 +6,7 @@ its first and last planes are driven. Spins are kept by component: ``spin_axes``
 carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice driven in the xy plane.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,7 +55,7 @@ class Lattice:
 
     @property
     def sites(self) -> int:
-        return int(np.prod([int(n) for n in self.shape], dtype=object))
+        return math.prod(int(n) for n in self.shape)
 
     @property
     def all_spin_axes(self) -> tuple[int, ...]:

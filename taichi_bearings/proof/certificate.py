@@ -212,10 +212,10 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
     """Parts of (R, n, ...) arrays that the caches of a processor hold while much is done with them."""
-    size = max(1, FEW * values.shape[1] // max(values[0].size, 1))
+    several, size = max(1, FEW // max(values[0].size, 1)), max(1, FEW * values.shape[1] // max(values[0].size, 1))
     return [
-        (slice(r, r + 1), slice(first, first + size))
-        for r in range(len(values))
+        (slice(r, r + several), slice(first, first + size))
+        for r in range(0, len(values), several)
         for first in range(0, values.shape[1], size)
     ]
 

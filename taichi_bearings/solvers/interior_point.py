@@ -283,7 +283,7 @@ class InteriorPointMethod:
             self.system.scatter(slips, slip, replica)
             self.system.scatter(-answer.whole_dual * (sample.unit * scene.normal_force), force, replica)
             self.system.scatter(sample.states(), state, replica)
-        scene.impose_driving(staggered, self.spin_axes)
+        objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
         creep = np.array([sample.creep() if self.frustrated else 0.0 for sample in self.samples])
         return Progress(
             iteration=self.iteration,
@@ -291,8 +291,8 @@ class InteriorPointMethod:
             rest=rest,
             spin_axes=self.spin_axes,
             force=force,
-            objective=scene.objective(staggered, self.spin_axes),
-            lower_bound=self._lower_bound(force),
+            objective=objective,
+            lower_bound=self._lower_bound(force, objective),
             resolution=scene.lattice.radius * scene.jump * creep,
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
@@ -315,10 +315,13 @@ class InteriorPointMethod:
         jump = two_sum(np.array([sign * self.scene.spin_top]), np.array([-sign * self.scene.spin_bottom]))
         return multiply(jump, (high, low))
 
-    def _lower_bound(self, force: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Quickly until a sample is at the end of its path; the forces are balanced to round-off anyway."""
-        done = np.array([sample.done or not self.frustrated for sample in self.samples])
-        if done.all() or not self.scene.law.is_rate_independent:
+    def _lower_bound(self, force: tuple[np.ndarray, ...], objective: np.ndarray) -> np.ndarray:
+        """Quickly until a sample is at the end of its path, and there, too, if nothing is left to gain."""
+        ended = np.array([sample.done or not self.frustrated for sample in self.samples])
+        if not self.scene.law.is_rate_independent:
             return lower_bound(self.scene, force, self.spin_axes)
+        if self.iteration == 0 and not ended.any():  # no forces yet
+            return np.zeros(self.scene.replicas)
         quick = work_and_bound(self.scene, force, self.spin_axes)[1]
-        return np.where(done, lower_bound(self.scene, force, self.spin_axes), quick) if done.any() else quick
+        rough = ended & ~(quick >= objective * (1 - CLOSEST))
+        return np.where(rough, lower_bound(self.scene, force, self.spin_axes), quick) if rough.any() else quick
