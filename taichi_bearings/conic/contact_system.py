@@ -81,20 +81,20 @@ class ContactGroup:
 class Home:
     """Contacts of a group that lie along one lattice axis.
 
-    acting : (n,) flat positions among all contacts of the axis. own : their places in the group.
+    places : where they are in values (..., *contacts) of the axis: an ellipsis, and (n,) indices along each axis.
+    own : their places in the group.
     """
 
     axis: int
-    acting: np.ndarray
+    places: tuple
     own: slice
 
     def among(self, fields: Sequence[np.ndarray], replica: int) -> np.ndarray:
-        """Values (..., contacts of the axis) of a sample, as a view.
+        """Values (..., *contacts) of a sample on the contacts of the axis, as a view.
 
-        fields : one array (..., R, *contacts) a lattice axis, in which those of a sample lie in one piece.
+        fields : one array (..., R, *contacts) a lattice axis.
         """
-        values = np.moveaxis(fields[self.axis], -1 - len(fields), 0)[replica]
-        return np.reshape(values, (*values.shape[: -len(fields)], -1))
+        return np.moveaxis(fields[self.axis], -1 - len(fields), 0)[replica]
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class ContactSystem:
         """Values (..., n) a group of one sample; fields : one array (..., R, *contacts) a lattice axis."""
 
         def gathered(homes: tuple[Home, ...]) -> np.ndarray:
-            return np.concatenate([home.among(fields, replica)[..., home.acting] for home in homes], -1)
+            return np.concatenate([home.among(fields, replica)[home.places] for home in homes], -1)
 
         return Grouped(map(gathered, self.homes))
 
@@ -158,7 +158,7 @@ class ContactSystem:
         """Inverse of :meth:`gather`: write the values into the fields."""
         for homes, new in zip(self.homes, values, strict=True):
             for home in homes:
-                home.among(fields, replica)[..., home.acting] = new[..., home.own]
+                home.among(fields, replica)[home.places] = new[..., home.own]
 
     def pieces(self, chosen: Arrays) -> tuple[int, np.ndarray]:
         """Number of the pieces that the chosen contacts, (n,) masks a group, join the spins to, and that of each."""
@@ -258,7 +258,7 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
         ends_at = np.cumsum([len(acting) for _, acting, _ in kind]).tolist()
         homes.append(
             tuple(
-                Home(axis, acting, slice(end - len(acting), end))
+                Home(axis, (..., *np.unravel_index(acting, lattice.contact_shape(axis))), slice(end - len(acting), end))
                 for (axis, acting, _), end in zip(kind, ends_at, strict=True)
             )
         )

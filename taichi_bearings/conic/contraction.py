@@ -111,6 +111,15 @@ class Contraction:
             offset += sign * imposed[end[:, keep]]  # the end is -1 where a spin was imposed before
         return group.renamed(keep, self.number, self.unknowns, offset)
 
+    @property
+    def heads(self) -> np.ndarray:
+        """Mask (unknowns before,) of one spin, the first, of each set that is tied to no plane."""
+        free = np.flatnonzero(self.number >= 0)
+        first, found = np.empty(self.unknowns, dtype=np.int64), np.zeros(len(self.number), dtype=bool)
+        first[self.number[free[::-1]]] = free[::-1]
+        found[first] = True
+        return found
+
     def span(self, sample: int) -> slice:
         """The unknowns of a sample: they are one after the other."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())

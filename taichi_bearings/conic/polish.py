@@ -13,7 +13,7 @@ from taichi_bearings.conic.contact_system import ContactGroup
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic
 from taichi_bearings.conic.newton_blocks import NewtonBlocks
-from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, scaled, square, square_root, subtract
+from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square, square_root, subtract
 
 STEPS, ENOUGH = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
 FAITHFUL = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
@@ -163,7 +163,7 @@ def _along(friction: np.ndarray, difference: Pair) -> Pair:
         return exactly(friction * np.sign(difference[0]))
     high, low = square(difference)
     size = square_root(add((high[0], low[0]), (high[1], low[1])))
-    return scaled(friction, divide(difference, size))
+    return multiply(divide(exactly(friction), size), difference)
 
 
 def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:

@@ -51,6 +51,8 @@ TINY = np.finfo(np.float64).tiny
 class Resolved:
     """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, and slipping (n,).
 
+    heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
+
     The differences are more precise than those of the spins, whose rounding can be a part of the smallest slips, unless
     `rest` (unknowns,), what is to be added to the spins, makes up for it. borne : slipless contacts bear their load.
     """
@@ -59,6 +61,7 @@ class Resolved:
     difference: Arrays
     dual: Arrays
     slipping: Arrays
+    heads: np.ndarray
     rest: np.ndarray | None = None
     borne: bool = False
 
@@ -156,7 +159,8 @@ def _nearly_borne(
         known = together([found.dual for _, found in some])
         dual = where(slipping, known, together([near[number] for number, _ in some]))
         friction = together([iterates[number].friction for number, _ in some])
-        duals, borne = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, len(some))
+        heads = [found.heads for _, found in some]
+        duals, borne = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, heads)
         for (number, found), whole, fine in zip(some, apart(duals, len(some)), borne, strict=True):
             settled[number] = replace(found, dual=whole, borne=True) if fine else None
         lattice.matrix.forget()
@@ -267,7 +271,7 @@ class _Slipping:
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: Arrays, dual: Arrays
     ) -> list[Resolved]:
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
-        return list(map(Resolved, *of_samples, self.slipping, rests))
+        return list(map(Resolved, *of_samples, self.slipping, np.split(self.tied.heads, self.samples), rests))
 
     def everywhere(self, values: Arrays) -> list[Arrays]:
         """Values of slipping contacts with zeros for the others, sample by sample."""

@@ -11,6 +11,7 @@ and the power falls along that motion: the contacts that slip in it were wrongly
 of central_path.py finds the one or the other in some ten steps.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,19 +75,19 @@ def bear(system: ContactSystem, parts: list[Part], friction: Arrays, dual: Array
 
 @np.errstate(all="ignore")
 def nearly_borne(
-    system: ContactSystem, matrix: Matrix, friction: Arrays, dual: Arrays, slipping: Arrays, samples: int
+    system: ContactSystem, matrix: Matrix, friction: Arrays, dual: Arrays, slipping: Arrays, heads: Sequence[np.ndarray]
 ) -> tuple[Arrays, np.ndarray]:
     """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
     the samples (samples,) in which that is enough, as it is most often near the end of the central path.
 
-    system, matrix : of a sample. The others as for :func:`bear`, of all samples together, the dual of slipless contacts
-    nearly in balance and inside their friction discs.
+    system, matrix : of a sample. heads : of each sample, mask (unknowns,) of one spin of each domain that is tied to no
+    driven plane. The others as for :func:`bear`, of all samples together, the dual of slipless contacts nearly in
+    balance and inside their friction discs.
     """
     room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), 0.0))
-    domains = _held(system.copies(samples), slipping) < 0  # a spring each, that nothing stretches
-    side, springs = side_by_side(dual, samples), side_by_side(room**2, samples)
-    stiffness = stacked(isotropic(side, springs))
-    regular = matrix.factorise_given(stiffness, domains.reshape(samples, -1).T.astype(float))
+    side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
+    still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
+    regular = matrix.factorise_given(stacked(isotropic(side, springs)), still)
     for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)

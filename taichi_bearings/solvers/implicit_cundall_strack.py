@@ -320,7 +320,7 @@ def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) ->
     top = bottom + scene.driven_values(spin_axes)[1]
     imposed = []
     for group, homes in zip(system.groups, system.homes, strict=True):
-        slots = np.concatenate([np.tile(tangential(h.axis, spin_axes), (len(h.acting), 1)) for h in homes]).T
+        slots = np.concatenate([np.tile(tangential(h.axis, spin_axes), (len(h.places[-1]), 1)) for h in homes]).T
         imposed.append(top[slots] * (group.above < 0) - bottom[slots] * (group.below < 0))
     return Grouped(imposed)
 

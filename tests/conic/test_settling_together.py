@@ -1,0 +1,112 @@
+"""Samples settled together, as parts of one system that no contact joins, and each of them alone."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.conic import resolution
+from taichi_bearings.conic.contact_system import lattice_system
+from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.grouped import Grouped, apart, each, isotropic, one_by_one, side_by_side, together, where
+from taichi_bearings.conic.newton_blocks import NewtonBlocks
+from taichi_bearings.conic.slipless_forces import _held
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.cholesky import dissect
+from taichi_bearings.solvers import interior_point
+from tests.scenes import make_scene
+from tests.solvers.test_interior_point import minimum_of
+
+LATTICE, AXES = Lattice((4, 4, 5)), (0, 1)
+SHARES = (0.0, 0.3, 0.6, 1.0)  # of the contacts that are tied, sample by sample; with all of them nothing is left
+
+
+@pytest.fixture(scope="module")
+def system():
+    return lattice_system(LATTICE, AXES, np.array([1.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def tied(system):
+    """Masks of the tied contacts, none at the driven planes but in the last sample."""
+    rng = np.random.default_rng(1)
+
+    def some(group, share):
+        free = ((group.below >= 0) & (group.above >= 0)).all(axis=0)
+        return (rng.random(len(free)) < share) & (free | (share == 1))
+
+    return [Grouped(some(group, share) for group in system.groups) for share in SHARES]
+
+
+@pytest.fixture(scope="module")
+def parts():
+    return dissect(LATTICE.free_shape, AXES)
+
+
+@pytest.fixture(scope="module")
+def contraction(system, parts, tied):
+    return Contraction(system.copies(len(tied)), parts, together(tied), len(tied))
+
+
+def test_sets_of_tied_spins_are_those_of_each_sample_alone(system, parts, tied, contraction):
+    heads = np.split(contraction.heads, len(tied))
+    for number, mask in enumerate(tied):
+        alone, own = Contraction(system, parts, mask), contraction.span(number)
+        assert alone.unknowns == own.stop - own.start
+        assert contraction.contradicts[number] == alone.contradicts[0] == (SHARES[number] == 1)
+        assert (heads[number] == (_held(system, ~mask) < 0)).all()
+        for one, other in zip(contraction.parts(number), alone.parts(0), strict=True):
+            assert one.unknowns.tolist() == other.unknowns.tolist()
+
+
+def test_largest_numbers_are_found_sample_by_sample(contraction):
+    owners, rng = contraction.owners, np.random.default_rng(2)
+    values = each(lambda own: rng.random((2, len(own))), owners.contacts)
+    expected = [
+        max(part[:, own == n].max(initial=0.0) for own, part in zip(owners.contacts, values, strict=True))
+        for n in range(4)
+    ]
+    assert owners.largest(values).tolist() == expected
+    assert expected[-1] == 0  # nothing is left there
+    spins = rng.random(contraction.unknowns)
+    assert owners.largest_of_spins(spins).tolist() == [spins[owners.spins == n].max(initial=0.0) for n in range(4)]
+
+
+def test_a_singular_block_is_no_matter_to_the_others(system, parts, tied, contraction):
+    owners, rng = contraction.owners, np.random.default_rng(3)
+    strength = each(lambda own: rng.uniform(1, 2, len(own)), owners.contacts)
+    strength = where(owners.at_contacts(np.array([False, True, False, False])), 0.0, strength)
+    blocks, right = NewtonBlocks(contraction), rng.random(contraction.unknowns)
+    stiffness = isotropic(contraction.system.offset, strength)
+    assert blocks.factorise_each(stiffness, np.array([True, True, False, True])).tolist() == [True, False, False, True]
+    assert blocks.factorise_each(stiffness, np.ones(4, dtype=bool)).tolist() == [True, False, True, True]
+    found = blocks.solve_each(right, np.array([True, False, True, False]))
+    assert (found[contraction.span(1)] == 0).all()
+    for number in (0, 2):
+        own, alone = contraction.span(number), Contraction(system, parts, tied[number])
+        of_sample = Grouped(s[o == number] for s, o in zip(strength, owners.contacts, strict=True))
+        block = NewtonBlocks(alone)
+        block.factorise_each(isotropic(alone.system.offset, of_sample), np.ones(1, dtype=bool))
+        assert (found[own] == block.solve_each(right[own], np.ones(1, dtype=bool))).all()
+
+
+def test_values_go_side_by_side_and_back(system):
+    rng = np.random.default_rng(4)
+    samples = [each(lambda offset: rng.random(offset.shape), system.offset) for _ in range(3)]
+    joint = together(samples)
+    for number, sample in enumerate(apart(joint, 3)):
+        for part, lane, own in zip(sample, side_by_side(joint, 3), samples[number], strict=True):
+            assert (part == own).all()
+            assert (lane[..., number] == own).all()
+    assert all((a == b).all() for a, b in zip(one_by_one(side_by_side(joint, 3)), joint, strict=True))
+
+
+@pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+def test_a_block_is_settled_in_one_go(monkeypatch):
+    """Those that need a second trial go through it together, too."""
+    trials, looks = [], []
+    slipping, resolve = resolution._Slipping, interior_point.resolve
+    monkeypatch.setattr(resolution, "_Slipping", lambda of, *more: trials.append(len(of)) or slipping(of, *more))
+    monkeypatch.setattr(interior_point, "resolve", lambda of, *more: looks.append(len(of)) or resolve(of, *more))
+    assert minimum_of(make_scene((6, 6, 6), seeds=range(8))).resolved.all()
+    assert looks == [8]
+    assert len(trials) <= 2
+    assert trials[0] == 8
