@@ -89,8 +89,8 @@ class Home:
     places: tuple
     own: slice
 
-    def among(self, fields: Sequence[np.ndarray], replica: int) -> np.ndarray:
-        """Values (..., *contacts) of a sample on the contacts of the axis, as a view.
+    def among(self, fields: Sequence[np.ndarray], replica: int | slice) -> np.ndarray:
+        """Values (..., *contacts) of a sample on the contacts of the axis, or (R, ..., *contacts) of several; a view.
 
         fields : one array (..., R, *contacts) a lattice axis.
         """
@@ -154,8 +154,8 @@ class ContactSystem:
 
         return Grouped(map(gathered, self.homes))
 
-    def scatter(self, values: Arrays, fields: Sequence[np.ndarray], replica: int) -> None:
-        """Inverse of :meth:`gather`: write the values into the fields."""
+    def scatter(self, values: Arrays, fields: Sequence[np.ndarray], replica: int | slice) -> None:
+        """Inverse of :meth:`gather`: write the values into the fields, or those (R, ..., n) of several samples."""
         for homes, new in zip(self.homes, values, strict=True):
             for home in homes:
                 home.among(fields, replica)[home.places] = new[..., home.own]

@@ -22,7 +22,7 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import Matrix, Path, balance, flowing
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Arrays, isotropic, where
+from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -275,14 +275,16 @@ class InteriorPointMethod:
         staggered, rest = np.zeros((2, len(self.spin_axes), scene.replicas, *scene.lattice.shape))
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
+        slips, forces, states = [], [], []
         for replica, sample in enumerate(self.samples):
             answer = sample.resolved or sample.iterate
             for part, spins in zip((staggered, rest), self._spins(sample), strict=True):
                 place_free_spins(part, replica, spins)
-            slips = scene.lattice.radius * scene.jump * answer.difference.length()
-            self.system.scatter(slips, slip, replica)
-            self.system.scatter(-answer.whole_dual * (sample.unit * scene.normal_force), force, replica)
-            self.system.scatter(sample.states(), state, replica)
+            slips.append(scene.lattice.radius * scene.jump * answer.difference.length())
+            forces.append(-answer.whole_dual * (sample.unit * scene.normal_force))
+            states.append(sample.states())
+        for values, fields in ((slips, slip), (forces, force), (states, state)):
+            self.system.scatter(each(lambda *of_samples: np.stack(of_samples), *values), fields, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
         creep = np.array([sample.creep() if self.frustrated else 0.0 for sample in self.samples])
         return Progress(
