@@ -117,19 +117,12 @@ class NewtonMatrix:
         if not self._empty:
             self._cholesky.forget()
 
-    def balanced(
-        self,
-        dual: Arrays,
-        stiffness: Arrays,
-        load: np.ndarray | float = 0.0,
-        inertia: float | np.ndarray = 0.0,
-    ) -> Arrays:
+    def balanced(self, dual: Arrays, stiffness: Arrays, load: np.ndarray | float = 0.0) -> Arrays:
         """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
 
-        load : torques (unknowns,) that are to stay. inertia : of springs that are to take none.
-        Raises NotPositiveDefinite if the springs do not hold every spin.
+        load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
-        self.factorise(stiffness, inertia)
+        self.factorise(stiffness)
         for _ in range(REFINEMENTS):  # each from the forces of the last: what a stretch rounds falls with the stretch
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))

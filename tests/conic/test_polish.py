@@ -8,7 +8,7 @@ import pytest
 
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Grouped
-from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, square_root, subtract
+from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.verifier.laboratory import Laboratory, dot
 from tests.verifier.test_bounds import samples_of, solved
 
@@ -38,6 +38,15 @@ def test_roots_of_pairs_are_good_to_a_hundred_bits():
     root = square_root(values)
     for i in range(200):
         assert abs(exact(root, i) ** 2 - exact(values, i)) <= exact(values, i) * Fraction(1, 2**99)
+
+
+def test_squares_and_multiples_are_products():
+    rng = np.random.default_rng(5)
+    high, factor = rng.standard_normal((2, 300))
+    pair = high, high * 2.0**-54 * rng.uniform(-1, 1, 300)
+    for one, other in ((square(pair), multiply(pair, pair)), (scaled(factor, pair), multiply(exactly(factor), pair))):
+        assert (one[0] == other[0]).all()
+        assert (one[1] == other[1]).all()
 
 
 @pytest.mark.usefixtures("needs_f64", "taichi_runtime")
