@@ -121,6 +121,7 @@ def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[floa
     matrices = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes, LEAF)) if small else matrix
     with one_thread():
         matrix.factorise(isotropic(system.offset))  # compiles what it needs
+        matrix.solve(np.zeros(system.unknowns))
     return system, parts, matrix, matrices
 
 

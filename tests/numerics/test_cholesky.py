@@ -279,7 +279,7 @@ def test_a_factor_that_is_forgotten_gives_its_memory_back(monkeypatch):
     monkeypatch.setattr(factor, "WORTH_FORGETTING", 0)
     matrix, stiffness, right = random_system()
     matrix.factorise(stiffness)
-    expected, reals = matrix.solve(right), weakref.ref(matrix._cholesky._elimination._reals)
+    expected, reals = matrix.solve(right), weakref.ref(matrix._cholesky._elimination.reals)
     matrix.forget()
     assert reals() is None
     matrix.factorise(stiffness)

@@ -1,4 +1,4 @@
-"""Eliminate and solve for the own unknowns of one front with LAPACK and BLAS, letting other threads run meanwhile.
+"""Eliminate the own unknowns of one front with LAPACK and BLAS, letting other threads run meanwhile.
 
 SciPy exports the routines for use from compiled code (scipy.linalg.cython_blas); called through ctypes they release the
 interpreter lock, so that independent fronts can be worked on side by side. The library's own threads are of no use
@@ -12,7 +12,6 @@ from functools import cache, partial
 from threading import Event
 from typing import Any
 
-import numpy as np
 from scipy.linalg import cython_blas, cython_lapack
 
 from taichi_bearings.interrupts import look_up
@@ -30,11 +29,9 @@ def _routine(module: object, name: str) -> Callable:
 _dpotrf = _routine(cython_lapack, "dpotrf")
 _dtrsm = _routine(cython_blas, "dtrsm")
 _dsyrk = _routine(cython_blas, "dsyrk")
-_dtrsv = _routine(cython_blas, "dtrsv")
-_dgemv = _routine(cython_blas, "dgemv")
 _dgemm = _routine(cython_blas, "dgemm")
 _LEFT_OUT, _LOWER, _RIGHT, _TRANSPOSED = (ctypes.byref(ctypes.c_char(letter)) for letter in (b"N", b"L", b"R", b"T"))
-_ZERO, _ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (0.0, 1.0, -1.0))
+_ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (1.0, -1.0))
 _address = ctypes.c_void_p
 REAL = 8  # bytes
 OWN_PANEL = 64  # own columns of a front that are worked on together
@@ -44,9 +41,6 @@ WORTH_SHARING = 1e7  # operations of a front from which several threads share it
 @cache
 def _count(number: int) -> Any:
     return ctypes.byref(ctypes.c_int(number))
-
-
-_STEP = _count(1)
 
 
 @dataclass(frozen=True)
@@ -183,38 +177,3 @@ def _product(rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, 
         _LEFT_OUT, _TRANSPOSED, _count(rows), _count(width), _count(depth), _MINUS_ONE, left, ld, right, ld, _ONE,
         target, ld_target,
     )  # fmt: skip
-
-
-class DenseSolve:
-    """Forward and backward substitution of one eliminated front in a vector that stays where it is in memory.
-
-    columns : address of the own columns, as eliminated. vector : all unknowns, first : the front's first one,
-    border : (b,). work : at least b numbers that no other thread uses.
-    """
-
-    def __init__(
-        self, own: int, columns: int, vector: np.ndarray, first: int, border: np.ndarray, work: np.ndarray
-    ) -> None:
-        self._vector, self._border, self._work = vector, border, work[: len(border)]
-        height, m, b = _count(own + len(border)), _count(own), _count(len(border))
-        x, y = _address(vector.ctypes.data + first * vector.itemsize), _address(work.ctypes.data)
-        diagonal, below = _address(columns), _address(columns + REAL * own)
-        end = (m, diagonal, height, x, _STEP)
-        self._divide = (_LOWER, _LEFT_OUT, _LEFT_OUT, *end)
-        self._divide_transposed = (_LOWER, _TRANSPOSED, _LEFT_OUT, *end)
-        self._spread = (_LEFT_OUT, b, m, _ONE, below, height, x, _STEP, _ZERO, y, _STEP)
-        self._gather = (_TRANSPOSED, b, m, _MINUS_ONE, below, height, y, _STEP, _ONE, x, _STEP)
-
-    def forward(self) -> None:
-        """own = L^-1 own, border -= below own."""
-        _dtrsv(*self._divide)
-        if len(self._border):
-            _dgemv(*self._spread)
-            self._vector[self._border] -= self._work
-
-    def backward(self) -> None:
-        """own = L^-T (own - below^T border)."""
-        if len(self._border):
-            self._work[:] = self._vector[self._border]
-            _dgemv(*self._gather)
-        _dtrsv(*self._divide_transposed)

@@ -1,0 +1,69 @@
+"""Solves with a factor: branches of the elimination tree at once, then what is above them, level by level."""
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.kernels import substitution as kernels
+from taichi_bearings.kernels.substitution import LANES, WIDTH
+from taichi_bearings.memory import aligned_zeros
+from taichi_bearings.numerics.cholesky.fronts import Pattern
+
+BRANCH = 1 / 16  # of the factor, which a branch has at most; they do not depend on the number of threads
+
+
+class Substitution:
+    """Forward and backward substitution with a factor of this pattern."""
+
+    def __init__(self, pattern: Pattern, columns: np.ndarray) -> None:
+        """columns : (fronts,) places of the own columns of the fronts among the numbers of a factor."""
+        fronts = pattern.fronts
+        own = np.array([front.own for front in fronts])
+        border = np.array([len(front.border) for front in fronts])
+        room = -(-(own + border) // LANES) * LANES
+        table = np.full((len(fronts), WIDTH), -1, dtype=np.int64)
+        table[:, kernels.OWN], table[:, kernels.HEIGHT], table[:, kernels.COLUMNS] = own, own + border, columns
+        table[:, kernels.VECTOR], table[:, kernels.MAP] = np.cumsum(room) - room, np.cumsum(border) - border
+        table[:, kernels.FIRST] = [front.first for front in fronts]
+        for number, front in enumerate(fronts):
+            for which, child in enumerate(front.children):
+                table[number, kernels.CHILD_A + which] = child * WIDTH
+                table[child, kernels.PARENT] = number * WIDTH
+        stages = _stages(pattern)
+        branches = np.concatenate(stages)
+        ends = np.cumsum([len(stage) for stage in stages]).tolist()
+        self._stages = list(zip([0, *ends[:-1]], ends, strict=True))
+        parts = [table.ravel(), branches.ravel(), pattern.order, *(front.place_in_parent for front in fronts)]
+        self._tables = np.concatenate(parts).astype(np.int32)
+        self._begins = np.cumsum([part.size for part in parts[:3]]).tolist()
+        self._room = int(room.sum())
+
+    def solve(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Solution (unknowns,) for one right-hand side, in the precision of the factor."""
+        runtime.current()  # starts it
+        single, solution = factor.dtype == np.float32, right.astype(factor.dtype)
+        vector = aligned_zeros(self._room, LANES, factor.dtype)
+        for forth in (True, False):
+            for begin, end in self._stages if forth else reversed(self._stages):
+                kernels.substitute(
+                    single, forth, self._tables, begin, end, *self._begins, factor, solution, vector,
+                    vector.reshape(-1, LANES),
+                )  # fmt: skip
+        return solution
+
+
+def _stages(pattern: Pattern) -> list[np.ndarray]:
+    """Branches (n, 2), first front and end of each, that can be solved at once; stage by stage, children first."""
+    fronts = pattern.fronts
+    entries = np.array([front.own * (front.own + len(front.border)) for front in fronts])
+    within, begin = entries.copy(), np.arange(len(fronts))
+    for number, front in enumerate(fronts):  # children come first, right before their parent
+        for child in front.children:
+            within[number] += within[child]
+            begin[number] = min(begin[number], begin[child])
+    small = within <= BRANCH * entries.sum()
+    parent = {child: number for number, front in enumerate(fronts) for child in front.children}
+    whole = [n for n in range(len(fronts)) if small[n] and not (n in parent and small[parent[n]])]
+    depth = np.array([front.depth for front in fronts])
+    above = [np.flatnonzero(~small & (depth == level)) for level in range(int(depth[~small].max(initial=-1)), -1, -1)]
+    stages = [np.array([[begin[n], n + 1] for n in whole]), *(np.stack([n, n + 1], axis=1) for n in above)]
+    return [stage for stage in stages if len(stage)]
