@@ -231,8 +231,7 @@ class Path:
             step = further.but(rejected, step) if rejected.any() else further
             going &= ~rejected
         if rejected.any():  # what is better is in the other slot
-            changes = (slice(_in(slot, kernels.CHANGE), _in(slot, kernels.STEP_ROWS)) for slot in (0, 1))
-            slots = [rows.values[own] for own in changes]
+            slots = [rows.values[_in(slot, 0) : _in(slot, kernels.STEP_ROWS)] for slot in (0, 1)]
             slots[step.slot][..., rejected] = slots[1 - step.slot][..., rejected]
         self._take(self._refined(step))
         return taken
