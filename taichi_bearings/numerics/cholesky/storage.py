@@ -17,6 +17,7 @@ from taichi_bearings.kernels.assembly import (
     MAP,
     OWN,
 )
+from taichi_bearings.kernels.substitution import LANES
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.numerics.cholesky.fronts import PANEL, Pattern, panelled_size
 from taichi_bearings.numerics.cholesky.schedule import Schedule
@@ -68,7 +69,7 @@ class Storage:
     def new_reals(self) -> np.ndarray:
         """Raises MemoryError if there is no room for them."""
         refuse_beyond(8 * self._size, f"the factorisation of {self._unknowns:,} unknowns")
-        return np.zeros(self._size)
+        return np.zeros(self._size + LANES - 1)  # solves read whole vectors
 
     def _batch(self, members: np.ndarray, table: np.ndarray) -> Batch:
         own, height = table[members, OWN], table[members, HEIGHT]
