@@ -3,6 +3,7 @@
 import csv
 import itertools
 import json
+import re
 import sys
 
 import pytest
@@ -236,10 +237,10 @@ def test_what_a_report_does_not_know_is_not_replaced(figures, tmp_path):
 def test_a_real_figure_interrupted_on_a_terminal_names_its_stages_and_what_is_missing(tmp_path):
     from tests.cli.terminal import on_terminal
 
-    words = ("reproduce", "fig4", "--samples", "40", "--out", tmp_path / "a")  # far more than pass before the stop
-    session = on_terminal(*words, stop="sample 3 of 40", columns=200)
+    words = ("reproduce", "fig4", "--samples", "40", "--out", tmp_path / "a")  # more than pass before the stop
+    session = on_terminal(*words, stop=" of 40", columns=200)
     assert session.returncode == 130
     lines = [line for _, line in session.frames]
-    assert any("fig4 · sample 3 of 40" in line for line in lines)
+    assert any(re.search(r"fig4 · sample \d+ of 40", line) for line in lines)
     assert f"missing: fig4; the same command with --out {tmp_path / 'a'} goes on" in "".join(lines)
     assert json.loads((tmp_path / "a" / "report.json").read_text())["missing"] == ["fig4"]
