@@ -136,8 +136,13 @@ class _Step:
     found: np.ndarray
 
     @property
+    def lengths(self) -> np.ndarray:
+        """How far primal and dual points may go, (2, S)."""
+        return self.found[: kernels.LEAST]
+
+    @property
     def shorter(self) -> np.ndarray:
-        return self.found[[kernels.REACH, kernels.DUAL_REACH]].min(axis=0)
+        return self.lengths.min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
@@ -146,7 +151,7 @@ class _Step:
 
     def within(self, share: float) -> np.ndarray:
         """Lengths (2, S) of the steps of primal and dual points that go this share of the way, and are at most 1."""
-        return np.minimum(1.0, share * self.found[[kernels.REACH, kernels.DUAL_REACH]])
+        return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
         """The same with what another one knows of the samples (S,) that are `kept`."""
@@ -210,6 +215,7 @@ class Path:
         self._viscosity[:, sample] = rows.two(kernels.FORCE)[:, sample]
         self._viscous[:, sample] = stiffness
 
+    @np.errstate(all="ignore")  # at the end, and where there is no sample, numbers that are not finite turn up
     def step(self) -> np.ndarray:
         """One Newton step of every sample: predictor, corrector and recentring, most of the way to the boundary.
 
@@ -250,7 +256,7 @@ class Path:
 
         The others have the same step once more, of which `rejected` ones had a better one before.
         """
-        lengths = np.minimum(1.0, 1.5 * step.found[[kernels.REACH, kernels.DUAL_REACH]] + 0.1)
+        lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
         choice = np.where(going, kernels.GO_ON, other)
         slots = step.slot, 1 - step.slot
@@ -301,7 +307,7 @@ class Path:
         self._rows.change(_in(slot, kernels.CHANGE))
         found = self._rows.run(kernels.expand, (slot, slot))
         if self._together:
-            found[[kernels.REACH, kernels.DUAL_REACH]] = found[[kernels.REACH, kernels.DUAL_REACH]].min(axis=0)
+            found[: kernels.LEAST] = found[: kernels.LEAST].min(axis=0)
         return _Step(slot, spins, found)
 
     def _take(self, step: _Step) -> None:

@@ -145,10 +145,10 @@ class ContactRows:
 
 
 @lru_cache
-def compile_passes(samples: int = 1) -> None:
+def compile_passes() -> None:
     """Compile the passes, on next to nothing: they are the same for all systems."""
     operators = [sparse.csr_matrix(np.ones((1, 1))), sparse.csr_matrix(np.ones((2, 1)))]
-    rows = ContactRows(operators, [1, 2], aligned_zeros(samples, samples).reshape(1, samples))
+    rows = ContactRows(operators, [1, 2], np.zeros((1, 1)))
     for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
         rows.run(kernel)
     rows.torques(kernels.FORCE)

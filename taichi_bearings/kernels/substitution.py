@@ -3,24 +3,18 @@ what is left of it. So fronts that are not above each other can be solved at onc
 """
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.memory import BLOCKS, VALUES
+from taichi_bearings.kernels.elimination import LANES, TABLES, VALUES, VECTORS
 
-LANES = 8  # rows, or columns, that are worked on together; vectors of fronts begin at multiples of it
+# LANES rows, or columns, are worked on together; vectors of fronts begin at multiples of it.
 # A row of the table of fronts: own unknowns, rows, where own columns, vector and the table of places begin, the place
 # of the first own unknown in the order of elimination, children and parent, or -1
 OWN, HEIGHT, COLUMNS, VECTOR, MAP, FIRST, CHILD_A, CHILD_B, PARENT, WIDTH = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-TABLE = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
 
 @ti.func
-def zero(single: ti.template()):
-    return ti.cast(0.0, ti.f32 if ti.static(single) else ti.f64)
-
-
-@ti.func
-def rows_of(single: ti.template(), values: ti.template(), place):
+def rows_of(values: ti.template(), place):
     """LANES numbers one after the other."""
-    result = ti.Vector.zero(ti.f32 if ti.static(single) else ti.f64, LANES)
+    result = ti.Vector.zero(ti.f64, LANES)
     at = place & 0x7FFFFFFF  # never negative: the loads are merged
     for m in range(LANES):
         result[m] = values[at + m]
@@ -29,7 +23,7 @@ def rows_of(single: ti.template(), values: ti.template(), place):
 
 @ti.func
 def forward(
-    single: ti.template(), factor: ti.template(), vector: ti.template(), blocks: ti.template(), start, height, rows, k,
+    factor: ti.template(), vector: ti.template(), blocks: ti.template(), start, height, rows, k,
     wide: ti.template(),
 ):  # fmt: skip
     """Solve for `wide` unknowns from the k-th on, and take what they are to the rows below.
@@ -52,14 +46,14 @@ def forward(
     while i < height:  # the last rows may be those of no one
         left = blocks[(rows + i) // LANES]
         for c in ti.static(range(wide)):
-            left = left - rows_of(single, factor, start + c * height + i) * value[c]
+            left = left - rows_of(factor, start + c * height + i) * value[c]
         blocks[(rows + i) // LANES] = left
         i += LANES
 
 
 @ti.func
 def backward(
-    single: ti.template(), factor: ti.template(), vector: ti.template(), blocks: ti.template(), start, height, rows, k,
+    factor: ti.template(), vector: ti.template(), blocks: ti.template(), start, height, rows, k,
     wide: ti.template(),
 ):  # fmt: skip
     """The same the other way, once the rows below are known."""
@@ -69,11 +63,11 @@ def backward(
         for c in ti.static(range(wide)):
             rest[c] = rest[c] - factor[start + c * height + i] * vector[rows + i]
         i += 1
-    sums = [ti.Vector.zero(ti.f32 if ti.static(single) else ti.f64, LANES) for _ in ti.static(range(wide))]
+    sums = [ti.Vector.zero(ti.f64, LANES) for _ in ti.static(range(wide))]
     while i + LANES <= height:
         known = blocks[(rows + i) // LANES]
         for c in ti.static(range(wide)):
-            sums[c] = sums[c] + rows_of(single, factor, start + c * height + i) * known
+            sums[c] = sums[c] + rows_of(factor, start + c * height + i) * known
         i += LANES
     while i < height:
         for c in ti.static(range(wide)):
@@ -91,7 +85,7 @@ def backward(
 
 @ti.func
 def down(
-    single: ti.template(), tables: ti.template(), at, order, maps, factor: ti.template(), right: ti.template(),
+    tables: ti.template(), at, order, maps, factor: ti.template(), right: ti.template(),
     vector: ti.template(), blocks: ti.template(),
 ):  # fmt: skip
     """A front, once its children are done."""
@@ -99,7 +93,7 @@ def down(
     for i in range(own):
         vector[rows + i] = right[tables[order + tables[at + FIRST] + i]]
     for i in range(own, height):
-        vector[rows + i] = zero(single)
+        vector[rows + i] = ti.cast(0.0, ti.f64)
     for which in ti.static((CHILD_A, CHILD_B)):
         if tables[at + which] >= 0:
             child = tables[at + which]
@@ -111,16 +105,16 @@ def down(
     while k < own:
         start = tables[at + COLUMNS] + k * height
         if k + LANES <= own:
-            forward(single, factor, vector, blocks, start, height, rows, k, LANES)
+            forward(factor, vector, blocks, start, height, rows, k, LANES)
             k += LANES
         else:
-            forward(single, factor, vector, blocks, start, height, rows, k, 1)
+            forward(factor, vector, blocks, start, height, rows, k, 1)
             k += 1
 
 
 @ti.func
 def up(
-    single: ti.template(), tables: ti.template(), at, order, maps, factor: ti.template(), right: ti.template(),
+    tables: ti.template(), at, order, maps, factor: ti.template(), right: ti.template(),
     vector: ti.template(), blocks: ti.template(),
 ):  # fmt: skip
     """A front, once its parent is done."""
@@ -133,18 +127,18 @@ def up(
     while k > 0:
         if k % LANES == 0:
             k -= LANES
-            backward(single, factor, vector, blocks, tables[at + COLUMNS] + k * height, height, rows, k, LANES)
+            backward(factor, vector, blocks, tables[at + COLUMNS] + k * height, height, rows, k, LANES)
         else:
             k -= 1
-            backward(single, factor, vector, blocks, tables[at + COLUMNS] + k * height, height, rows, k, 1)
+            backward(factor, vector, blocks, tables[at + COLUMNS] + k * height, height, rows, k, 1)
     for i in range(own):
         right[tables[order + tables[at + FIRST] + i]] = vector[rows + i]
 
 
 @ti.kernel
 def substitute(
-    single: ti.template(), forth: ti.template(), tables: TABLE, begin: int, end: int, branches: int, order: int,
-    maps: int, factor: VALUES, right: VALUES, vector: VALUES, blocks: BLOCKS,
+    forth: ti.template(), tables: TABLES, begin: int, end: int, branches: int, order: int,
+    maps: int, factor: VALUES, right: VALUES, vector: VALUES, blocks: VECTORS,
 ):  # fmt: skip
     """Branches begin ... end-1 of the tree, each the fronts from one entry of the table of branches to the next.
 
@@ -155,7 +149,7 @@ def substitute(
         first, last = tables[branches + 2 * branch], tables[branches + 2 * branch + 1]
         for turn in range(first, last):
             if ti.static(forth):
-                down(single, tables, turn * WIDTH, order, maps, factor, right, vector, blocks)
+                down(tables, turn * WIDTH, order, maps, factor, right, vector, blocks)
             else:
                 back = (first + last - 1 - turn) * WIDTH
-                up(single, tables, back, order, maps, factor, right, vector, blocks)
+                up(tables, back, order, maps, factor, right, vector, blocks)

@@ -17,7 +17,7 @@ from taichi_bearings.kernels.assembly import (
     MAP,
     OWN,
 )
-from taichi_bearings.kernels.substitution import LANES
+from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.numerics.cholesky.fronts import PANEL, Pattern, panelled_size
 from taichi_bearings.numerics.cholesky.schedule import Schedule

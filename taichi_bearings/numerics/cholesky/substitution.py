@@ -4,7 +4,8 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.kernels import substitution as kernels
-from taichi_bearings.kernels.substitution import LANES, WIDTH
+from taichi_bearings.kernels.elimination import LANES
+from taichi_bearings.kernels.substitution import WIDTH
 from taichi_bearings.memory import aligned_zeros
 from taichi_bearings.numerics.cholesky.fronts import Pattern
 
@@ -38,14 +39,13 @@ class Substitution:
         self._room = int(room.sum())
 
     def solve(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Solution (unknowns,) for one right-hand side, in the precision of the factor."""
+        """Solution (unknowns,) for one right-hand side."""
         runtime.current()  # starts it
-        single, solution = factor.dtype == np.float32, right.astype(factor.dtype)
-        vector = aligned_zeros(self._room, LANES, factor.dtype)
+        solution, vector = right.copy(), aligned_zeros(self._room, LANES)
         for forth in (True, False):
             for begin, end in self._stages if forth else reversed(self._stages):
                 kernels.substitute(
-                    single, forth, self._tables, begin, end, *self._begins, factor, solution, vector,
+                    forth, self._tables, begin, end, *self._begins, factor, solution, vector,
                     vector.reshape(-1, LANES),
                 )  # fmt: skip
         return solution
