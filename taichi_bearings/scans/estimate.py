@@ -13,8 +13,8 @@ from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
-UNIT_SECONDS = 0.3  # estimated work that is sent to a worker at a time
-TOGETHER = 8  # samples that an interior point steps at once
+UNIT_SECONDS = 0.5  # estimated work that is sent to a worker at a time
+TOGETHER = 16  # samples of which an interior point steps eight at once: where one is done, another takes its place
 MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
 
@@ -48,15 +48,17 @@ def bytes_of(settings: RunSettings) -> float:
 
 def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
     """The samples in units of work: as many of like settings as take a fraction of a second or gain by being solved
-    together, but a share for every worker."""
+    together, but as much for every worker."""
     units = []
     for group in groups_of(samples):
         settings = group[0].settings
         seconds = seconds_of(settings, structure)
         number = 1 if seconds is None else int(UNIT_SECONDS / seconds)
         if math.prod(settings.shape) < row_of(settings).alike_in_a_block:
-            number = max(number, min(TOGETHER, -(-len(group) // workers)))
+            number = max(number, TOGETHER)
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // math.prod(settings.shape)))
+        rounds = math.ceil(len(group) / (number * workers))
+        number = math.ceil(len(group) / (rounds * workers))
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
     return units
 

@@ -116,9 +116,9 @@ def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[floa
     system, parts = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
     if not any(jump):  # nothing turns, and nothing is to be solved
         return system, parts, None, None
-    matrix = NewtonMatrix(system, parts)
-    small = lattice.sites < SMALL
-    matrices = NewtonMatrices(system, dissect(lattice.free_shape, spin_axes, LEAF)) if small else matrix
+    fine = dissect(lattice.free_shape, spin_axes, LEAF) if lattice.sites < SMALL else parts
+    matrix = NewtonMatrix(system, fine)
+    matrices = NewtonMatrices(system, fine) if lattice.sites < SMALL else matrix
     with one_thread():
         matrix.factorise(isotropic(system.offset))  # compiles what it needs
         matrix.solve(np.zeros(system.unknowns))

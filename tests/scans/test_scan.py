@@ -349,7 +349,7 @@ def test_units_hold_like_samples_of_a_fraction_of_a_second(plan_of):
     assert [sample for unit in units for sample in unit] == list(plan.samples)
     assert {len({s.settings.shape for s in unit}) for unit in units} == {1}
     sizes = {shape: max(len(u) for u in units if u[0].settings.shape == shape) for shape in ((10, 10), (24, 24, 24))}
-    assert sizes == {(10, 10): 256, (24, 24, 24): 1}
+    assert sizes == {(10, 10): 150, (24, 24, 24): 1}
 
 
 def test_no_more_workers_than_the_work_pays(plan_of, tmp_path):
