@@ -14,7 +14,7 @@ WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
 UNIT_SECONDS = 0.5  # estimated work that is sent to a worker at a time
-TOGETHER = 16  # samples of which an interior point steps eight at once: where one is done, another takes its place
+TOGETHER = 24  # samples of which an interior point steps eight at once: where one is done, another takes its place
 MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
 
