@@ -42,8 +42,8 @@ from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-12, 3  # relative gap from which settling is tried, and factor between one trial and the next
-SOONEST, LARGE = 1e-8, 8192  # that gap of the smallest samples, whose slips are larger; spheres of those it is not for
+SETTLE, AGAIN = 1e-9, 3  # relative gap from which settling is tried, and factor between one trial and the next
+SOONEST, CLEAR = 1e-8, 0.55  # that gap of the smallest samples, whose slips are larger, and times spheres^3 of others
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
@@ -223,8 +223,10 @@ class InteriorPointMethod:
 
     @property
     def settles_at(self) -> float:
-        """Relative gap. A step costs little beside a round of settling in large samples, and much in small ones."""
-        return min(max(SETTLE * (LARGE / self.scene.lattice.sites) ** 3, SETTLE), SOONEST)
+        """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
+        large ones none is, and a step costs more than to follow the last decades of the path that much further."""
+        sites = self.scene.lattice.sites
+        return min(CLEAR / sites**3, SOONEST) if sites < SMALL else SETTLE
 
     def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
         """See where a step of a sample has led, and whether to try to settle its states."""
@@ -237,7 +239,8 @@ class InteriorPointMethod:
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
         if sample.at_end:
-            sample.sticking = _sticking(sample.iterate, path.before(place)) if accepted else None
+            clear = accepted and self.scene.lattice.sites < SMALL
+            sample.sticking = _sticking(sample.iterate, path.before(place)) if clear else None
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, path: Path, place: int) -> float:
