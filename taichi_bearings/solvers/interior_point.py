@@ -230,30 +230,44 @@ class InteriorPointMethod:
 
     def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
         """See where a step of a sample has led, and whether to try to settle its states."""
-        gap = self._gap(path, place) if taken else np.nan
+        gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > CLOSEST
-        near = sample.gap < min(self.settles_at, sample.tried / AGAIN) or (sample.done and sample.gap < LAST_RESORT)
-        # slips of any size are met with a force where it depends on the rate: there are no contacts at rest to be found
-        sample.at_end = near and self.scene.law.is_rate_independent
+        sample.at_end = sample.gap < max(self._near(sample), LAST_RESORT if self._settles and sample.done else 0.0)
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
         if sample.at_end:
             clear = accepted and self.scene.lattice.sites < SMALL
             sample.sticking = _sticking(sample.iterate, path.before(place)) if clear else None
 
+    @property
+    def _settles(self) -> bool:
+        """Slips of any size are met with a force where it depends on the rate: there are no contacts at rest to be
+        found."""
+        return self.scene.law.is_rate_independent
+
+    def _near(self, sample: _Sample) -> float:
+        """Relative gap from which the states of a sample are to be settled; 0 if never."""
+        return min(self.settles_at, sample.tried / AGAIN) if self._settles else 0.0
+
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
-    def _gap(self, path: Path, place: int) -> float:
-        """Relative gap of a sample after a step, its forces balanced if need be; not finite if it cannot be told."""
+    def _gap(self, sample: _Sample, path: Path, place: int) -> float:
+        """Relative gap of a sample after a step, with the price of torques that are left. Its forces are balanced where
+        nothing else keeps it from being settled. Not finite if it cannot be told."""
         gap = path.gap(place)
-        if not gap > FAR and path.price_of_torques(place) > max(gap, CLOSEST):
-            try:
-                balanced = balance(path.iterate(place), self.matrix)
-            except NotPositiveDefinite:
-                return np.nan
-            path.put(place, balanced)
-            gap = balanced.gap
-        return gap
+        price = 0.0 if gap > FAR else path.price_of_torques(place)
+        if not price > max(gap, CLOSEST):
+            return gap
+        if self._settles and not gap < self._near(sample):
+            return gap + price
+        if self._settles and gap > CLOSEST and price < LAST_RESORT:
+            return gap
+        try:
+            balanced = balance(path.iterate(place), self.matrix)
+        except NotPositiveDefinite:
+            return np.nan
+        path.put(place, balanced)
+        return balanced.gap
 
     def _settle(self, samples: list[_Sample]) -> None:
         lattice = Surroundings(self.system, self.parts, self.matrix, self.matrices, self.top)
