@@ -21,7 +21,7 @@ class Part:
     children: tuple[int, ...]
 
 
-LEAF = 100  # unknowns of a region that is not divided: smaller ones cost more calls than they save arithmetic
+LEAF = 150  # unknowns of a region that is not divided: smaller ones cost more calls than they save arithmetic
 
 
 def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF) -> list[Part]:
