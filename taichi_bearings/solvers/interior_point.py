@@ -42,7 +42,7 @@ from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-9, 3  # relative gap from which settling is tried, and factor between one trial and the next
+SETTLE, AGAIN = 1e-9, 100  # relative gap from which settling is tried, and factor between one trial and the next
 SOONEST, CLEAR = 1e-8, 0.55  # that gap of the smallest samples, whose slips are larger, and times spheres^3 of others
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
