@@ -1,8 +1,8 @@
 """Nested dissection of a graph whose nodes have places: an order in which elimination fills in little.
 
-A region is halved across each of its axes in turn. The least set of nodes that meets every edge between the two halves,
-a least cover of a bipartite graph (König), separates what is left of them and is eliminated last; the axis with the
-smallest one is taken. All regions of a level are worked on at once.
+A region is halved across the axis where the fewest nodes of a half touch the other one. The least set of nodes that
+meets every edge between the two halves, a least cover of a bipartite graph (König), separates what is left of them and
+is eliminated last. All regions of a level are worked on at once.
 """
 
 from __future__ import annotations
@@ -27,16 +27,22 @@ class Part:
     children: list[int]
 
 
-def dissected(graph: sparse.coo_array, place: np.ndarray) -> list[Part]:
+def dissected(graph: sparse.csc_array, place: np.ndarray) -> list[Part]:
     """Parts of a symmetric graph (n, n) whose nodes have these coordinates (d, n), children before parents."""
-    first, second = (end[graph.row > graph.col] for end in (graph.row, graph.col))
     count = graph.shape[0]
-    alone, own = connected_components(graph, directed=False)
+    second = np.repeat(np.arange(count), np.diff(graph.indptr))
+    once = graph.indices > second
+    first, second = graph.indices[once].astype(np.intp), second[once]
+    begin = np.append(0, np.cumsum(np.bincount(second, minlength=count)))
+    alone, own = connected_components(
+        sparse.csr_array((np.ones(len(first)), first, begin), shape=graph.shape), directed=False
+    )
+    ordered = np.argsort(place, axis=1, kind="stable")  # active nodes along each axis
     parent, part, active = [np.full(alone, -1)], np.empty(count, dtype=np.int64), np.arange(count)
     while True:
-        # regions are numbered from 0 on a level, parts from `begin` on
-        begin = sum(map(len, parent)) - len(parent[-1])
-        part[active] = begin + own[active]
+        # regions are numbered from 0 on a level, parts from `first_part` on
+        first_part = sum(map(len, parent)) - len(parent[-1])
+        part[active] = first_part + own[active]
         active = active[np.bincount(own[active], minlength=1)[own[active]] > LEAF]
         if not len(active):
             return _in_postorder(np.concatenate(parent), part)
@@ -44,38 +50,52 @@ def dissected(graph: sparse.coo_array, place: np.ndarray) -> list[Part]:
         large[active] = True
         inside = large[first] & large[second]
         first, second = first[inside], second[inside]
-        side, cover = _best_cut(first, second, own, active, place)
+        ordered = ordered[large[ordered]].reshape(len(place), -1)
+        side, cover = _best_cut(first, second, own, ordered)
         active = active[~cover[active]]
         halves, own[active] = np.unique(2 * own[active] + side[active], return_inverse=True)
-        parent.append(begin + halves // 2)
+        parent.append(first_part + halves // 2)
 
 
 def _best_cut(
-    first: np.ndarray, second: np.ndarray, region: np.ndarray, active: np.ndarray, place: np.ndarray
+    first: np.ndarray, second: np.ndarray, region: np.ndarray, ordered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Masks (n,): the upper half of each region of active nodes, and the separator of the halves."""
-    side, cover = np.zeros((2, len(region)), dtype=bool)
-    least = np.full(len(region), len(region))  # of the region of each node
-    for coordinate in place:
-        halved = _upper_half(coordinate, region, active)
-        cut = halved[first] != halved[second]
-        low = np.where(halved[first], second, first)[cut]
-        found = _least_cover(low, np.where(halved[first], first, second)[cut], len(region))
-        size = np.bincount(region[found], minlength=len(region))[region]
-        better = size < least
-        side, cover = np.where(better, halved, side), np.where(better, found, cover)
-        least = np.minimum(size, least)
-    return side, cover
+    halved = np.stack([_upper_half(along, region) for along in ordered])
+    side, least = np.zeros(len(region), dtype=bool), np.full(len(region), len(region))  # of the region of each node
+    code = np.left_shift(1, np.arange(len(halved), dtype=np.uint8)) @ halved
+    crossing = code[first] ^ code[second]
+    for bit, upper in enumerate(halved):
+        low, high = _across(first, second, crossing & (1 << bit), upper)
+        size = np.minimum(*(_members(end, region) for end in (low, high)))[region]
+        side, least = np.where(size < least, upper, side), np.minimum(size, least)
+    return side, _least_cover(*_across(first, second, side[first] != side[second], side), len(region))
 
 
-def _upper_half(coordinate: np.ndarray, region: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the active nodes beyond the median of their region."""
-    order = active[np.lexsort((coordinate[active], region[active]))]
-    size = np.bincount(region[active], minlength=1)
-    rank = np.arange(len(order)) - (np.cumsum(size) - size)[region[order]]
+def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the active nodes, given in their order along an axis, beyond the median of their region."""
+    own = region[ordered]
+    order = np.argsort(own.astype(np.uint16) if own.max() < 2**16 else own, kind="stable")
+    size = np.bincount(own)
+    middle = np.cumsum(size) - size // 2  # of the places of each region
     upper = np.zeros(len(region), dtype=bool)
-    upper[order] = 2 * rank >= size[region[order]]
+    upper[ordered[order]] = np.arange(len(order)) >= middle[own[order]]
     return upper
+
+
+def _across(first: np.ndarray, second: np.ndarray, cut: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper node of the edges that are cut between the two halves of a region."""
+    at = np.flatnonzero(cut)
+    first, second = first[at], second[at]
+    swapped = upper[first]
+    return np.where(swapped, second, first), np.where(swapped, first, second)
+
+
+def _members(nodes: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """How many different ones of these nodes each region has."""
+    mask = np.zeros(len(region), dtype=bool)
+    mask[nodes] = True
+    return np.bincount(region[mask], minlength=int(region.max()) + 1)
 
 
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -28,7 +29,7 @@ class Front:
     border: np.ndarray
     children: list[int]
 
-    @property
+    @cached_property
     def places(self) -> np.ndarray:
         return np.append(np.arange(self.first, self.first + self.own), self.border)
 
@@ -45,20 +46,21 @@ class Elimination:
     @classmethod
     def of(cls, matrix: sparse.csc_array, place: np.ndarray) -> Elimination:
         """place : (d, n), where each unknown is."""
-        entries = matrix.tocoo()
-        parts = dissected(entries, place)
+        parts = dissected(matrix, place)
         order = np.concatenate([part.nodes for part in parts])
         at = np.empty_like(order)
         at[order] = np.arange(len(order))
-        row, column = at[entries.row], at[entries.col]
-        kept = row >= column
-        lower = sparse.csc_array((entries.data[kept], (row[kept], column[kept])), shape=matrix.shape)
+        lower = _lower_triangle(matrix, order, at)
         fronts: list[Front] = []
+        touched = np.zeros(len(order), dtype=bool)
         for part, end in zip(parts, np.cumsum([len(part.nodes) for part in parts]).tolist(), strict=True):
             first = end - len(part.nodes)
             rows = [lower.indices[lower.indptr[first] : lower.indptr[end]]]
-            border = np.unique(np.concatenate(rows + [fronts[child].border for child in part.children]))
-            fronts.append(Front(first, end - first, border[border >= end], part.children))
+            for found in rows + [fronts[child].border for child in part.children]:
+                touched[found] = True
+            border = end + np.flatnonzero(touched[end:])
+            touched[border] = touched[first:end] = False
+            fronts.append(Front(first, end - first, border, part.children))
         return cls(order, lower, fronts)
 
     @property
@@ -75,8 +77,7 @@ class Elimination:
             local[places] = np.arange(len(places))
             whole = self._assembled(front, local, shift)
             for child in front.children:
-                into = local[self.fronts[child].border]
-                whole[np.ix_(into, into)] += updates.pop(child)
+                _add_at(whole.T, local[self.fronts[child].border], updates.pop(child).T)
             factor, fault = dpotrf(whole[:own, :own], lower=True)
             if fault:
                 yield front, None
@@ -127,6 +128,24 @@ class Elimination:
                 return None
             found.append((front, columns))
         return Factor(self.order, found)
+
+
+def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
+    """whole[places, places] += part, in rows as a whole: a third of the time."""
+    rows = np.zeros((len(part), len(whole)))
+    rows[:, places] = part
+    whole[places] += rows
+
+
+def _lower_triangle(matrix: sparse.csc_array, order: np.ndarray, at: np.ndarray) -> sparse.csc_array:
+    """Of the symmetric matrix in this order. at : place of each unknown in it."""
+    size = np.diff(matrix.indptr)[order]
+    column, begin = np.repeat(np.arange(len(order)), size), np.cumsum(size) - size
+    source = (matrix.indptr[order] - begin)[column] + np.arange(len(column))
+    row = at[matrix.indices[source]]
+    kept = np.flatnonzero(row >= column)
+    ends = np.append(0, np.cumsum(np.bincount(column[kept], minlength=len(order))))
+    return sparse.csc_array((matrix.data[source[kept]], row[kept], ends), shape=matrix.shape)
 
 
 @dataclass(frozen=True)
