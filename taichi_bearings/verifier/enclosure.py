@@ -8,6 +8,7 @@ Products that may underflow have a larger error; numbers beyond 1e140 in size ar
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
@@ -60,36 +61,57 @@ class Enclosure:
     def __sub__(self, other: Enclosure) -> Enclosure:
         return self + (-other)
 
+    def plus(self, other: np.ndarray) -> Enclosure:
+        """Sum with doubles that are exact."""
+        high, rest = _two_sum(self.high, other)
+        high, rest = _fast_two_sum(high, rest + self.low)
+        return Enclosure(high, rest, (self.error + ROUNDING * np.abs(high)) * UP)
+
     def __mul__(self, other: Enclosure) -> Enclosure:
-        high, rest = _two_product(self.high, other.high)
-        high, rest = _fast_two_sum(high, rest + (self.high * other.low + self.low * other.high))
-        error = self.error * other.most + other.error * self.most + ROUNDING * np.abs(high)
-        small = (np.abs(high) < SMALL) & (self.most > 0) & (other.most > 0)
-        return Enclosure(high, rest, (error + np.where(small, LOST, 0.0)) * UP)
+        product, rest = _two_product(self.high, other.high)
+        rest += self.high * other.low + self.low * other.high
+        most, others = self.most, other.most
+        return _rounded(product, rest, self.error * others + other.error * most, lambda: (most > 0) & (others > 0))
+
+    def times(self, other: np.ndarray) -> Enclosure:
+        """Product with doubles that are exact."""
+        product, rest = _two_product(self.high, other)
+        rest += self.low * other
+        error = self.error * (np.abs(other) * SLIGHTLY_UP)
+        return _rounded(product, rest, error, lambda: (self.most > 0) & (other != 0))
+
+    def squared(self) -> Enclosure:
+        product, (head, tail), most = self.high * self.high, _halves(self.high), self.most
+        rest = head * head
+        rest -= product
+        rest += 2 * (head * tail)
+        rest += tail * tail
+        rest += 2 * (self.high * self.low)
+        return _rounded(product, rest, 2 * (self.error * most), lambda: most > 0)
 
     def __truediv__(self, other: Enclosure) -> Enclosure:
         """Quotient; the divisor must not enclose 0."""
         first = self.high / other.high
-        left = self - Enclosure.exact(first) * other
+        left = self - other.times(first)
         second = left.high / other.high
         high, low = _fast_two_sum(first, second)
         # exact quotient - (first + second) = (left - second * divisor) / divisor, plus what the sum rounds: nothing
-        missed = left - Enclosure.exact(second) * other
+        missed = left - other.times(second)
         return Enclosure(high, low, missed.most / other.least * UP)
 
     def sqrt(self) -> Enclosure:
         """Square root of positive numbers; 0 is allowed where it is exact."""
         zero = (self.high == 0) & (self.error == 0)
         root = np.sqrt(np.where(zero, 1.0, self.high))
-        left = self - Enclosure.exact(root) * Enclosure.exact(root)
+        left = self - Enclosure.exact(root).squared()
         high, low = _fast_two_sum(root, left.high / (2 * root))
         made = Enclosure(high, low, np.zeros_like(high))
         # |sqrt(a) - b| <= |a - b^2| / b for positive b
-        missed = (self - made * made).most / made.least * UP
+        missed = (self - made.squared()).most / made.least * UP
         return Enclosure(np.where(zero, 0.0, high), np.where(zero, 0.0, low), np.where(zero, 0.0, missed))
 
     def __abs__(self) -> Enclosure:
-        return self.signed(np.where(self.high < 0, -1.0, 1.0))
+        return Enclosure(np.abs(self.high), np.where(self.high < 0, -self.low, self.low), self.error)
 
     def signed(self, sign: np.ndarray | float) -> Enclosure:
         """Times +1, -1, 0 or a power of two."""
@@ -97,6 +119,10 @@ class Enclosure:
 
     def __getitem__(self, where: Any) -> Enclosure:
         return Enclosure(*(part[where] for part in self.parts))
+
+    def at(self, places: np.ndarray) -> Enclosure:
+        """Those at these places of the flat arrays."""
+        return Enclosure(*(part.reshape(-1).take(places) for part in self.parts))
 
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:
         return Enclosure(*(part.reshape(shape) for part in self.parts))
@@ -167,22 +193,40 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
     return Enclosure(*total)
 
 
+def _rounded(
+    product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]
+) -> Enclosure:
+    """A product. error : what those of its factors make of it. counts : mask of those that have no factor of 0."""
+    high, low = _fast_two_sum(product, rest)
+    size = np.abs(high)
+    error = error + ROUNDING * size
+    small = size < SMALL
+    if small.any():
+        error += np.where(small & counts(), LOST, 0.0)
+    error *= UP
+    return Enclosure(high, low, error)
+
+
 def _two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rounded sum, and exactly what the rounding left out (Knuth)."""
     total = a + b
     part = total - a
-    return total, (a - (total - part)) + (b - part)
+    rest = total - part
+    rest = np.subtract(a, rest, out=rest)
+    rest += np.subtract(b, part, out=part)
+    return total, rest
 
 
 def _fast_two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same for |a| >= |b| (Dekker)."""
     total = a + b
-    return total, b - (total - a)
+    part = total - a
+    return total, np.subtract(b, part, out=part)
 
 
 def _halves(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    large = SPLIT * a
-    head = large - (large - a)
+    head = SPLIT * a
+    head -= head - a
     return head, a - head
 
 
@@ -190,4 +234,9 @@ def _two_product(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rounded product, and exactly what the rounding left out (Veltkamp and Dekker)."""
     product = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
-    return product, ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2
+    rest = a1 * b1
+    rest -= product
+    rest += a1 * b2
+    rest += a2 * b1
+    rest += a2 * b2
+    return product, rest
