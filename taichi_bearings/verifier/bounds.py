@@ -49,10 +49,8 @@ def work_of(samples: Samples) -> Work:
     count = samples.count
     work = price = cost = Enclosure.exact(np.zeros(count))
     largest, saturation = np.zeros(count), np.zeros(count)
-    for k in samples.components:
-        if samples.jump[k].most[0] == 0:
-            continue  # nothing that turns about it does any work
-        jump, signed = samples.jump[k], torques(samples, k).signed(samples.sublattice)
+    for k, torque in samples.torques.items():  # nothing that turns about others does any work
+        jump, signed = samples.jump[k], torque.signed(samples.sublattice)
         top, free = signed[..., -1].reshaped((count, -1)), signed[..., 1:-1].reshaped((count, -1))
         work = work + row_sum(top) * spread(jump, count)
         largest = np.maximum(largest, free.most.max(axis=1, initial=0.0))
@@ -129,19 +127,3 @@ def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.
         bound = np.minimum(np.where(np.isfinite(bound), bound, np.inf), box) * UP
         found.append(np.where(samples.between_driven(axis), 0.0, bound))
     return found
-
-
-def torques(samples: Samples, component: int, pulls: list[Enclosure] | None = None) -> Enclosure:
-    """Sum of a component of g over the contacts of each sphere, (R, *N); those between driven spheres take no part.
-
-    pulls : (R, *contacts) an axis, other values of that component; it is the friction's by default.
-    """
-    total = Enclosure.exact(np.zeros((samples.count, *samples.shape)))
-    for axis, turning in enumerate(samples.turning):
-        if component in turning:
-            pull = Enclosure.exact(turning[component]) if pulls is None else pulls[axis]
-            pull = pull.signed(np.where(samples.between_driven(axis), 0.0, 1.0))
-            for end in samples.ends(axis):
-                for whole, part in zip(total.parts, (total[end] + pull).parts, strict=True):
-                    whole[end] = part
-    return total

@@ -34,7 +34,8 @@ TINY = np.finfo(np.float64).tiny
 class Slipping:
     """The n contacts of all samples that slip. A driven domain, and a component that is not felt, have the unknown -1.
 
-    lower, upper : (2, n), unknown of the domain at either end, component by component. two : (n,), feels both of them.
+    lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
+    that feel both of them; the difference of the others is exactly 0 in one.
     difference : of signed spins, two enclosures (n,). strength : friction that a contact bears.
     spheres : (2, n), flat numbers among those of all samples of the lower and the upper sphere. place : (d, n), where a
     contact is in its sample.
@@ -43,7 +44,7 @@ class Slipping:
     unknowns: int
     lower: np.ndarray
     upper: np.ndarray
-    two: np.ndarray
+    curved: np.ndarray
     difference: tuple[Enclosure, Enclosure]
     strength: Enclosure
     spheres: np.ndarray
@@ -58,58 +59,63 @@ class Slipping:
             free[:2] = False
             number.append(np.where(free, np.cumsum(free) - 1 + unknowns, -1)[motion.domain[k]])
             unknowns += int(free.sum())
-        sphere = np.arange(samples.count * samples.sublattice.size).reshape(samples.count, *samples.shape)
-        lower, upper, two, ends, strengths = [], [], [], [], []
+        lower, upper, two, places = [], [], [], []
         parts: list[list[Enclosure]] = [[], []]
-        for axis, still in enumerate(motion.still):
-            slips, felt = ~still, [k in samples.felt(axis) for k in samples.needed]
-            low, high = samples.ends(axis)
-            nowhere, none = np.full(int(slips.sum()), -1), Enclosure.exact(np.zeros(int(slips.sum())))
-            lower.append(np.stack([n[low][slips] if f else nowhere for n, f in zip(number, felt, strict=True)]))
-            upper.append(np.stack([n[high][slips] if f else nowhere for n, f in zip(number, felt, strict=True)]))
+        for axis, slips in enumerate(motion.slips):
+            felt, nowhere = [k in samples.felt(axis) for k in samples.needed], np.full(len(slips.own), -1)
+            for found, end in ((lower, slips.lower), (upper, slips.upper)):
+                found.append([n.take(end) if f else nowhere for n, f in zip(number, felt, strict=True)])
             for found, k, f in zip(parts, samples.needed, felt, strict=True):
-                found.append(motion.difference[axis][k] if f else none)
-            two.append(np.full(int(slips.sum()), all(felt)))
-            ends.append(np.stack([sphere[low][slips], sphere[high][slips]]))
-            strengths.append(samples.strength[axis][slips])
-        spheres = np.concatenate(ends, axis=1)
+                found.append(motion.difference[axis][k] if f else Enclosure.exact(np.zeros(len(slips.own))))
+            two.append(np.full(len(slips.own), all(felt)))
+            place = np.stack(np.unravel_index(slips.lower % samples.sublattice.size, samples.shape)).astype(float)
+            place[axis] += 0.5
+            places.append(place)
         return cls(
             unknowns,
             np.concatenate(lower, axis=1),
             np.concatenate(upper, axis=1),
-            np.concatenate(two),
+            np.flatnonzero(np.concatenate(two)),
             (joined(parts[0]), joined(parts[1])),
-            joined(strengths),
-            spheres,
-            np.stack(np.unravel_index(spheres % samples.sublattice.size, samples.shape)).mean(axis=1),
+            joined(list(motion.strength)),
+            np.concatenate([[slips.lower, slips.upper] for slips in motion.slips], axis=1),
+            np.concatenate(places, axis=1),
         )
 
     @cached_property
     def size(self) -> Enclosure:
         """Length of the difference, (n,)."""
-        return length(list(self.difference))
+        first, second = (abs(part).parts for part in self.difference)
+        size = Enclosure(*(a + b for a, b in zip(first, second, strict=True)))  # of which one is 0, exactly, if not
+        size.put(self.curved, length([part.at(self.curved) for part in self.difference]))
+        return size
 
     @cached_property
     def direction(self) -> tuple[Enclosure, Enclosure]:
-        """Of slip, (n,) each."""
-        return self.difference[0] / self.size, self.difference[1] / self.size
+        """Of slip, (m,) each: of the curved contacts."""
+        size = self.size.at(self.curved)
+        return self.difference[0].at(self.curved) / size, self.difference[1].at(self.curved) / size
 
     @cached_property
     def stiffness(self) -> Enclosure:
-        """Friction over slip, (n,)."""
-        return self.strength / self.size
+        """Friction over slip of the same, (m,)."""
+        return self.strength.at(self.curved) / self.size.at(self.curved)
+
+    @cached_property
+    def pulls(self) -> tuple[Enclosure, Enclosure]:
+        """Friction along either component, (n,) each."""
+        found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
+        for pull, along in zip(found, self.direction, strict=True):
+            pull.put(self.curved, self.strength.at(self.curved) * along)
+        return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
         """(n, unknowns): how the difference of a component changes with the unknowns."""
-        row, column, sign = [], [], []
-        for end, value in ((self.upper[slot], 1.0), (self.lower[slot], -1.0)):
-            row.append(np.flatnonzero(end >= 0))
-            column.append(end[end >= 0])
-            sign.append(np.full(len(row[-1]), value))
-        entries = (np.concatenate(sign), (np.concatenate(row), np.concatenate(column)))
-        made = sparse.coo_array(entries, shape=(len(self.two), self.unknowns)).tocsr()
-        made.eliminate_zeros()  # both ends in one domain
-        return made
+        ends = np.stack([self.upper[slot], self.lower[slot]], axis=1)
+        kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # but those with both ends in one domain
+        begin = np.append(0, np.cumsum(kept[:, 0].astype(np.int8) + kept[:, 1]))
+        signs = np.broadcast_to([1.0, -1.0], ends.shape)[kept]
+        return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
         """After a change of the unknowns (unknowns,)."""
@@ -129,11 +135,10 @@ class Slipping:
         """(unknowns,), g: what the slipping contacts leave over on each domain."""
         owner, pulls = [], []
         for slot in range(2):
-            pull = self.strength * self.direction[slot]
-            for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
-                free = end[slot] >= 0
-                owner.append(end[slot][free])
-                pulls.append(pull[free].signed(sign))
+            for pull, end in ((self.pulls[slot], self.upper[slot]), (-self.pulls[slot], self.lower[slot])):
+                free = np.flatnonzero(end >= 0)
+                owner.append(end[free])
+                pulls.append(pull.at(free))
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
 
     def blocks(self) -> np.ndarray:
@@ -150,7 +155,7 @@ class Slipping:
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
     if contacts.unknowns == 0:
-        return contacts, np.zeros(len(contacts.two))
+        return contacts, np.zeros(len(contacts.place[0]))
     for _ in range(TRIALS):
         curvature = Curvature.of(contacts)
         if curvature is None:
@@ -173,7 +178,8 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     entries = [abs(change) for change in curvature.changes]  # zeros and ones, exactly
     turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
     # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
-    loss = np.where(contacts.two, (2 * turn) ** 2 * contacts.stiffness.most, 0.0)
+    loss = np.zeros_like(turn)
+    loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
     given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in entries)
     return turn if (turn <= TURN).all() and (given_up * UP < tau * curvature.scale / 2).all() else None
 
@@ -203,7 +209,8 @@ class Curvature:
             return None
         inverse = 1 / np.sqrt(scale)
         rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
-        elimination = Elimination.of((rows.T @ rows).tocsc(), contacts.place @ _with(rows, rows.data**2))
+        place = contacts.place[:, contacts.curved] @ _with(rows, rows.data**2)
+        elimination = Elimination.of((rows.T @ rows).tocsc(), place)
         tau = _proven(rows, doubt, elimination)
         return None if tau is None else cls(clusters, scale, tau, elimination, changes)
 
@@ -221,10 +228,11 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     counted from a neighbour, by trees of the stiffest contacts.
     """
     driven, source = contacts.unknowns, contacts.unknowns + 1
-    stiffness = np.where(contacts.two, contacts.stiffness.value, 0.0)
-    stiff = stiffness > STIFF * np.median(stiffness[contacts.two]) if contacts.two.any() else contacts.two
-    pairs = [np.where(end[:, stiff] < 0, driven, end[:, stiff]) for end in (contacts.lower, contacts.upper)]
-    first, second, slip = pairs[0].ravel(), pairs[1].ravel(), np.tile(1 / stiffness[stiff], 2)
+    stiffness = contacts.stiffness.value
+    stiff = stiffness > STIFF * (np.median(stiffness) if len(stiffness) else np.inf)
+    ends = (end[:, contacts.curved[stiff]] for end in (contacts.lower, contacts.upper))
+    first, second = (np.where(end < 0, driven, end).ravel() for end in ends)
+    slip = np.tile(1 / stiffness[stiff], 2)
     apart = first != second
     order = np.argsort(-slip[apart], kind="stable")  # of parallel contacts the last entry, the stiffest, is kept
     low, high = np.minimum(first, second)[apart][order], np.maximum(first, second)[apart][order]
@@ -257,10 +265,9 @@ def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sp
     """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and how far they
     may be off, entry by entry. Slips of one component have no curvature."""
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
-    root = np.where(contacts.two, np.sqrt(stiffness.value), 0.0)
-    inexact = stiffness.error / stiffness.most + 16 * EPS
+    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
     rows, doubt = [], []
-    for part, change in zip(across, changes, strict=True):
+    for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
         row = np.repeat(np.arange(len(root)), np.diff(change.indptr))
         rows.append(_with(change, (root * part.value)[row] * change.data))
         doubt.append(_with(change, (root * (part.error + inexact * part.most))[row] * np.abs(change.data)))
@@ -273,10 +280,10 @@ def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimin
     """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
     elimination : of A^T A. The first guess saves a factorisation where it will do."""
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
-    most = _largest_eigenvalue((abs(rows) + doubt).T.tocsr())
-    error = 2 * np.sqrt(most * _largest_eigenvalue(doubt.T.tocsr())) + (terms + 1) * EPS * most + EPS
-    for guess in (lambda: GUESS, lambda: _least_eigenvalue(elimination) / 2):
-        tau = guess()
+    sizes = abs(rows) + doubt
+    for guess, steps in ((lambda: GUESS, 1), (lambda: _least_eigenvalue(elimination) / 2, STEPS)):
+        most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
+        tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
         missed = elimination.distance_from_positive(tau)
         if missed is not None and tau - (missed + error) * UP > tau / 2:
             return tau / 2
@@ -295,10 +302,10 @@ def _least_eigenvalue(elimination: Elimination) -> float:
     return float(1 / np.linalg.norm(vector))
 
 
-def _largest_eigenvalue(root: sparse.csr_array) -> float:
-    """Upper bound of the largest eigenvalue of W W^T, W without negative entries (Collatz and Wielandt)."""
-    other, vector = root.T, np.ones(root.shape[0])
-    for _ in range(STEPS):
-        vector = root @ (other @ vector)
+def _largest_eigenvalue(rows: sparse.csr_array, steps: int) -> float:
+    """Upper bound of the largest eigenvalue of W^T W, W without negative entries (Collatz and Wielandt)."""
+    columns, vector = rows.T, np.ones(rows.shape[1])
+    for _ in range(steps):
+        vector = columns @ (rows @ vector)
         vector = vector / max(float(vector.max(initial=0.0)), TINY) + EPS
-    return float(((root @ (other @ vector)) / vector).max(initial=0.0)) * UP
+    return float(((columns @ (rows @ vector)) / vector).max(initial=0.0)) * UP

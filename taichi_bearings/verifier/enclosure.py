@@ -124,6 +124,11 @@ class Enclosure:
         """Those at these places of the flat arrays."""
         return Enclosure(*(part.reshape(-1).take(places) for part in self.parts))
 
+    def put(self, places: np.ndarray, others: Enclosure) -> None:
+        """Write others there, in place."""
+        for part, other in zip(self.parts, others.parts, strict=True):
+            part.put(places, other)
+
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:
         return Enclosure(*(part.reshape(shape) for part in self.parts))
 
@@ -193,9 +198,7 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
     return Enclosure(*total)
 
 
-def _rounded(
-    product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]
-) -> Enclosure:
+def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:
     """A product. error : what those of its factors make of it. counts : mask of those that have no factor of 0."""
     high, low = _fast_two_sum(product, rest)
     size = np.abs(high)

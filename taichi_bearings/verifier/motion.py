@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from functools import cached_property
@@ -12,6 +13,17 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined
 from taichi_bearings.verifier.samples import DIGITS, Samples
+
+
+@dataclass(frozen=True)
+class Slips:
+    """The n contacts of an axis that slip, as flat numbers: own, among all contacts of the axis; lower and upper, their
+    spheres among those of all samples. sample : whose each is."""
+
+    own: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    sample: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -37,6 +49,18 @@ class Motion:
         return tuple(found)
 
     @cached_property
+    def slips(self) -> tuple[Slips, ...]:
+        """The others, an entry an axis."""
+        sphere, found = numbers_of(self.samples), []
+        for axis, still in enumerate(self.still):
+            low, high = self.samples.ends(axis)
+            own = np.flatnonzero(~still)
+            lower = sphere[low].ravel()[own]
+            step = int(sphere[high].flat[0])
+            found.append(Slips(own, lower, lower + step, lower // self.samples.sublattice.size))
+        return tuple(found)
+
+    @cached_property
     def domain(self) -> dict[int, np.ndarray]:
         """Number (R, *N) of the domain of each sphere, component by component: 0 and 1 for all that turns with the
         bottom and with the top, 2 and more for the others, of all samples together. Of components that differ between
@@ -44,16 +68,22 @@ class Motion:
         return {k: self._domains(k) for k in self.samples.components if self._jumps(k) or self.shift[k].most.any()}
 
     def _domains(self, component: int) -> np.ndarray:
-        number = whole_planes(self.samples)
-        first, second = [], []
-        for axis, still in enumerate(self.still):
-            if component in self.samples.felt(axis):
-                low, high = self.samples.ends(axis)
-                first.append(number[low][still])
-                second.append(number[high][still])
-        ends, size = (np.concatenate(first), np.concatenate(second)), number.size
-        graph = sparse.coo_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(size, size))
-        label = connected_components(graph, directed=False)[1][number]
+        samples, sphere = self.samples, numbers_of(self.samples)
+        felt = [axis for axis in range(samples.dimension) if component in samples.felt(axis)]
+        joins = np.zeros((*sphere.shape, len(felt) + 1), dtype=bool)  # to the next sphere along each axis
+        ahead = np.empty(joins.shape, dtype=np.int32)
+        for slot, axis in enumerate(felt):
+            low, high = samples.ends(axis)
+            joins[..., slot][low] = self.still[axis]
+            ahead[..., slot][low] = sphere[high]
+        joins[..., [0, -1], -1] = True  # and to the first of its plane
+        ahead[..., 0, -1], ahead[..., -1, -1] = (end[..., 0] for end in ends_of(sphere))
+        degree = sum(joins[..., slot].ravel() for slot in range(1, len(felt) + 1)) + joins[..., 0].ravel().astype(
+            np.int8
+        )
+        begin = np.append(0, np.cumsum(degree))
+        graph = sparse.csr_array((np.ones(begin[-1]), ahead[joins], begin), shape=(sphere.size,) * 2)
+        label = connected_components(graph, directed=False)[1].reshape(sphere.shape)
         bottom, top = ends_of(label)
         return np.where(label == bottom, 0, np.where(label == top, 1, label + 2))
 
@@ -90,27 +120,34 @@ class Motion:
     def difference(self) -> tuple[dict[int, Enclosure], ...]:
         """Differences of signed spins by component, of contacts that are not `still`; (n,) each, an entry an axis."""
         return tuple(
-            {k: self._differences(k, axis, ~still) for k in self.samples.felt(axis)}
-            for axis, still in enumerate(self.still)
+            {k: self._differences(k, slips) for k in self.samples.felt(axis)} for axis, slips in enumerate(self.slips)
         )
 
-    def _differences(self, component: int, axis: int, slips: np.ndarray) -> Enclosure:
-        low, high = self.samples.ends(axis)
-        stored, shift = self.samples.signed_spin[component], self.shift[component]
-        ends = [[part[end][slips] for part in stored] for end in (high, low)]
+    def _differences(self, component: int, slips: Slips) -> Enclosure:
+        ends = [
+            [part.ravel().take(end) for part in self.samples.signed_spin[component]]
+            for end in (slips.upper, slips.lower)
+        ]
         if component not in self.domain and all((a == b).all() for a, b in zip(*ends, strict=True)):
-            return Enclosure.exact(np.zeros(len(ends[0][0])))
-        upper, lower = (Enclosure.exact(*parts) for parts in ends)
-        if component not in self.domain:
-            return upper - lower
-        at_top = [self.domain[component][end][slips] == 1 for end in (high, low)]
-        owner = np.nonzero(slips)[0]
-        return (upper - lower) + shift[owner].signed(at_top[0].astype(float) - at_top[1])
+            return Enclosure.exact(np.zeros(len(slips.own)))
+        upper, lower = (Enclosure(high, low, np.zeros_like(high)) for high, low in ends)
+        found = upper - lower
+        if component in self.domain:  # the top turns as it should
+            at_top = (self.domain[component] == 1).ravel()
+            sign = at_top[slips.upper].astype(float) - at_top[slips.lower]
+            some = np.flatnonzero(sign)
+            found.put(some, found.at(some) + self.shift[component].at(slips.sample[some]).signed(sign[some]))
+        return found
 
     @cached_property
     def size(self) -> tuple[Enclosure, ...]:
         """Length of these differences, (n,) an axis."""
         return tuple(length(list(parts.values())) for parts in self.difference)
+
+    @cached_property
+    def strength(self) -> tuple[Enclosure, ...]:
+        """Of these contacts, (n,) an axis: `Samples.strength`."""
+        return tuple(values.at(slips.own) for values, slips in zip(self.samples.strength, self.slips, strict=True))
 
     def power(self) -> Enclosure:
         """(R,), power that these spins dissipate in units of force unit * R spin unit (viscous: times R spin unit).
@@ -125,19 +162,23 @@ class Motion:
 
     def _sum_of_slips(self, of_slope: float) -> Enclosure:
         """Friction times slip, plus `of_slope`, a power of two, times viscous force times slip."""
-        samples, owner, cost = self.samples, [], []
-        for axis, (still, size) in enumerate(zip(self.still, self.size, strict=True)):
-            owner.append(np.nonzero(~still)[0])
-            parts = [samples.strength[axis][~still] * size] if samples.holds else []
-            parts += [samples.slope[axis][~still].signed(of_slope) * size * size] if samples.flows else []
+        samples, cost = self.samples, []
+        for axis, (slips, size) in enumerate(zip(self.slips, self.size, strict=True)):
+            parts = [self.strength[axis] * size] if samples.holds else []
+            parts += [samples.slope[axis].at(slips.own).signed(of_slope) * size * size] if samples.flows else []
             cost.append(parts[0] if len(parts) == 1 else parts[0] + parts[1])
-        total = grouped_sum(joined(cost), np.concatenate(owner), samples.count)
+        total = grouped_sum(joined(cost), np.concatenate([slips.sample for slips in self.slips]), samples.count)
         return Enclosure(np.where(self.torn, np.inf, total.high), total.low, total.error)
 
 
+def numbers_of(samples: Samples) -> np.ndarray:
+    """Numbers (R, *N) of all spheres."""
+    return np.arange(samples.count * math.prod(samples.shape)).reshape(samples.count, *samples.shape)
+
+
 def whole_planes(samples: Samples) -> np.ndarray:
-    """Numbers (R, *N) of all spheres, the same for those of one driven plane."""
-    number = np.arange(samples.count * int(np.prod(samples.shape))).reshape(samples.count, *samples.shape)
+    """The same, one for all spheres of a driven plane."""
+    number = numbers_of(samples)
     number[..., 0], number[..., -1] = (end[..., 0] for end in ends_of(number))
     return number
 
@@ -158,10 +199,9 @@ def length(parts: list[Enclosure]) -> Enclosure:
     parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # but those that are exactly 0
     if len(parts) == 1:
         return abs(parts[0])
-    square = parts[0] * parts[0] + parts[1] * parts[1]
-    root = square.sqrt()
+    root = (parts[0].squared() + parts[1].squared()).sqrt()
     # along an axis the length is exactly the size of the other part, whose square may be too small a number
     for part, other in ((parts[0], parts[1]), (parts[1], parts[0])):
-        nothing = (other.high == 0) & (other.error == 0)
-        root = Enclosure(*(np.where(nothing, a, b) for a, b in zip(abs(part).parts, root.parts, strict=True)))
+        nothing = np.flatnonzero((other.high == 0) & (other.error == 0))
+        root.put(nothing, abs(part.at(nothing)))
     return root

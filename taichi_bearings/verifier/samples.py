@@ -183,9 +183,8 @@ class Samples:
     def strength(self) -> tuple[Enclosure, ...]:
         """Friction that a contact can bear, or its damping, in units of `force_unit`; (R, *contacts) an axis."""
         unit = _power_of_two(self._strength)
-        factor = Enclosure.exact(np.array([self._strength / unit]))
-        scale = self.force_unit / unit
-        return tuple(Enclosure.exact(values / scale) * factor for values in self.coefficient)
+        factor, scale = np.array([self._strength / unit]), self.force_unit / unit
+        return tuple(Enclosure.exact(values / scale).times(factor) for values in self.coefficient)
 
     @cached_property
     def slope(self) -> tuple[Enclosure, ...]:
@@ -193,8 +192,8 @@ class Samples:
         have it; (R, *contacts) an axis. Without friction the unit of force is that of damping times radius * spin."""
         if not self.holds:
             return self.strength
-        factor = Enclosure.exact(np.array([self.radius * (self.spin_unit / self.force_unit)]))
-        return tuple(Enclosure.exact(values) * factor for values in self.viscosity)
+        factor = np.array([self.radius * (self.spin_unit / self.force_unit)])
+        return tuple(Enclosure.exact(values).times(factor) for values in self.viscosity)
 
     @cached_property
     def turning(self) -> tuple[dict[int, np.ndarray], ...]:
@@ -209,6 +208,25 @@ class Samples:
             first, second = (axis + 1) % 3, (axis + 2) % 3
             found.append({first: -values[..., second], second: values[..., first]})
         return tuple(found)
+
+    @cached_property
+    def torques(self) -> dict[int, Enclosure]:
+        """Sum of that over the contacts of each sphere but those between driven ones, (R, *N) by component: of those
+        that differ between the planes."""
+        return {k: self._torques(k) for k in self.components if self.jump[k].most[0] > 0}
+
+    def _torques(self, component: int) -> Enclosure:
+        total = Enclosure.exact(np.zeros((self.count, *self.shape)))
+        for axis, turning in enumerate(self.turning):
+            if component in turning:
+                pull = turning[component]
+                if axis != self.dimension - 1:
+                    pull = pull.copy()
+                    pull[..., [0, -1]] = 0.0
+                for end in self.ends(axis):
+                    for whole, part in zip(total.parts, total[end].plus(pull).parts, strict=True):
+                        whole[end] = part
+        return total
 
     def between_driven(self, axis: int) -> np.ndarray:
         """Mask (R, *contacts) of those that join two driven spheres."""

@@ -26,14 +26,13 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from taichi_bearings.verifier.bounds import torques
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_planes
 from taichi_bearings.verifier.samples import Samples
 
 SLIPLESS, SLIPPING, UNPROVEN = 0, 1, 2
-TOGETHER = 50_000  # spheres of the samples that are proven at once, at most
+TOGETHER = 200_000  # spheres of the samples that are proven at once, at most
 SATURATED = 1e-6  # share of the friction by which a contact that slips may miss its limit
 
 
@@ -195,10 +194,9 @@ def _doubt(motion: Motion) -> str:
 
 def _saturated(motion: Motion) -> bool:
     """True if the friction of all slipping contacts is about at its limit, as it is near a minimum."""
-    samples = motion.samples
-    for axis, still in enumerate(motion.still):
-        size = np.sqrt(sum(part[~still] ** 2 for part in samples.turning[axis].values()))
-        if not (size >= (1 - SATURATED) * samples.strength[axis][~still].value).all():
+    for turning, slips, strength in zip(motion.samples.turning, motion.slips, motion.strength, strict=True):
+        size = np.sqrt(sum(part.take(slips.own) ** 2 for part in turning.values()))
+        if not (size >= (1 - SATURATED) * strength.value).all():
             return False
     return True
 
@@ -221,32 +219,22 @@ def _bearable(motion: Motion, contacts: Slipping, turn: np.ndarray) -> bool:
     return True
 
 
-def _pulls(motion: Motion, component: int, slipping: Enclosure) -> list[Enclosure]:
-    """A component of g, (R, *contacts) an axis: of contacts that slip as given, (n,), of others as the file says."""
-    found, begin = [], 0
-    for still, turning in zip(motion.still, motion.samples.turning, strict=True):
-        pull, end = (
-            Enclosure.exact(np.array(turning.get(component, np.zeros(still.shape)))),
-            begin + int((~still).sum()),
-        )
-        for whole, part in zip(pull.parts, slipping[begin:end].parts, strict=True):
-            whole[~still] = part
-        found.append(pull)
-        begin = end
-    return found
-
-
 def _left_over(motion: Motion, contacts: Slipping, turn: np.ndarray, slot: int) -> np.ndarray:
-    """E_D of the domain of each sphere in a component, (R, *N): the torques left over in it, summed."""
+    """E_D of the domain of each sphere in a component, (R, *N): the torques left over in it, summed: by the friction as
+    the file says, and by what the contacts that slip differ from that."""
     samples = motion.samples
-    component, spheres, domain = samples.needed[slot], contacts.spheres.ravel(), motion.domain[samples.needed[slot]]
-    side = samples.sublattice.ravel()[contacts.spheres[1] % samples.sublattice.size]
-    pull = torques(
-        samples, component, _pulls(motion, component, (contacts.strength * contacts.direction[slot]).signed(side))
+    component, domain = samples.needed[slot], motion.domain[samples.needed[slot]]
+    sides = samples.sublattice.ravel()[contacts.spheres[1] % samples.sublattice.size]
+    said = np.concatenate(
+        [
+            turning[component].take(slips.own) if component in turning else np.zeros(len(slips.own))
+            for turning, slips in zip(samples.turning, motion.slips, strict=True)
+        ]
     )
-    unsure = np.where(contacts.two, 2 * turn * contacts.strength.most, 0.0)
-    residual = pull.most.ravel() + np.bincount(spheres, np.tile(unsure, 2), domain.size)
-    residual = residual.reshape(pull.high.shape)
+    unsure = contacts.pulls[slot].signed(sides).plus(-said).most
+    unsure[contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
+    residual = samples.torques[component].most
+    residual += np.bincount(contacts.spheres.ravel(), np.tile(unsure, 2), domain.size).reshape(domain.shape)
     residual[..., [0, -1]] = 0.0
     sample = np.arange(samples.count).reshape(-1, *(1,) * samples.dimension)
     own = np.where(domain > 1, domain + 2 * samples.count, domain * samples.count + sample)  # driven ones, too
