@@ -70,16 +70,18 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     if not in_balance.all():
         force = _where(in_balance, force, balance(scene, force, spin_axes))
     if scene.law.flows:
-        return _most_proving(scene, force, given, spin_axes, bound)
+        return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
     ratio = saturation(scene, force)
     worst, best = _largest(ratio), force
+    worst_of_best, known = worst, None  # the best ones as a whole in their discs, and what they prove, once asked for
     proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
     for _ in range(MOST_PROJECTIONS):
         near = better & (proves >= bound * (1 - NEAR))
         if near.any():
-            reached = np.where(near, dual_value(scene, scaled(scene, best), spin_axes), reached)
+            known = known or _as_a_whole(scene, best, worst_of_best, spin_axes)
+            reached = np.where(near, known[1], reached)
         done |= (reached >= bound * (1 - PROVEN)) | (worst <= 1 + PROVEN)
         if done.all():
             break
@@ -89,8 +91,10 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
         worst = _largest(ratio)
         value = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
         better = ~done & (value > proves)
-        best, proves = _where(better, force, best), np.where(better, value, proves)
-    return _most_proving(scene, scaled(scene, best), given, spin_axes, bound)
+        best, proves, known = _where(better, force, best), np.where(better, value, proves), None
+        worst_of_best = np.where(better, worst, worst_of_best)
+    whole, reached = known or _as_a_whole(scene, best, worst_of_best, spin_axes)
+    return _most_proving(scene, whole, reached, given, spin_axes, bound)
 
 
 def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -103,9 +107,18 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     return scene.lattice.radius * scene.law.share * work
 
 
-def _most_proving(scene: Scene, best: Forces, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray) -> Forces:
-    """`best`, or what :func:`lower_bound` makes of `force` in replicas where that proves more and it is needed."""
-    reached = dual_value(scene, best, spin_axes)
+def _as_a_whole(
+    scene: Scene, force: Forces, worst: np.ndarray, spin_axes: tuple[int, ...]
+) -> tuple[Forces, np.ndarray]:
+    """Forces divided by their worst saturation, and what they prove, (R,)."""
+    whole = _divided(force, worst)
+    return whole, dual_value(scene, whole, spin_axes)
+
+
+def _most_proving(
+    scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
+) -> Forces:
+    """`best`, which prove `reached`, or what :func:`lower_bound` makes of `force` where that is needed and proves more."""
     if (reached >= bound * (1 - PROVEN)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):
@@ -182,7 +195,7 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
         left_over = np.abs(pull[slot][..., 1:-1]).reshape(scene.replicas, -1).sum(axis=1)
         work -= half_width * planes.sum(axis=1) + abs(half_width) * left_over
         allowance += ROUNDING * abs(half_width) * (np.abs(planes).sum(axis=1) + left_over)
-    total = np.sum([vector_length(f).reshape(scene.replicas, -1).sum(axis=1) for f in force], axis=0)
+    total = np.sum([np.abs(f).sum(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
     allowance += ROUNDING**2 * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
@@ -235,8 +248,14 @@ def capped(force: Forces, ratio: Forces) -> Forces:
 
 def scaled(scene: Scene, force: Forces) -> Forces:
     """All forces of a replica divided by the worst saturation, which keeps their torque balance."""
-    worst = _largest(saturation(scene, force))
-    factor = (1.0 / np.maximum(worst, 1.0)).reshape(-1, *(1,) * scene.lattice.dimension)
+    return _divided(force, _largest(saturation(scene, force)))
+
+
+def _divided(force: Forces, worst: np.ndarray) -> Forces:
+    """The same if the worst saturation (R,) is known."""
+    if (worst <= 1.0).all():
+        return force
+    factor = (1.0 / np.maximum(worst, 1.0)).reshape(-1, *(1,) * (force[0].ndim - 2))
     return tuple(f * factor for f in force)
 
 

@@ -75,11 +75,11 @@ def work_of(samples: Samples) -> Work:
 
 def _largest_share(size: Enclosure, strength: Enclosure, acts: np.ndarray) -> np.ndarray:
     """Largest size / strength of the contacts that take part, (R,), rounded up: of those that are about as large."""
-    about = np.where(acts, size.most / np.where(acts, strength.high, 1.0), 0.0)
-    first = about.max(axis=tuple(range(1, about.ndim)), initial=0.0, keepdims=True)
-    large = np.nonzero(acts & ~(about < first * (1 - ROUGHLY)))
+    about = np.divide(size.high, strength.high, out=np.zeros(size.high.shape), where=acts).reshape(len(acts), -1)
+    first = about.max(axis=1, initial=0.0, keepdims=True)
+    large = np.flatnonzero(acts & ~(about < first * (1 - ROUGHLY)).reshape(acts.shape))
     found = np.zeros(len(about))
-    np.maximum.at(found, large[0], (size[large] / strength[large]).most)
+    np.maximum.at(found, large // about.shape[1], (size.at(large) / strength.at(large)).most)
     return found
 
 

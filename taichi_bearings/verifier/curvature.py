@@ -63,8 +63,9 @@ class Slipping:
         parts: list[list[Enclosure]] = [[], []]
         for axis, slips in enumerate(motion.slips):
             felt, nowhere = [k in samples.felt(axis) for k in samples.needed], np.full(len(slips.own), -1)
-            for found, end in ((lower, slips.lower), (upper, slips.upper)):
-                found.append([n.take(end) if f else nowhere for n, f in zip(number, felt, strict=True)])
+            pairs = list(zip(number, felt, strict=True))
+            lower.append([n.take(slips.lower) if f else nowhere for n, f in pairs])
+            upper.append([n.take(slips.upper) if f else nowhere for n, f in pairs])
             for found, k, f in zip(parts, samples.needed, felt, strict=True):
                 found.append(motion.difference[axis][k] if f else Enclosure.exact(np.zeros(len(slips.own))))
             two.append(np.full(len(slips.own), all(felt)))
