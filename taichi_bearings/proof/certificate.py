@@ -118,7 +118,7 @@ def _as_a_whole(
 def _most_proving(
     scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
 ) -> Forces:
-    """`best`, which prove `reached`, or what :func:`lower_bound` makes of `force` where that is needed and proves more."""
+    """`best`, which prove `reached`, or what :func:`lower_bound` makes of `force` where that is needed and more."""
     if (reached >= bound * (1 - PROVEN)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):

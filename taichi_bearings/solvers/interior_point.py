@@ -13,6 +13,7 @@ margin, which the central path drives apart.
 
 import threading
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.conic.central_path import Matrix, Path, balance, flowing
-from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system
+from taichi_bearings.conic.grouped import Arrays, apart, each, isotropic, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -67,21 +68,24 @@ class _Sample:
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
 
-    def creep(self) -> float:
-        """Largest slip of a contact that counts as slipless, relative to the jump."""
-        if self.resolved is not None:
-            return 0.0
-        return self.iterate.difference.length()[self.states() == ContactState.SLIPLESS].max()
 
-    def states(self) -> Arrays:
-        """Contact states (n,) a group."""
-        slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
-        if self.resolved is not None:
-            return where(self.resolved.slipping, slipping, slipless)
-        (slip, margin), iterate = _slip_and_margin(self.iterate), self.iterate
-        if iterate.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
-            slip = slip * (1 + iterate.viscosity / iterate.friction)
-        return where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
+def _states(samples: Sequence[_Sample]) -> Arrays:
+    """Contact states (R * n,) a group, one sample after the other."""
+    slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
+    settled = [where(s.resolved.slipping, slipping, slipless) for s in samples if s.resolved is not None]
+    if len(settled) == len(samples):
+        return together(settled)
+    iterates = [sample.iterate for sample in samples]
+    friction, dual = together([of.friction for of in iterates]), together([of.dual for of in iterates])
+    slip, margin = together([of.difference for of in iterates]).length(), 1 - dual.length() / friction
+    viscosity = [of.viscosity for of in iterates if of.viscosity is not None]
+    if viscosity:  # slips at which viscous forces match the friction are no small ones
+        slip = slip * (1 + together(viscosity) / friction)
+    found = where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
+    if not settled:
+        return found
+    each_found, known = apart(found, len(samples)), iter(settled)
+    return together([f if s.resolved is None else next(known) for f, s in zip(each_found, samples, strict=True)])
 
 
 def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
@@ -290,21 +294,21 @@ class InteriorPointMethod:
 
     def progress(self) -> Progress:
         scene = self.scene
-        staggered, rest = np.zeros((2, len(self.spin_axes), scene.replicas, *scene.lattice.shape))
+        (staggered, rest), speed = self._spins(), scene.lattice.radius * scene.jump
         force, state = scene.no_force(self.spin_axes), all_slipless(scene)
         slip = tuple(np.zeros(values.shape) for values in state)
-        slips, forces, states = [], [], []
-        for replica, sample in enumerate(self.samples):
-            answer = sample.resolved or sample.iterate
-            for part, spins in zip((staggered, rest), self._spins(sample), strict=True):
-                place_free_spins(part, replica, spins)
-            slips.append(scene.lattice.radius * scene.jump * answer.difference.length())
-            forces.append(-answer.whole_dual * (sample.unit * scene.normal_force))
-            states.append(sample.states())
-        for values, fields in ((slips, slip), (forces, force), (states, state)):
-            self.system.scatter(each(lambda *of_samples: np.stack(of_samples), *values), fields, slice(None))
+        answers = [sample.resolved or sample.iterate for sample in self.samples]
+        slips, states = together([answer.difference for answer in answers]).length(), _states(self.samples)
+        units = np.array([[sample.unit * scene.normal_force] for sample in self.samples])
+        duals = together([answer.whole_dual for answer in answers])
+        forces = each(lambda dual: np.moveaxis(-dual.reshape(len(dual), len(units), -1) * units, 1, 0), duals)
+        for values, fields in ((speed * slips, slip), (states, state)):
+            self.system.scatter(each(lambda of: of.reshape(len(units), -1), values), fields, slice(None))
+        self.system.scatter(forces, force, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
-        creep = np.array([sample.creep() if self.frustrated else 0.0 for sample in self.samples])
+        settled = np.array([sample.resolved is not None for sample in self.samples])
+        slow = where(states == ContactState.SLIPLESS, slips, 0.0)
+        creep = np.max([of.reshape(len(units), -1).max(axis=1, initial=0.0) for of in slow], axis=0)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -313,12 +317,12 @@ class InteriorPointMethod:
             force=force,
             objective=objective,
             lower_bound=self._lower_bound(force, objective),
-            resolution=scene.lattice.radius * scene.jump * creep,
+            resolution=speed * np.where(settled, 0.0, creep),
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=not self.frustrated or all(sample.done for sample in self.samples),
             state=state if self.frustrated else None,
             slip=slip if self.frustrated else None,
-            settled=np.array([sample.resolved is not None for sample in self.samples]),
+            settled=settled,
             resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
@@ -326,14 +330,19 @@ class InteriorPointMethod:
             ended=np.array([sample.steps for sample in self.samples]),
         )
 
-    def _spins(self, sample: _Sample) -> Pair:
-        """Staggered spins (unknowns,) in twice the precision, 1/time."""
-        high, low = sample.iterate.spins, np.zeros(self.system.unknowns)
-        if sample.resolved is not None:
-            high, low = sample.resolved.spins, sample.resolved.rest if sample.resolved.rest is not None else low
-        sign = np.sign(self.scene.spin_top - self.scene.spin_bottom)
+    def _spins(self) -> Pair:
+        """Staggered spins (C, R, *N) in twice the precision, 1/time; zero in the driven planes."""
+        high, low = np.zeros((2, len(self.samples), self.system.unknowns))
+        for sample, *own in zip(self.samples, high, low, strict=True):
+            own[0][:] = sample.iterate.spins if sample.resolved is None else sample.resolved.spins
+            if sample.resolved is not None and sample.resolved.rest is not None:
+                own[1][:] = sample.resolved.rest
+        sign, lattice = np.sign(self.scene.spin_top - self.scene.spin_bottom), self.scene.lattice
         jump = two_sum(np.array([sign * self.scene.spin_top]), np.array([-sign * self.scene.spin_bottom]))
-        return multiply(jump, (high, low))
+        found = np.zeros((2, len(self.spin_axes), len(high), *lattice.shape))
+        for whole, free in zip(found, multiply(jump, (high, low)), strict=True):
+            whole[..., 1:-1] = np.moveaxis(free.reshape(len(high), *lattice.free_shape, -1), -1, 0)
+        return found[0], found[1]
 
     def _lower_bound(self, force: tuple[np.ndarray, ...], objective: np.ndarray) -> np.ndarray:
         """Quickly until a sample is at the end of its path, and there, too, if nothing is left to gain."""
