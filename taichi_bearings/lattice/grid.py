@@ -88,7 +88,7 @@ class Lattice:
             between[..., 0] = between[..., -1] = True
         return between
 
-    @property
+    @cached_property
     def contacts(self) -> int:
         """Number of contacts that can slip."""
         return sum(int((~self.between_driven(a)).sum()) for a in range(self.dimension))

@@ -77,6 +77,12 @@ def separate(scene: Scene, slip: tuple[np.ndarray, ...], state: tuple[np.ndarray
     return Separation(largest, smallest, decades)
 
 
+def counts(state: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Number of contacts in each state, (R, states)."""
+    size = len(ContactState)
+    return np.sum([[np.bincount(one.ravel(), minlength=size) for one in of_axis] for of_axis in state], axis=0)
+
+
 def count(state: tuple[np.ndarray, ...], which: ContactState) -> np.ndarray:
     """Number of contacts in a state, (R,)."""
-    return np.sum([(s == which).reshape(len(s), -1).sum(axis=1) for s in state], axis=0)
+    return counts(state)[:, which]

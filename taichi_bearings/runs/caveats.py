@@ -68,10 +68,11 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Slips of the two kinds of contacts that are less than a decade apart."""
-    if not solution.scene.law.holds:
+    near = (solution.gap <= settings.tolerance) & ~solution.resolved
+    if not solution.scene.law.holds or not near.any():
         return
     found = separate(solution.scene, solution.slip, solution.state)
-    near = (solution.gap <= settings.tolerance) & ~solution.resolved & (found.decades < 1)
+    near &= found.decades < 1
     if near.any():
         worst = int(np.argmin(np.where(near, found.decades, np.inf)))
         yield (

@@ -23,7 +23,7 @@ from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
-from taichi_bearings.proof.contact_state import ContactState, count, separate
+from taichi_bearings.proof.contact_state import ContactState, counts, separate
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
     completed,
@@ -252,7 +252,7 @@ def summarise(run: Run) -> dict[str, Any]:
         return listed if scene.replicas > 1 else listed[0]
 
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
-    separation = separate(scene, solution.slip, solution.state)
+    separation, in_state = separate(scene, solution.slip, solution.state), counts(solution.state)
     close = solution.gap <= settings.tolerance  # far from a minimum slips that are far apart say nothing
     summary = {
         "power": per_seed(solution.power),
@@ -268,9 +268,9 @@ def summarise(run: Run) -> dict[str, Any]:
         "seconds": solution.seconds,
         "seconds_compile": solution.seconds_compile,
         "contacts": scene.lattice.contacts,
-        "slipping": per_seed(count(solution.state, ContactState.SLIPPING)),
-        "slipless": per_seed(count(solution.state, ContactState.SLIPLESS)),
-        "undecided": per_seed(count(solution.state, ContactState.UNDECIDED)),
+        "slipping": per_seed(in_state[:, ContactState.SLIPPING]),
+        "slipless": per_seed(in_state[:, ContactState.SLIPLESS]),
+        "undecided": per_seed(in_state[:, ContactState.UNDECIDED]),
         "states_proven": per_seed(solution.resolved),
         "largest_slipless_slip": per_seed(separation.largest_slipless),
         "smallest_slipping_slip": per_seed(separation.smallest_slipping),

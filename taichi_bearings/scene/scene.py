@@ -1,7 +1,7 @@
 """What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import product
 from math import isfinite
@@ -204,13 +204,15 @@ class Scene:
         """One of the samples alone."""
         if self.replicas == 1:
             return self
-        one = replace(
-            self,
+        one = object.__new__(Scene)  # nothing is to be checked again
+        vars(one).update({item.name: getattr(self, item.name) for item in fields(self)})
+        vars(one).update(
             coefficients=tuple(values[number] for values in self.coefficients),
             viscosity=tuple(values[number] for values in self.viscosity),
             seeds=(self.seeds[number],),
+            lattice=self.lattice,
         )
-        return one.drawn_from(self.drawn)
+        return one
 
     @property
     def replicas(self) -> int:
