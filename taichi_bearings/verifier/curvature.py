@@ -176,7 +176,7 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     slope = curvature.clusters.T @ contacts.slope().most
     radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
     reach = radius[block] / root  # of each variable, at most
-    entries = [abs(change) for change in curvature.changes]  # zeros and ones, exactly
+    entries = [_with(change, np.abs(change.data)) for change in curvature.changes]  # zeros and ones, exactly
     turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
     # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
     loss = np.zeros_like(turn)
@@ -281,7 +281,7 @@ def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimin
     """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
     elimination : of A^T A. The first guess saves a factorisation where it will do."""
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
-    sizes = abs(rows) + doubt
+    sizes = _with(rows, np.abs(rows.data)) + doubt
     for guess, steps in ((lambda: GUESS, 1), (lambda: _least_eigenvalue(elimination) / 2, STEPS)):
         most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
         tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
