@@ -14,19 +14,27 @@ def two_sum(a: np.ndarray, b: np.ndarray) -> Pair:
     """a + b rounded, and exactly what the rounding leaves out."""
     total = a + b
     part = total - a
-    return total, (a - (total - part)) + (b - part)
+    rest = total - part
+    rest = np.subtract(a, rest, out=rest)
+    rest += np.subtract(b, part, out=part)
+    return total, rest
 
 
 def two_product(a: np.ndarray, b: np.ndarray) -> Pair:
     """a * b rounded, and exactly what the rounding leaves out."""
     product = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
-    return product, ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2
+    rest = a1 * b1
+    rest -= product
+    rest += a1 * b2
+    rest += a2 * b1
+    rest += a2 * b2
+    return product, rest
 
 
 def _halves(a: np.ndarray) -> Pair:
-    large = SPLIT * a
-    head = large - (large - a)
+    head = SPLIT * a
+    head -= head - a
     return head, a - head
 
 

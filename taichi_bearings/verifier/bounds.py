@@ -116,14 +116,14 @@ def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.
     for axis, size in enumerate(work.size):
         if not samples.flows and (worst > 1).any():
             size = size / Enclosure.exact(np.broadcast_to(worst, size.high.shape))
-        room = samples.strength[axis] - size
-        inside, beyond = np.maximum(room.lower(), 0.0), np.maximum(-room.lower(), 0.0)
-        bound = np.where(inside > 0, excess / inside, np.inf)
+        room = (samples.strength[axis] - size).lower()
+        inside = np.maximum(room, 0.0)
+        bound = excess / inside  # infinite where there is no room, or no number
         if samples.flows:
             slope = samples.slope[axis].least
             root = np.sqrt(inside**2 + 2 * slope * excess)
-            bound = np.where(excess > 0, 2 * excess / (inside + root), 0.0) + beyond / slope
+            bound = np.where(excess > 0, 2 * excess / (inside + root), 0.0) + np.maximum(-room, 0.0) / slope
         box = np.sqrt(sum(samples.jump[k].most[0] ** 2 for k in samples.felt(axis)))
-        bound = np.minimum(np.where(np.isfinite(bound), bound, np.inf), box) * UP
+        bound = np.fmin(bound, box) * UP
         found.append(np.where(samples.between_driven(axis), 0.0, bound))
     return found
