@@ -32,7 +32,7 @@ from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_plane
 from taichi_bearings.verifier.samples import Samples
 
 SLIPLESS, SLIPPING, UNPROVEN = 0, 1, 2
-TOGETHER = 100_000  # spheres of the samples that are proven at once, at most
+TOGETHER = 200_000  # spheres of the samples that are proven at once, at most
 SATURATED = 1e-6  # share of the friction by which a contact that slips may miss its limit
 
 
