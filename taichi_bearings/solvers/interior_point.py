@@ -44,7 +44,11 @@ from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-9, 100  # relative gap from which settling is tried, and factor between one trial and the next
-SOONEST, CLEAR = 1e-8, 0.55  # that gap of the smallest samples, whose slips are larger, and times spheres^3 of others
+SOONEST, CLEAR = (
+    1e-8,
+    0.55,
+)  # that gap of the smallest samples, whose slips are larger, and times spheres^3 of small ones
+SOON_AGAIN = 3  # that factor of small samples, in which trials cost little
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
@@ -252,7 +256,8 @@ class InteriorPointMethod:
 
     def _near(self, sample: _Sample) -> float:
         """Relative gap from which the states of a sample are to be settled; 0 if never."""
-        return min(self.settles_at, sample.tried / AGAIN) if self._settles else 0.0
+        again = SOON_AGAIN if self.scene.lattice.sites < SMALL else AGAIN
+        return min(self.settles_at, sample.tried / again) if self._settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: _Sample, path: Path, place: int) -> float:
