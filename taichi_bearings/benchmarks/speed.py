@@ -63,7 +63,7 @@ QUICK = Budget(
 )
 USUAL = replace(
     QUICK,
-    minutes=8,
+    minutes=10,
     shapes=(*((n, n, n) for n in (8, 16, 32, 64)), *((n, n) for n in (32, 128, 512, 1024))),
     precisions=("f64", "f32"),
     solved=((32, 32), (10, 10, 10), (16, 16, 16)),
@@ -179,7 +179,7 @@ def _work(budget: Budget, parts: Sequence[str], threads: Sequence[int]) -> Itera
     if "scans" in parts:
         for shape, samples in budget.scanned.items():
             name = f"scans of {'x'.join(map(str, shape))}"
-            yield name, partial(_scans, shape, samples, budget.rounds, min(2, runtime.available_threads()))
+            yield name, partial(_scans, shape, samples, min(3, budget.rounds), min(2, runtime.available_threads()))
     if "dynamics" in parts:
         for shape, number in product(budget.moved, threads):
             steps = dynamics.Task(shape, number, budget.rounds, budget.steps)

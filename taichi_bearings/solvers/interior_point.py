@@ -44,11 +44,8 @@ from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
 SETTLE, AGAIN = 1e-9, 100  # relative gap from which settling is tried, and factor between one trial and the next
-SOONEST, CLEAR = (
-    1e-8,
-    0.55,
-)  # that gap of the smallest samples, whose slips are larger, and times spheres^3 of small ones
-SOON_AGAIN = 3  # that factor of small samples, in which trials cost little
+SOONEST, CLEAR = 1e-8, 0.55  # in small samples the gap is CLEAR / spheres^3, at most SOONEST: their slips are larger
+SOON_AGAIN = 3  # the factor in small samples
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
@@ -188,7 +185,7 @@ class InteriorPointMethod:
 
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
-        if self.scene.lattice.sites < SMALL and self.options.settle:
+        if self._small and self.options.settle:
             return iteration + AT_ONCE
         far = self.frustrated and max(sample.gap for sample in self.samples) > FAR
         return iteration + (2 if far else 1)
@@ -233,8 +230,11 @@ class InteriorPointMethod:
     def settles_at(self) -> float:
         """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
         large ones none is, and a step costs more than to follow the last decades of the path that much further."""
-        sites = self.scene.lattice.sites
-        return min(CLEAR / sites**3, SOONEST) if sites < SMALL else SETTLE
+        return min(CLEAR / self.scene.lattice.sites**3, SOONEST) if self._small else SETTLE
+
+    @property
+    def _small(self) -> bool:
+        return self.scene.lattice.sites < SMALL
 
     def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
         """See where a step of a sample has led, and whether to try to settle its states."""
@@ -245,8 +245,8 @@ class InteriorPointMethod:
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
         if sample.at_end:
-            clear = accepted and self.scene.lattice.sites < SMALL
-            sample.sticking = _sticking(sample.iterate, path.before(place)) if clear else None
+            known = accepted and self._small
+            sample.sticking = _sticking(sample.iterate, path.before(place)) if known else None
 
     @property
     def _settles(self) -> bool:
@@ -256,7 +256,7 @@ class InteriorPointMethod:
 
     def _near(self, sample: _Sample) -> float:
         """Relative gap from which the states of a sample are to be settled; 0 if never."""
-        again = SOON_AGAIN if self.scene.lattice.sites < SMALL else AGAIN
+        again = SOON_AGAIN if self._small else AGAIN
         return min(self.settles_at, sample.tried / again) if self._settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
@@ -267,10 +267,11 @@ class InteriorPointMethod:
         price = 0.0 if gap > FAR else path.price_of_torques(place)
         if not price > max(gap, CLOSEST):
             return gap
-        if self._settles and not gap < self._near(sample):
-            return gap + price
-        if self._settles and gap > CLOSEST and price < LAST_RESORT:
-            return gap
+        if self._settles and self.options.settle:
+            if not gap < self._near(sample):
+                return gap + price
+            if gap > CLOSEST and price < LAST_RESORT:
+                return gap
         try:
             balanced = balance(path.iterate(place), self.matrix)
         except NotPositiveDefinite:
