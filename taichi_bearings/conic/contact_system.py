@@ -227,8 +227,8 @@ def free_spins(staggered: np.ndarray) -> np.ndarray:
     return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
 
 
-def place_free_spins(staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-    """Inverse of :func:`free_spins`: write the spins (unknowns,) of one sample."""
+def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndarray) -> None:
+    """Inverse of :func:`free_spins`: write the spins (unknowns,) of one sample, or those (R, unknowns) of several."""
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.conic.central_path import Matrix, Path, balance, flowing
-from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, apart, each, isotropic, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
@@ -78,7 +78,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
         return together(settled)
     iterates = [sample.iterate for sample in samples]
     friction, dual = together([of.friction for of in iterates]), together([of.dual for of in iterates])
-    slip, margin = together([of.difference for of in iterates]).length(), 1 - dual.length() / friction
+    slip, margin = _slip_and_margin(together([of.difference for of in iterates]), dual, friction)
     viscosity = [of.viscosity for of in iterates if of.viscosity is not None]
     if viscosity:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + together(viscosity) / friction)
@@ -91,13 +91,15 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
 
 def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
     """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
-    (slip, margin), (slip_before, margin_before) = _slip_and_margin(iterate), _slip_and_margin(before)
+    (slip, margin), (slip_before, margin_before) = (
+        _slip_and_margin(of.difference, of.dual, of.friction) for of in (iterate, before)
+    )
     return (margin > APART * slip) & (slip < TREND * slip_before) & (margin > TREND * margin_before)
 
 
-def _slip_and_margin(iterate: Iterate) -> tuple[Arrays, Arrays]:
+def _slip_and_margin(difference: Arrays, dual: Arrays, friction: Arrays) -> tuple[Arrays, Arrays]:
     """(n,) a group, relative to the jump and to the friction."""
-    return iterate.difference.length(), 1 - iterate.dual.length() / iterate.friction
+    return difference.length(), 1 - dual.length() / friction
 
 
 _Skeleton = tuple[ContactSystem, list[Part], NewtonMatrix | None, Matrix | None]
@@ -339,15 +341,15 @@ class InteriorPointMethod:
     def _spins(self) -> Pair:
         """Staggered spins (C, R, *N) in twice the precision, 1/time; zero in the driven planes."""
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
-        for sample, *own in zip(self.samples, high, low, strict=True):
-            own[0][:] = sample.iterate.spins if sample.resolved is None else sample.resolved.spins
+        for number, sample in enumerate(self.samples):
+            high[number] = (sample.resolved or sample.iterate).spins
             if sample.resolved is not None and sample.resolved.rest is not None:
-                own[1][:] = sample.resolved.rest
-        sign, lattice = np.sign(self.scene.spin_top - self.scene.spin_bottom), self.scene.lattice
+                low[number] = sample.resolved.rest
+        sign = np.sign(self.scene.spin_top - self.scene.spin_bottom)
         jump = two_sum(np.array([sign * self.scene.spin_top]), np.array([-sign * self.scene.spin_bottom]))
-        found = np.zeros((2, len(self.spin_axes), len(high), *lattice.shape))
+        found = np.zeros((2, len(self.spin_axes), len(high), *self.scene.lattice.shape))
         for whole, free in zip(found, multiply(jump, (high, low)), strict=True):
-            whole[..., 1:-1] = np.moveaxis(free.reshape(len(high), *lattice.free_shape, -1), -1, 0)
+            place_free_spins(whole, slice(None), free)
         return found[0], found[1]
 
     def _lower_bound(self, force: tuple[np.ndarray, ...], objective: np.ndarray) -> np.ndarray:

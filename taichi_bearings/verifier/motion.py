@@ -78,9 +78,7 @@ class Motion:
             ahead[..., slot][low] = sphere[high]
         joins[..., [0, -1], -1] = True  # and to the first of its plane
         ahead[..., 0, -1], ahead[..., -1, -1] = (end[..., 0] for end in ends_of(sphere))
-        degree = sum(joins[..., slot].ravel() for slot in range(1, len(felt) + 1)) + joins[..., 0].ravel().astype(
-            np.int8
-        )
+        degree = sum(joins[..., slot].ravel() for slot in range(len(felt) + 1))
         begin = np.append(0, np.cumsum(degree))
         graph = sparse.csr_array((np.ones(begin[-1]), ahead[joins], begin), shape=(sphere.size,) * 2)
         label = connected_components(graph, directed=False)[1].reshape(sphere.shape)
