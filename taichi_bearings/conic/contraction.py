@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each
+from taichi_bearings.conic.grouped import Arrays, Grouped, each
 from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.numerics.double_double import Pair, two_sum
 
@@ -67,7 +67,8 @@ class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
     whole : the systems before. system : contacts that are not tied, over the new unknowns; kept : (n,) a group, their
-    places in the old system. owners : what belongs to which sample.
+    places in the old system. Contacts that loops of tied ones leave no slip are tied, too. owners : what belongs to
+    which sample.
     contradicts : (samples,), tied contacts join bottom and top, which turn differently.
     """
 
@@ -76,8 +77,9 @@ class Contraction:
         mask a group."""
         self.whole, self._parts = whole, parts
         self._label(whole, tied, samples)
-        self.kept = each(np.flatnonzero, ~tied)
-        groups = [self._group(g, keep) for g, keep in zip(whole.groups, self.kept, strict=True)]
+        kept = [self._slips(group, np.flatnonzero(~mask)) for group, mask in zip(whole.groups, tied, strict=True)]
+        self.kept = Grouped(kept)
+        groups = [self._group(group, keep) for group, keep in zip(whole.groups, kept, strict=True)]
         self.system = ContactSystem(self.unknowns, tuple(groups))
         size = each(lambda mask: max(len(mask) // samples, 1), tied)
         self.owners = Owners(samples, self._owner, each(np.floor_divide, self.kept, size))
@@ -103,6 +105,13 @@ class Contraction:
         number = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.unknowns, self._owner = int(is_free.sum()), owner[is_free]
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
+
+    def _slips(self, group: ContactGroup, places: np.ndarray) -> np.ndarray:
+        """Those of the places at which the ends are not the same by what is tied."""
+        ends = np.stack([group.below[:, places], group.above[:, places]])
+        number, (below, above) = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
+        differ = (number[0] != number[1]) | (above - below + group.offset[:, places] != 0)
+        return places[differ.any(axis=0)]
 
     def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
         """The contacts `keep` over the sets of tied spins."""

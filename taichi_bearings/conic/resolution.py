@@ -190,7 +190,7 @@ def _minima(
         whole, resting = trial.tied.expanded(trial.spins), trial.everywhere(at_rest)
         high, low = (part.reshape(len(numbers), -1) for part in whole)
         spins = [(high[sample], low[sample]) for sample in again]
-        slipping = [slipping[sample] & ~resting[sample] for sample in again]
+        slipping = [trial.slipping[sample] & ~resting[sample] for sample in again]
         numbers = [numbers[sample] for sample in again]
     return found
 
@@ -202,9 +202,9 @@ class _Slipping:
     """
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[Arrays], lattice: Surroundings) -> None:
-        self.samples, self.slipping = len(iterates), slipping
-        whole = lattice.system.copies(self.samples)
+        self.samples, whole = len(iterates), lattice.system.copies(len(iterates))
         self.tied = Contraction(whole, lattice.parts, together([~mask for mask in slipping]), self.samples)
+        self.slipping = self.everywhere(each(np.ones_like, self.tied.kept, bool))
         self.matrix = NewtonBlocks(self.tied)
         self.friction = together([iterate.friction for iterate in iterates])[self.tied.kept]
         self.balanced = np.zeros(self.samples, dtype=bool)
