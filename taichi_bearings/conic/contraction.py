@@ -13,7 +13,6 @@ import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Arrays, Grouped, each
-from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.numerics.double_double import Pair, two_sum
 
 
@@ -72,10 +71,10 @@ class Contraction:
     contradicts : (samples,), tied contacts join bottom and top, which turn differently.
     """
 
-    def __init__(self, whole: ContactSystem, parts: list[Part], tied: Arrays, samples: int = 1) -> None:
-        """whole : contacts before, of all samples; parts : elimination tree over the unknowns of a sample; tied : (n,)
+    def __init__(self, whole: ContactSystem, order: np.ndarray, tied: Arrays, samples: int = 1) -> None:
+        """whole : contacts before, of all samples; order : of elimination of the unknowns of a sample; tied : (n,)
         mask a group."""
-        self.whole, self._parts = whole, parts
+        self.whole, self._order = whole, order
         self._label(whole, tied, samples)
         kept = [self._slips(group, np.flatnonzero(~mask)) for group, mask in zip(whole.groups, tied, strict=True)]
         self.kept = Grouped(kept)
@@ -133,23 +132,15 @@ class Contraction:
         """The unknowns of a sample: they are one after the other."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
-    def parts(self, sample: int) -> list[Part]:
-        """Elimination tree over the unknowns of a sample, counted from its first.
-
-        A set goes to the part nearest the root that holds one of its spins; being connected, it has just one.
-        """
+    def order(self, sample: int) -> np.ndarray:
+        """Of elimination of the unknowns of a sample, counted from its first: a set goes when the last of its spins
+        would."""
         own = self.span(sample)
-        number = np.split(self.number, self.owners.samples)[sample]
-        home = np.full(own.stop - own.start, -1)
-        for place, part in enumerate(self._parts):  # children come first, so the last one to write is nearest the root
-            numbers = number[part.unknowns]
-            home[numbers[numbers >= 0] - own.start] = place
-        members = np.argsort(home, kind="stable")
-        bounds = np.searchsorted(home[members], np.arange(len(self._parts) + 1))
-        return [
-            Part(members[begin:end], part.children)
-            for part, begin, end in zip(self._parts, bounds[:-1], bounds[1:], strict=True)
-        ]
+        number = np.split(self.number, self.owners.samples)[sample][self._order]
+        number = number[number >= 0] - own.start
+        last = np.empty(own.stop - own.start, dtype=np.int64)
+        last[number] = np.arange(len(number))
+        return np.argsort(last)
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""

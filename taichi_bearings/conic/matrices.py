@@ -8,16 +8,16 @@ from taichi_bearings.conic.contact_system import ContactSystem, lattice_system
 from taichi_bearings.conic.newton_matrix import SHIFTS
 from taichi_bearings.conic.rows import ContactRows, Sums
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.cholesky import Part, dissect
+from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide, Storage
 
 
 class NewtonMatrices:
     """As :class:`NewtonMatrix`, for up to LANES samples; what is singular in one of them is no matter to the others."""
 
-    def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
-        """parts : elimination tree over the unknowns of `system`."""
-        self._system, self._cholesky = system, CholeskySideBySide(parts, *system.couplings())
+    def __init__(self, system: ContactSystem, order: np.ndarray) -> None:
+        """order : of elimination of the unknowns of `system`."""
+        self._system, self._cholesky = system, CholeskySideBySide(order, *system.couplings())
         pattern = self._cholesky.pattern
         self._map, self._diagonal = system.laplacian_map(pattern.entry, pattern.entries), pattern.diagonal
         self._kept: dict[int, tuple[ContactRows, Sums]] = {}

@@ -26,7 +26,7 @@ class NewtonBlocks:
                 continue
             pairs = first[of_sample] - own.start, second[of_sample] - own.start
             size = own.stop - own.start
-            cholesky = cholesky_of(size, partial(tied.parts, sample), pairs)
+            cholesky = cholesky_of(size, partial(tied.order, sample), pairs)
             begin, end = end, end + cholesky.pattern.entries
             self._places[of_sample] = begin + cholesky.pattern.entry(*pairs)
             self._blocks.append((sample, own, cholesky, slice(begin, end)))

@@ -8,7 +8,7 @@ import numpy as np
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.conic.rows import ContactRows
-from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, Part, WholeCholesky
+from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, WholeCholesky
 from taichi_bearings.numerics.cholesky.side_by_side import MANY, CholeskyAlone
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
@@ -19,12 +19,12 @@ AnyCholesky = WholeCholesky | CholeskyAlone | Cholesky
 
 
 def cholesky_of(
-    unknowns: int, parts: Callable[[], list[Part]], couplings: tuple[np.ndarray, np.ndarray]
+    unknowns: int, order: Callable[[], np.ndarray], couplings: tuple[np.ndarray, np.ndarray]
 ) -> AnyCholesky:
-    """What is quickest for so many unknowns. parts : elimination tree. couplings : pairs that are coupled."""
+    """What is quickest for so many unknowns. order : of elimination. couplings : pairs that are coupled."""
     if unknowns <= FEW:
         return WholeCholesky(unknowns)
-    return (CholeskyAlone if unknowns < MANY else Cholesky)(parts(), *couplings)
+    return (CholeskyAlone if unknowns < MANY else Cholesky)(order(), *couplings)
 
 
 def factorise_raised(cholesky: AnyCholesky, values: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
@@ -47,13 +47,13 @@ def factorise_raised(cholesky: AnyCholesky, values: np.ndarray, inertia: float |
 class NewtonMatrix:
     """Factorised weighted Laplacian of a contact system; the pattern is analysed once."""
 
-    def __init__(self, system: ContactSystem, parts: list[Part]) -> None:
-        """parts : elimination tree over the unknowns of `system`."""
+    def __init__(self, system: ContactSystem, order: np.ndarray) -> None:
+        """order : of elimination of the unknowns of `system`."""
         self._system = system
         self._empty = system.unknowns == 0  # everything is tied to the driven planes
         if self._empty:
             return
-        self._cholesky = cholesky_of(system.unknowns, lambda: parts, system.couplings())
+        self._cholesky = cholesky_of(system.unknowns, lambda: order, system.couplings())
         pattern = self._cholesky.pattern
         self._map = system.laplacian_map(pattern.entry, pattern.entries)
 

@@ -30,7 +30,7 @@ from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import bear, nearly_borne
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
@@ -79,13 +79,13 @@ class Resolved:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What samples of one lattice share. system : of each; parts : elimination tree over its unknowns.
+    """What samples of one lattice share. system : of each; order : of elimination of its unknowns.
 
     matrix, matrices : of one of them, and of several at once. top : (C,), imposed on the top, in twice the precision.
     """
 
     system: ContactSystem
-    parts: list[Part]
+    order: np.ndarray
     matrix: NewtonMatrix
     matrices: Matrix
     top: Pair
@@ -132,7 +132,7 @@ def _followed(iterate: Iterate, lattice: Surroundings) -> Resolved | None:
             break
     if found is None:
         return None
-    borne = bear(iterate.system, lattice.parts, iterate.friction, found.dual, found.slipping)
+    borne = bear(iterate.system, lattice.order, iterate.friction, found.dual, found.slipping)
     if borne.dual is not None:
         return replace(found, dual=borne.dual, borne=True)
     if borne.motion is None or gains(iterate, found, borne.motion):
@@ -203,7 +203,7 @@ class _Slipping:
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[Arrays], lattice: Surroundings) -> None:
         self.samples, whole = len(iterates), lattice.system.copies(len(iterates))
-        self.tied = Contraction(whole, lattice.parts, together([~mask for mask in slipping]), self.samples)
+        self.tied = Contraction(whole, lattice.order, together([~mask for mask in slipping]), self.samples)
         self.slipping = self.everywhere(each(np.ones_like, self.tied.kept, bool))
         self.matrix = NewtonBlocks(self.tied)
         self.friction = together([iterate.friction for iterate in iterates])[self.tied.kept]

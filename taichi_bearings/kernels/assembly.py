@@ -6,8 +6,9 @@ from taichi_bearings.compiler import ti
 # tables begin in the array of integers is written at its start:
 COLUMNS, FRONTS, ENTRY_START, ENTRY_PLACE, PLACES, HEADER = 0, 1, 2, 3, 4, 5
 # a row of the table of columns: front, where row 0 of this column would be among the reals (what is above the diagonal
-# is not stored, or does not count), and the matching columns of its two children in this table, or -1
-FRONT, ADDRESS, COLUMN_A, COLUMN_B, COLUMN_WIDTH = 0, 1, 2, 3, 4
+# is not stored, or does not count), the matching column of a child in this table, and that of the next child which has
+# one with the same column of their parent, or -1
+FRONT, ADDRESS, CHILD, SIBLING, COLUMN_WIDTH = 0, 1, 2, 3, 4
 # a row of the table of fronts; BEGIN : its first column in the table of columns, MAP : its border in that of places
 OWN, HEIGHT, FIRST, BEGIN, MAP, FRONT_WIDTH = 0, 1, 2, 3, 4, 5
 
@@ -33,12 +34,12 @@ def assemble(
             entry = tables[ENTRY_START] + tables[front + FIRST] + column
             for e in range(tables[entry], tables[entry + 1]):
                 reals[target + tables[tables[ENTRY_PLACE] + e]] = reals[e]
-        for which in ti.static((COLUMN_A, COLUMN_B)):
-            child_item = tables[at + which]
-            if child_item >= 0:
-                child_at = tables[COLUMNS] + child_item * COLUMN_WIDTH
-                child, source = tables[FRONTS] + tables[child_at + FRONT] * FRONT_WIDTH, tables[child_at + ADDRESS]
-                places = tables[PLACES] + tables[child + MAP] - tables[child + OWN]
-                for row in range(child_item - tables[child + BEGIN], tables[child + HEIGHT]):
-                    place = target + tables[places + row]
-                    reals[place] = reals[place] + reals[source + row]
+        child_item = tables[at + CHILD]
+        while child_item >= 0:
+            child_at = tables[COLUMNS] + child_item * COLUMN_WIDTH
+            child, source = tables[FRONTS] + tables[child_at + FRONT] * FRONT_WIDTH, tables[child_at + ADDRESS]
+            places = tables[PLACES] + tables[child + MAP] - tables[child + OWN]
+            for row in range(child_item - tables[child + BEGIN], tables[child + HEIGHT]):
+                place = target + tables[places + row]
+                reals[place] = reals[place] + reals[source + row]
+            child_item = tables[child_at + SIBLING]

@@ -19,10 +19,10 @@ TABLES = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
 # Where the tables begin in the array of integers is written at its start, after the number of fronts; then a 1
 FRONTS, PLACES, MAPS, BORDERS, STEP, HEADER = 0, 1, 2, 3, 4, 5
-# A row of the table of fronts: own unknowns and border, where columns and update begin, first and last entry, children
-# or -1, where its part of maps and borders begins, first own unknown, numbers from one column and one column of the
-# update to the next, and the row at which columns of the update begin
-OWN, BORDER, COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SHARE, FIRST = 0, 1, 2, 3, 4, 5, 6, 8, 9
+# A row of the table of fronts: own unknowns and border, where columns and update begin, first and last entry, its first
+# child and the next child of its parent, or -1, where its part of maps and borders begins, first own unknown, numbers
+# from one column and one column of the update to the next, and the row at which columns of the update begin
+OWN, BORDER, COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, SHARE, FIRST = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 HEIGHT, UPDATE_HEIGHT, SKIP, WIDTH = 10, 11, 12, 13
 
 
@@ -60,19 +60,20 @@ def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template
     while entry < entries_end:
         numbers[columns + tables[tables[PLACES] + entry]] = entries[entry]
         entry += step
-    for which in ti.static(range(2)):
-        if tables[at + CHILD + which] >= 0:
-            child = HEADER + tables[at + CHILD + which] * WIDTH
-            own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + SHARE]
-            j = 0
-            while j < length:
-                start, source = column_of(tables, at, tables[places + j]), column_of(tables, child, own + j) + own
-                i = j
-                while i < length:
-                    to = start + tables[places + i]
-                    numbers[to] = numbers[to] + numbers[source + i]
-                    i += step
-                j += step
+    next_child = tables[at + CHILD]
+    while next_child >= 0:
+        child = HEADER + next_child * WIDTH
+        own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + SHARE]
+        j = 0
+        while j < length:
+            start, source = column_of(tables, at, tables[places + j]), column_of(tables, child, own + j) + own
+            i = j
+            while i < length:
+                to = start + tables[places + i]
+                numbers[to] = numbers[to] + numbers[source + i]
+                i += step
+            j += step
+        next_child = tables[child + SIBLING]
 
 
 @ti.func

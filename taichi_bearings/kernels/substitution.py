@@ -7,8 +7,8 @@ from taichi_bearings.kernels.elimination import LANES, TABLES, VALUES, VECTORS
 
 # LANES rows, or columns, are worked on together; vectors of fronts begin at multiples of it.
 # A row of the table of fronts: own unknowns, rows, where own columns, vector and the table of places begin, the place
-# of the first own unknown in the order of elimination, children and parent, or -1
-OWN, HEIGHT, COLUMNS, VECTOR, MAP, FIRST, CHILD_A, CHILD_B, PARENT, WIDTH = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+# of the first own unknown in the order of elimination, its first child, the next child of its parent, and that, or -1
+OWN, HEIGHT, COLUMNS, VECTOR, MAP, FIRST, CHILD, SIBLING, PARENT, WIDTH = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 
 
 @ti.func
@@ -94,13 +94,13 @@ def down(
         vector[rows + i] = right[tables[order + tables[at + FIRST] + i]]
     for i in range(own, height):
         vector[rows + i] = ti.cast(0.0, ti.f64)
-    for which in ti.static((CHILD_A, CHILD_B)):
-        if tables[at + which] >= 0:
-            child = tables[at + which]
-            skip, places = tables[child + VECTOR] + tables[child + OWN], maps + tables[child + MAP]
-            for i in range(tables[child + HEIGHT] - tables[child + OWN]):
-                to = rows + tables[places + i]
-                vector[to] = vector[to] + vector[skip + i]
+    child = tables[at + CHILD]
+    while child >= 0:
+        skip, places = tables[child + VECTOR] + tables[child + OWN], maps + tables[child + MAP]
+        for i in range(tables[child + HEIGHT] - tables[child + OWN]):
+            to = rows + tables[places + i]
+            vector[to] = vector[to] + vector[skip + i]
+        child = tables[child + SIBLING]
     k = 0
     while k < own:
         start = tables[at + COLUMNS] + k * height

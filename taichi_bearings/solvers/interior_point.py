@@ -33,8 +33,7 @@ from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite, Part, dissect
-from taichi_bearings.numerics.cholesky.side_by_side import LEAF
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
@@ -102,7 +101,7 @@ def _slip_and_margin(difference: Arrays, dual: Arrays, friction: Arrays) -> tupl
     return difference.length(), 1 - dual.length() / friction
 
 
-_Skeleton = tuple[ContactSystem, list[Part], NewtonMatrix | None, Matrix | None]
+_Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None, Matrix | None]
 
 
 def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
@@ -120,16 +119,15 @@ def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
 
 
 def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
-    system, parts = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
+    system, order = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
     if not any(jump):  # nothing turns, and nothing is to be solved
-        return system, parts, None, None
-    fine = dissect(lattice.free_shape, spin_axes, LEAF) if lattice.sites < SMALL else parts
-    matrix = NewtonMatrix(system, fine)
-    matrices = NewtonMatrices(system, fine) if lattice.sites < SMALL else matrix
+        return system, order, None, None
+    matrix = NewtonMatrix(system, order)
+    matrices = NewtonMatrices(system, order) if lattice.sites < SMALL else matrix
     with one_thread():
         matrix.factorise(isotropic(system.offset))  # compiles what it needs
         matrix.solve(np.zeros(system.unknowns))
-    return system, parts, matrix, matrices
+    return system, order, matrix, matrices
 
 
 class InteriorPointMethod:
@@ -147,7 +145,7 @@ class InteriorPointMethod:
         self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])
         jump = self.top[0]
         self.frustrated = bool((jump != 0).any())
-        self.system, self.parts, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
+        self.system, self.order, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
         if matrix is not None and matrices is not None:
             self.matrix, self.matrices = matrix, matrices
             compile_passes()  # all before the clock starts
@@ -282,7 +280,7 @@ class InteriorPointMethod:
         return balanced.gap
 
     def _settle(self, samples: list[_Sample]) -> None:
-        lattice = Surroundings(self.system, self.parts, self.matrix, self.matrices, self.top)
+        lattice = Surroundings(self.system, self.order, self.matrix, self.matrices, self.top)
         with stage("settling contact states"):
             resolved = resolve([s.iterate for s in samples], [s.sticking for s in samples], lattice)
         for sample, found in zip(samples, resolved, strict=True):

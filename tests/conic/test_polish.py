@@ -88,9 +88,9 @@ def test_slipping_contacts_leave_no_torque_on_any_domain(seed):
 def test_contacts_that_join_both_planes_cannot_all_be_tied():
     from tests.conic.test_slipless_forces import BOTTOM, TOP, chain
 
-    system, parts = chain((BOTTOM, 0, 0.0), (0, TOP, 1.0))
+    system, order = chain((BOTTOM, 0, 0.0), (0, TOP, 1.0))
     one, both = np.array([True, False]), np.array([True, True])
-    tied = Contraction(system.copies(3), parts, Grouped([np.concatenate([one, both, one])]), samples=3)
+    tied = Contraction(system.copies(3), order, Grouped([np.concatenate([one, both, one])]), samples=3)
     assert tied.contradicts.tolist() == [False, True, False]
     assert tied.number.tolist() == [-1, -1, -1]
     assert (tied.imposed[[0, 2]] == 0).all()

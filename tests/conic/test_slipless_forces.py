@@ -9,7 +9,6 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.resolution import Resolved, gains
 from taichi_bearings.conic.slipless_forces import bear
 from taichi_bearings.lattice.incidence import contact_differences
-from taichi_bearings.numerics.cholesky import Part
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
@@ -26,50 +25,50 @@ def chain(*contacts, unknowns=1):
     below, above, slip = np.array(contacts).T
     ends = below.astype(int)[None], above.astype(int)[None]
     group = ContactGroup(*ends, slip[None], unknowns)
-    return ContactSystem(unknowns, (group,)), [Part(np.arange(unknowns), ())]
+    return ContactSystem(unknowns, (group,)), np.arange(unknowns)
 
 
 def pulled(friction, slip=1.0):
     """One sphere that two contacts hold to the bottom, while the third slips under the top."""
-    system, parts = chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, slip))
+    system, order = chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, slip))
     mu, slipping = np.array(friction), np.array([False, False, True])
     dual = np.where(slipping, -mu, np.nan)[None]  # that of slipless contacts is not looked at
-    return system, parts, mu, dual, slipping
+    return system, order, mu, dual, slipping
 
 
-def borne(system, parts, *of_contacts):
-    return bear(system, parts, *(Grouped([values]) for values in of_contacts))
+def borne(system, order, *of_contacts):
+    return bear(system, order, *(Grouped([values]) for values in of_contacts))
 
 
 @pytest.mark.parametrize("friction", [(0.4, 0.3, 0.5), (0.3, 0.2001, 0.5)], ids=["easily", "barely"])
 def test_two_contacts_bear_what_a_third_pulls(friction):
-    system, parts, mu, dual, slipping = pulled(friction)
-    (found,) = borne(system, parts, mu, dual, slipping).dual
+    system, order, mu, dual, slipping = pulled(friction)
+    (found,) = borne(system, order, mu, dual, slipping).dual
     assert system.torques(Grouped([found])) == pytest.approx([0.0], abs=1e-11)
     assert (np.abs(found[0, :2]) < mu[:2]).all()
     assert found[0, 2] == -mu[2]
 
 
 def test_two_contacts_too_weak_for_it_slip():
-    system, parts, mu, dual, slipping = pulled((0.25, 0.24, 0.5))
-    motion = borne(system, parts, mu, dual, slipping).motion
+    system, order, mu, dual, slipping = pulled((0.25, 0.24, 0.5))
+    motion = borne(system, order, mu, dual, slipping).motion
     assert motion[0] > 0  # after the top, as the third contact pulls
 
 
 @pytest.mark.parametrize("excess", [0.0, -1e-12, -1e-10, 1e-12], ids=str)
 def test_contacts_at_their_limit_are_no_proof(excess):
-    system, parts, mu, dual, slipping = pulled((0.3, 0.2 + excess, 0.5))
-    assert borne(system, parts, mu, dual, slipping).dual is None
+    system, order, mu, dual, slipping = pulled((0.3, 0.2 + excess, 0.5))
+    assert borne(system, order, mu, dual, slipping).dual is None
 
 
 def test_a_free_domain_turns_as_a_whole_at_no_cost():
     """Two spheres tied to each other, both dragged: up by the top, down by the bottom, with the same friction."""
-    system, parts = chain((BOTTOM, 0, 0.5), (0, 1, 0.0), (1, TOP, 0.5), unknowns=2)
+    system, order = chain((BOTTOM, 0, 0.5), (0, 1, 0.0), (1, TOP, 0.5), unknowns=2)
     mu, slipping = np.array([0.4, 0.5, 0.4]), np.array([True, False, True])
     dual = np.where(slipping, -mu, 0.0)[None]
-    (found,) = borne(system, parts, mu, dual, slipping).dual
+    (found,) = borne(system, order, mu, dual, slipping).dual
     assert found[0] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-10)
-    motion = borne(system, parts, np.array([0.4, 0.3, 0.4]), dual, slipping).motion
+    motion = borne(system, order, np.array([0.4, 0.3, 0.4]), dual, slipping).motion
     assert motion[1] > motion[0]  # apart
 
 

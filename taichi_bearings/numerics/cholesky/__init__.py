@@ -5,8 +5,8 @@ of spheres separates the lattice with the other components alone: half the size 
 its cost. No general ordering that we measured finds this; dissection.py builds it in.
 """
 
-from taichi_bearings.numerics.cholesky.dissection import Part, dissect
+from taichi_bearings.numerics.cholesky.dissection import dissect
 from taichi_bearings.numerics.cholesky.factor import Cholesky, NotPositiveDefinite
 from taichi_bearings.numerics.cholesky.whole import FEW, WholeCholesky
 
-__all__ = ["FEW", "Cholesky", "NotPositiveDefinite", "Part", "WholeCholesky", "dissect"]
+__all__ = ["FEW", "Cholesky", "NotPositiveDefinite", "WholeCholesky", "dissect"]

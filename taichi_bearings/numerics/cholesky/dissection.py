@@ -5,55 +5,51 @@ unknowns of a plane normal to a, *without component a*, separate what lies below
 that plane may stay with either side. A region is therefore one box for each component.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 Box = tuple[tuple[int, ...], tuple[int, ...]]  # lower corner, upper corner (exclusive)
 Region = dict[int, Box]  # spin component -> box of spheres
 
 
-@dataclass(frozen=True)
-class Part:
-    """One node of the elimination tree: its unknowns go last in its subtree. children : their places in the list."""
-
-    unknowns: np.ndarray
-    children: tuple[int, ...]
+LEAF = 20  # unknowns of a region that is not divided
 
 
-LEAF = 150  # unknowns of a region that is not divided: smaller ones cost more calls than they save arithmetic
-
-
-def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF) -> list[Part]:
-    """Elimination tree in postorder (children before parents) for a cubic lattice of free spheres.
+def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF) -> np.ndarray:
+    """Order of elimination (unknowns,) for a cubic lattice of free spheres: regions before what separates them.
 
     shape : free spheres along each axis; unknown number = sphere * components + position in `spin_axes`.
     leaf : regions of at most so many unknowns are not divided.
     """
-    sphere = np.arange(int(np.prod(shape))).reshape(shape)
-    parts: list[Part] = []
+    strides = [len(spin_axes) * int(np.prod(shape[axis + 1 :])) for axis in range(len(shape))]
+    known: dict[tuple, np.ndarray] = {}
 
     def numbers(region: Region) -> np.ndarray:
         found = [np.zeros(0, dtype=np.int64)]
         for component, (low, high) in region.items():
-            inside = sphere[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-            found.append(inside.ravel() * len(spin_axes) + spin_axes.index(component))
+            along = np.ix_(*map(np.arange, low, high))
+            at = sum(
+                (stride * place for stride, place in zip(strides, along, strict=True)), np.zeros(1, dtype=np.int64)
+            )
+            found.append(at.ravel() + spin_axes.index(component))
         return np.concatenate(found)
 
-    def build(region: Region) -> int | None:
-        if not region:
-            return None
+    def eliminated(region: Region) -> np.ndarray:
+        """Of regions that are alike, wherever they are, the numbers are alike."""
+        corner = np.min([low for low, _ in region.values()], axis=0).tolist()
+        moved = {c: tuple(tuple(map(int.__sub__, end, corner)) for end in box) for c, box in region.items()}
+        alike = tuple(moved.items())
+        if alike not in known:
+            known[alike] = divided(moved)
+        return known[alike] + sum(map(int.__mul__, strides, corner))
+
+    def divided(region: Region) -> np.ndarray:
         division = _best_division(region, len(shape)) if _size(region) > leaf else None
         if division is None:
-            parts.append(Part(numbers(region), ()))
-        else:
-            below, separator, above = division
-            children = tuple(place for place in (build(below), build(above)) if place is not None)
-            parts.append(Part(numbers(separator), children))
-        return len(parts) - 1
+            return numbers(region)
+        below, separator, above = division
+        return np.concatenate([*(eliminated(side) for side in (below, above) if side), numbers(separator)])
 
-    build({component: ((0,) * len(shape), tuple(shape)) for component in spin_axes})
-    return parts
+    return eliminated({component: ((0,) * len(shape), tuple(shape)) for component in spin_axes})
 
 
 def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:

@@ -10,13 +10,14 @@ from taichi_bearings import runtime
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.assembly import assemble
 from taichi_bearings.numerics.cholesky.dense import REAL, DenseFront
-from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.fronts import Pattern, analyse
 from taichi_bearings.numerics.cholesky.storage import Batch, Storage
 from taichi_bearings.numerics.cholesky.substitution import Substitution
+from taichi_bearings.numerics.cholesky.supernodes import Price
 
 SERIAL = 500_000  # numbers of a batch below which one worker assembles faster than a team
 WORTH_FORGETTING = 10_000_000  # entries of a factor whose memory is given back
+PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
 WORTH_A_THREAD = 3e6  # operations of a batch from which several threads share it
 
 
@@ -25,14 +26,14 @@ class NotPositiveDefinite(ArithmeticError):
 
 
 class Cholesky:
-    """Cholesky factorisation of a symmetric positive definite matrix with a given elimination tree.
+    """Cholesky factorisation of a symmetric positive definite matrix.
 
-    parts : the tree, at most two children a part. first, second : coupled unknowns, pairwise.
+    order : of elimination, (unknowns,). first, second : coupled unknowns, pairwise.
     Values are given for the entries (pattern.row, pattern.column); where they go, `pattern.entry` tells.
     """
 
-    def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
-        self.pattern = analyse(parts, first, second)
+    def __init__(self, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
+        self.pattern = analyse(order, first, second, PRICE)
         self._storage = Storage(self.pattern)
         self._substitution = Substitution(self.pattern, self._storage.factor)
         self._elimination: _Elimination | None = None

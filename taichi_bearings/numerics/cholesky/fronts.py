@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.numerics.cholesky.dissection import Part
+from taichi_bearings.numerics.cholesky.supernodes import Price, supernodes
 
 Integers = TypeVar("Integers", int, np.ndarray)
 PANEL = 256  # columns of an update that are stored and worked on together
@@ -85,38 +85,49 @@ class Pattern:
         return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
 
 
-def analyse(parts: list[Part], first: np.ndarray, second: np.ndarray) -> Pattern:
-    """Symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second` pairwise."""
-    order = np.concatenate([part.unknowns for part in parts])
-    size = len(order)
-    place = np.empty(size, dtype=np.int64)
-    place[order] = np.arange(size)
-    a, b, diagonal = place[first], place[second], np.arange(size)
-    rows, columns = np.concatenate([a, b, diagonal]), np.concatenate([b, a, diagonal])
-    coupled = sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(size, size))
-    coupled.sort_indices()
+def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Price) -> Pattern:
+    """Symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second` pairwise.
 
-    starts = np.concatenate([[0], np.cumsum([len(part.unknowns) for part in parts])])
+    order : the unknowns as they are to be eliminated, which branches of the tree may change places in.
+    """
+    parts = supernodes(_coupled(order, first, second), price)
+    order = order[parts.order]
+    coupled, size = _coupled(order, first, second), len(order)
+    starts = np.cumsum([0, *parts.own]).tolist()
     borders: list[np.ndarray] = []
-    for number, part in enumerate(parts):
-        end = starts[number + 1]
-        touched = coupled.indices[coupled.indptr[starts[number]] : coupled.indptr[end]]
-        gathered = [touched, *(borders[child] for child in part.children)]
-        later = np.unique(np.concatenate(gathered))
+    for begin, end, children in zip(starts[:-1], starts[1:], parts.children, strict=True):
+        touched = coupled.indices[coupled.indptr[begin] : coupled.indptr[end]]
+        later = np.unique(np.concatenate([touched, *(borders[child] for child in children)]))
         borders.append(later[later >= end].astype(np.int64))
 
-    parent = {child: number for number, part in enumerate(parts) for child in part.children}
-    depth = np.zeros(len(parts), dtype=int)
-    fronts = []
-    for number in reversed(range(len(parts))):
-        part, border = parts[number], borders[number]
+    parent = {child: number for number, children in enumerate(parts.children) for child in children}
+    depth, fronts = [0] * len(borders), list[Front]()
+    for number, border in reversed(list(enumerate(borders))):
         places = np.zeros(0, dtype=np.int64)
         if number in parent:
             above = parent[number]
             depth[number] = depth[above] + 1
             begin, end = starts[above], starts[above + 1]
             places = np.where(border < end, border - begin, end - begin + np.searchsorted(borders[above], border))
-        fronts.append(Front(int(starts[number]), len(part.unknowns), border, part.children, places, int(depth[number])))
+        own, children = parts.own[number], parts.children[number]
+        fronts.append(Front(starts[number], own, border, children, places, depth[number]))
     column = np.repeat(np.arange(size), np.diff(coupled.indptr))
     stored = coupled.indices >= column
+    place = _inverse(order)
     return Pattern(order, place, tuple(reversed(fronts)), coupled.indices[stored].astype(np.int64), column[stored])
+
+
+def _coupled(order: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:
+    """Which places of the order are coupled, both ways, and each with itself."""
+    place, diagonal = _inverse(order), np.arange(len(order))
+    a, b = place[first], place[second]
+    rows, columns = np.concatenate([a, b, diagonal]), np.concatenate([b, a, diagonal])
+    coupled = sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(order),) * 2)
+    coupled.sort_indices()
+    return coupled
+
+
+def _inverse(order: np.ndarray) -> np.ndarray:
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return place

@@ -9,23 +9,23 @@ from taichi_bearings.kernels import elimination as kernels
 from taichi_bearings.kernels.elimination import HEADER, LANES, WIDTH
 from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros, refuse_beyond
-from taichi_bearings.numerics.cholesky.dissection import Part
 from taichi_bearings.numerics.cholesky.factor import NotPositiveDefinite
 from taichi_bearings.numerics.cholesky.fronts import Pattern, analyse
+from taichi_bearings.numerics.cholesky.supernodes import Price
 
-LEAF = 20  # unknowns of a region that is not divided: calls cost nothing here, arithmetic does
+PRICE = Price(part=4000, column=20, update=20)  # calls cost nothing here
 MANY = 8_000  # unknowns from which libraries and threads are worth their calls
 
 
 class CholeskySideBySide:
-    """Cholesky factorisations of one or up to LANES symmetric positive definite matrices with a given elimination tree.
+    """Cholesky factorisations of one or up to LANES symmetric positive definite matrices of one pattern.
 
     What becomes of a matrix, bit by bit, does not depend on the others, nor on whether there are any. See
-    :class:`Cholesky` for parts, first and second.
+    :class:`Cholesky` for order, first and second.
     """
 
-    def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
-        self.pattern = analyse(parts, first, second)
+    def __init__(self, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
+        self.pattern = analyse(order, first, second, PRICE)
 
     def factorise(self, values: np.ndarray) -> np.ndarray:
         """Factorise the matrices with these values (entries, S) at the entries of the pattern; True (S,) for those that
@@ -60,8 +60,8 @@ class CholeskySideBySide:
 class CholeskyAlone:
     """Like Cholesky, of one matrix with fewer than MANY unknowns: all in one launch."""
 
-    def __init__(self, parts: list[Part], first: np.ndarray, second: np.ndarray) -> None:
-        self._all = CholeskySideBySide(parts, first, second)
+    def __init__(self, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
+        self._all = CholeskySideBySide(order, first, second)
         self.pattern = self._all.pattern
 
     def factorise(self, values: np.ndarray) -> None:
@@ -142,7 +142,9 @@ def _tables(pattern: Pattern, unit: int) -> tuple[np.ndarray, int, np.ndarray]:
         places.append(column * height + inside)
         pivots.append(columns + np.arange(front.own) * (height + 1))
         table[number, :6] = front.own, len(front.border), columns, updates[number], entries.start, entries.stop
-        table[number, 6 : 6 + len(front.children)] = front.children
+        next_of = [(number, kernels.CHILD), *((child, kernels.SIBLING) for child in front.children)]
+        for place, child in zip(next_of, front.children, strict=False):
+            table[place] = child
         table[number, 8:] = share_end[number] - len(front.border), front.first, height, update_height, skip
     none = [np.zeros(0, dtype=np.int64)]
     maps = np.concatenate([*none, *(np.resize(f.place_in_parent, len(f.border)) for f in fronts)])

@@ -7,7 +7,7 @@ import numpy as np
 from taichi_bearings.kernels.assembly import (
     ADDRESS,
     BEGIN,
-    COLUMN_A,
+    CHILD,
     COLUMN_WIDTH,
     FIRST,
     FRONT,
@@ -16,6 +16,7 @@ from taichi_bearings.kernels.assembly import (
     HEIGHT,
     MAP,
     OWN,
+    SIBLING,
 )
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.memory import refuse_beyond
@@ -93,15 +94,15 @@ class Storage:
 
 def _join_children(pattern: Pattern, table: np.ndarray, columns: np.ndarray, maps: np.ndarray) -> None:
     """Write into the table of columns which columns of the children belong there."""
-    for which in (0, 1):
+    for which in reversed(range(max(len(front.children) for front in pattern.fronts))):
         pairs = [(front.children[which], n) for n, front in enumerate(pattern.fronts) if len(front.children) > which]
-        if pairs:
-            child, parent = np.array(pairs).T
-            border = table[child, HEIGHT] - table[child, OWN]
-            column = np.arange(border.sum()) - np.repeat(np.cumsum(border) - border, border)
-            place = maps[np.repeat(table[child, MAP], border) + column]
-            own = np.repeat(table[child, BEGIN] + table[child, OWN], border) + column
-            columns[np.repeat(table[parent, BEGIN], border) + place, COLUMN_A + which] = own
+        child, parent = np.array(pairs).T
+        border = table[child, HEIGHT] - table[child, OWN]
+        column = np.arange(border.sum()) - np.repeat(np.cumsum(border) - border, border)
+        place = maps[np.repeat(table[child, MAP], border) + column]
+        own = np.repeat(table[child, BEGIN] + table[child, OWN], border) + column
+        above = np.repeat(table[parent, BEGIN], border) + place
+        columns[own, SIBLING], columns[above, CHILD] = columns[above, CHILD], own
 
 
 def _entries(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:

@@ -26,9 +26,9 @@ class Substitution:
         table[:, kernels.VECTOR], table[:, kernels.MAP] = np.cumsum(room) - room, np.cumsum(border) - border
         table[:, kernels.FIRST] = [front.first for front in fronts]
         for number, front in enumerate(fronts):
-            for which, child in enumerate(front.children):
-                table[number, kernels.CHILD_A + which] = child * WIDTH
-                table[child, kernels.PARENT] = number * WIDTH
+            next_of = [(number, kernels.CHILD), *((child, kernels.SIBLING) for child in front.children)]
+            for place, child in zip(next_of, front.children, strict=False):
+                table[place], table[child, kernels.PARENT] = child * WIDTH, number * WIDTH
         stages = _stages(pattern)
         branches = np.concatenate(stages)
         ends = np.cumsum([len(stage) for stage in stages]).tolist()

@@ -1,0 +1,83 @@
+"""The elimination tree against elimination entry by entry, and what its supernodes spare."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from taichi_bearings.conic.contact_system import lattice_system
+from taichi_bearings.kernels import elimination_tree
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.cholesky import dissect, factor, side_by_side
+from taichi_bearings.numerics.cholesky.fronts import analyse
+from taichi_bearings.numerics.cholesky.supernodes import Price, supernodes
+
+pytestmark = pytest.mark.usefixtures("taichi_runtime")
+
+
+def random_pattern(size, share, seed):
+    """Symmetric, with its diagonal; in several pieces where the share is small."""
+    coupled = np.random.default_rng(seed).random((size, size)) < share
+    return coupled | coupled.T | np.eye(size, dtype=bool)
+
+
+def filled(coupled):
+    """Lower triangle of the factor, eliminated column by column."""
+    full = coupled.copy()
+    for k in range(len(full)):
+        below = np.flatnonzero(full[k + 1 :, k]) + k + 1
+        full[np.ix_(below, below)] = True
+    return np.tril(full)
+
+
+PATTERNS = [(1, 0.0), (12, 0.0), (40, 0.02), (40, 0.05), (60, 0.1), (25, 1.0)]
+
+
+@pytest.mark.parametrize(("size", "share"), PATTERNS)
+def test_the_tree_is_that_of_the_factor(size, share):
+    coupled = random_pattern(size, share, seed=size)
+    matrix, full = sparse.csr_matrix(coupled), filled(coupled)
+    parent, count, mark = np.zeros((3, size), dtype=np.int32)
+    elimination_tree.grow(matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), parent, count, mark)
+    assert count.tolist() == full.sum(axis=0).tolist()
+    for k in range(size):
+        below = np.flatnonzero(full[k + 1 :, k])
+        assert parent[k] == (below[0] + k + 1 if len(below) else -1)
+
+
+@pytest.mark.parametrize("price", [(0, 0, 0), (10, 1, 1), (1e3, 10, 10), (1e9, 0, 0)])
+@pytest.mark.parametrize(("size", "share"), PATTERNS)
+def test_parts_hold_the_factor_and_come_after_their_children(size, share, price):
+    coupled = random_pattern(size, share, seed=3 + size)
+    parts = supernodes(sparse.csr_matrix(coupled), Price(*price))
+    assert sorted(parts.order.tolist()) == list(range(size))
+    assert sum(parts.own) == size
+    full = filled(coupled[np.ix_(parts.order, parts.order)])
+    assert full.sum() == filled(coupled).sum()  # another order of the same tree
+    ends, above = np.cumsum(parts.own), {c: n for n, children in enumerate(parts.children) for c in children}
+    assert all(child < number for child, number in above.items())
+    for number, end in enumerate(ends):
+        below = np.flatnonzero(full[end:, end - parts.own[number] : end].any(axis=1)) + end
+        assert (number in above) == bool(len(below))
+        if len(below):
+            assert below[0] < ends[above[number]]
+            assert below[0] >= ends[above[number]] - parts.own[above[number]]
+    if price == (1e9, 0, 0):  # nothing else counts: one part for each piece of the graph
+        assert len(parts.own) == sparse.csgraph.connected_components(sparse.csr_matrix(coupled))[0]
+
+
+@pytest.mark.parametrize(
+    ("shape", "price", "most_operations", "most_entries", "fronts"),
+    [
+        ((10, 10, 10), side_by_side.PRICE, 4.1e6, 90_000, 160),
+        ((16, 16, 16), side_by_side.PRICE, 9.0e7, 700_000, 700),
+        ((32, 32, 32), factor.PRICE, 8.6e9, 1.7e7, 2_000),
+    ],
+)
+def test_dense_blocks_hold_few_zeros(shape, price, most_operations, most_entries, fronts):
+    """Planes of the dissection as blocks: 6.6, 121 and 10 600 million operations."""
+    lattice = Lattice(shape)
+    system = lattice_system(lattice, (0, 1), np.ones(2))
+    pattern = analyse(dissect(lattice.free_shape, (0, 1)), *system.couplings(), price)
+    assert pattern.operations < most_operations
+    assert pattern.factor_entries < most_entries
+    assert len(pattern.fronts) < fronts
