@@ -58,7 +58,7 @@ ODD = {
 
 def test_settling_once_more_from_closer_by_spoils_nothing():
     """Over four decades rounding leaves ever larger torques the further the path goes."""
-    solution = minimum_of(make_scene((3, 3, 8), distribution="bimodal:1,1e4,0.3", seeds=(9, 14)))
+    solution = minimum_of(make_scene((3, 3, 8), distribution="bimodal:1,1e4,0.3", seeds=(9, 121)))
     assert (solution.gap < 1e-10).all()
 
 

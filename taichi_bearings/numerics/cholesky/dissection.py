@@ -20,27 +20,24 @@ def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF
     shape : free spheres along each axis; unknown number = sphere * components + position in `spin_axes`.
     leaf : regions of at most so many unknowns are not divided.
     """
-    strides = [len(spin_axes) * int(np.prod(shape[axis + 1 :])) for axis in range(len(shape))]
+    sphere = np.arange(int(np.prod(shape))).reshape(shape)
     known: dict[tuple, np.ndarray] = {}
 
     def numbers(region: Region) -> np.ndarray:
         found = [np.zeros(0, dtype=np.int64)]
         for component, (low, high) in region.items():
-            along = np.ix_(*map(np.arange, low, high))
-            at = sum(
-                (stride * place for stride, place in zip(strides, along, strict=True)), np.zeros(1, dtype=np.int64)
-            )
-            found.append(at.ravel() + spin_axes.index(component))
+            inside = sphere[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+            found.append(inside.ravel() * len(spin_axes) + spin_axes.index(component))
         return np.concatenate(found)
 
     def eliminated(region: Region) -> np.ndarray:
-        """Of regions that are alike, wherever they are, the numbers are alike."""
-        corner = np.min([low for low, _ in region.values()], axis=0).tolist()
-        moved = {c: tuple(tuple(map(int.__sub__, end, corner)) for end in box) for c, box in region.items()}
+        """The order of regions that are alike is alike, wherever they are."""
+        corner = tuple(np.min([low for low, _ in region.values()], axis=0).tolist())
+        moved = {c: (_less(low, corner), _less(high, corner)) for c, (low, high) in region.items()}
         alike = tuple(moved.items())
         if alike not in known:
             known[alike] = divided(moved)
-        return known[alike] + sum(map(int.__mul__, strides, corner))
+        return known[alike] + sphere[corner] * len(spin_axes)
 
     def divided(region: Region) -> np.ndarray:
         division = _best_division(region, len(shape)) if _size(region) > leaf else None
@@ -77,6 +74,10 @@ def _cut(box: Box, axis: int, first: int, last: int) -> Box:
     low, high = list(box[0]), list(box[1])
     low[axis], high[axis] = max(low[axis], first), min(high[axis], last)
     return tuple(low), tuple(high)
+
+
+def _less(corner: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(a - b for a, b in zip(corner, other, strict=True))
 
 
 def _box_size(box: Box) -> int:

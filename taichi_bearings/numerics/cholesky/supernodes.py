@@ -1,8 +1,8 @@
 """Which unknowns are eliminated together: the supernodes of an elimination tree.
 
 Columns of the factor that have the same rows make up a dense block. Few have quite the same: blocks are joined if the
-zeros that are then stored cost less than the calls and copies that are saved (relaxed supernodes: Ashcraft & Grimes, TOMS
-1989). The planes of a dissection, each as a block of its own, would be a quarter to almost half zeros.
+zeros that are then stored cost less than the calls and copies that are saved (relaxed supernodes: Ashcraft & Grimes,
+TOMS 1989). The planes of a dissection, each as a block of its own, would be a quarter to almost half zeros.
 """
 
 from dataclasses import astuple, dataclass
