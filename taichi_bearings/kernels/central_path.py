@@ -71,8 +71,8 @@ def determinant(head, tail: ti.template()):
 @ti.func
 def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
     """The hyperbolic rotation of a point, or its inverse for sign -1: head first."""
-    along = dot(by_tail, tail)
-    forth = sign * head + along / (1.0 + by_head)
+    along, share = dot(by_tail, tail), 1.0 / (1.0 + by_head)
+    forth = sign * head + along * share
     return [by_head * head + sign * along] + [tail[k] + by_tail[k] * forth for k in ti.static(range(len(tail)))]
 
 
@@ -87,9 +87,9 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 @ti.func
 def unscaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
     """W^-1 point: head first."""
-    weight = values[at[WEIGHT] + m]
+    share = 1.0 / values[at[WEIGHT] + m]
     found = rotated(values[at[HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, -1)
-    return [x / weight for x in ti.static(found)]
+    return [x * share for x in ti.static(found)]
 
 
 @ti.func
@@ -102,8 +102,8 @@ def jordan(a, b: ti.template(), c, d: ti.template()):
 def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
     """W^-1 x for the x with (scaled point) o x = (head, tail): head first."""
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
-    first = (by * head - dot(by_tail, tail)) / determinant(by, by_tail)
-    rest = [(tail[k] - by_tail[k] * first) / by for k in ti.static(range(len(tail)))]
+    first, share = (by * head - dot(by_tail, tail)) / determinant(by, by_tail), 1.0 / by
+    rest = [(tail[k] - by_tail[k] * first) * share for k in ti.static(range(len(tail)))]
     return unscaled(values, at, first, rest, m)
 
 
@@ -248,8 +248,8 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     below, above = found[0] - length, found[0] + length  # the eigenvalues
     raised = ti.max(ti.min(ti.max(below, low), high) - below, -high)
     lowered = ti.max(ti.min(ti.max(above, low), high) - above, -high)
-    share = ti.select(length > 0.0, (lowered - raised) / 2.0 / length, 0.0)
-    mend = divided(values, state, (raised + lowered) / 2.0, [share * tail[k] for k in axes], m)
+    share = ti.select(length > 0.0, (lowered - raised) * 0.5 / length, 0.0)
+    mend = divided(values, state, (raised + lowered) * 0.5, [share * tail[k] for k in axes], m)
     choice, written = numbers[4 * BLOCK + m], at[3]
     right = [values[step[RIGHT_HEAD + k] + m] for k in ti.static(range(1 + len(like)))]
     kept = [values[written[RIGHT_HEAD + k] + m] for k in ti.static(range(1 + len(like)))]
