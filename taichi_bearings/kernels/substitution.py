@@ -4,6 +4,7 @@ what is left of it. So fronts that are not above each other can be solved at onc
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.kernels.elimination import LANES, TABLES, VALUES, VECTORS
+from taichi_bearings.kernels.team import LEAST_CHUNK
 
 # LANES rows, or columns, are worked on together; vectors of fronts begin at multiples of it.
 # A row of the table of fronts: own unknowns, rows, where own columns, vector and the table of places begin, the place
@@ -144,12 +145,12 @@ def substitute(
 
     right : the right-hand side, in the end the solution. branches, order, maps : where these tables begin.
     """
-    ti.loop_config(block_dim=1)
-    for branch in range(begin, end):
-        first, last = tables[branches + 2 * branch], tables[branches + 2 * branch + 1]
-        for turn in range(first, last):
-            if ti.static(forth):
-                down(tables, turn * WIDTH, order, maps, factor, right, vector, blocks)
-            else:
-                back = (first + last - 1 - turn) * WIDTH
-                up(tables, back, order, maps, factor, right, vector, blocks)
+    for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
+        if item % LEAST_CHUNK == 0:
+            branch = branches + 2 * (item // LEAST_CHUNK)
+            first, last = tables[branch], tables[branch + 1]
+            for n in range(first, last):
+                if ti.static(forth):
+                    down(tables, n * WIDTH, order, maps, factor, right, vector, blocks)
+                else:
+                    up(tables, (first + last - 1 - n) * WIDTH, order, maps, factor, right, vector, blocks)
