@@ -138,7 +138,7 @@ def up(
 
 @ti.kernel
 def substitute(
-    forth: ti.template(), tables: TABLES, begin: int, end: int, branches: int, order: int,
+    forth: int, tables: TABLES, begin: int, end: int, branches: int, order: int,
     maps: int, factor: VALUES, right: VALUES, vector: VALUES, blocks: VECTORS,
 ):  # fmt: skip
     """Branches begin ... end-1 of the tree, each the fronts from one entry of the table of branches to the next.
@@ -150,7 +150,7 @@ def substitute(
             branch = branches + 2 * (item // LEAST_CHUNK)
             first, last = tables[branch], tables[branch + 1]
             for n in range(first, last):
-                if ti.static(forth):
+                if forth:
                     down(tables, n * WIDTH, order, maps, factor, right, vector, blocks)
                 else:
                     up(tables, (first + last - 1 - n) * WIDTH, order, maps, factor, right, vector, blocks)

@@ -48,14 +48,14 @@ class Cholesky:
         Raises NotPositiveDefinite if a pivot is not positive.
         """
         if self._elimination is None:
-            self._elimination = _Elimination(self.pattern, self._storage)
+            self._elimination = _Elimination(self.pattern, self._storage, self._substitution)
         self._elimination.eliminate(values)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for one right-hand side, (size,)."""
         assert self._elimination is not None
         look_up()
-        return self._substitution.solve(self._elimination.reals, right)
+        return self._elimination.solve(right)
 
     def forget(self) -> None:
         """Give the memory of the factor back, if it is large."""
@@ -66,8 +66,9 @@ class Cholesky:
 class _Elimination:
     """The numbers of a factorisation, and the calls that work on them."""
 
-    def __init__(self, pattern: Pattern, storage: Storage) -> None:
+    def __init__(self, pattern: Pattern, storage: Storage, substitution: Substitution) -> None:
         self._tables, self.reals, self._entries = storage.tables, storage.new_reals(), pattern.entries
+        self.solve = substitution.of(self.reals)
         columns, updates = (
             (self.reals.ctypes.data + REAL * places).tolist() for places in (storage.factor, storage.update)
         )

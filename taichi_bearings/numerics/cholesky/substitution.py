@@ -1,11 +1,13 @@
 """Solves with a factor: branches of the elimination tree at once, then what is above them, level by level."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.kernels import substitution as kernels
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.kernels.substitution import WIDTH
+from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros
 from taichi_bearings.numerics.cholesky.fronts import Pattern
 
@@ -13,7 +15,7 @@ BRANCH = 1 / 16  # of the factor, which a branch has at most; they do not depend
 
 
 class Substitution:
-    """Forward and backward substitution with a factor of this pattern."""
+    """Forward and backward substitution with factors of this pattern."""
 
     def __init__(self, pattern: Pattern, columns: np.ndarray) -> None:
         """columns : (fronts,) places of the own columns of the fronts among the numbers of a factor."""
@@ -36,19 +38,25 @@ class Substitution:
         parts = [table.ravel(), branches.ravel(), pattern.order, *(front.place_in_parent for front in fronts)]
         self._tables = np.concatenate(parts).astype(np.int32)
         self._begins = np.cumsum([part.size for part in parts[:3]]).tolist()
-        self._room = int(room.sum())
+        self._room, self._unknowns = int(room.sum()), pattern.size
 
-    def solve(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Solution (unknowns,) for one right-hand side."""
-        runtime.current()  # starts it
-        solution, vector = right.copy(), aligned_zeros(self._room, LANES)
-        for forth in (True, False):
-            for begin, end in self._stages if forth else reversed(self._stages):
-                kernels.substitute(
-                    forth, self._tables, begin, end, *self._begins, factor, solution, vector,
-                    vector.reshape(-1, LANES),
-                )  # fmt: skip
-        return solution
+    def of(self, factor: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Gives solutions (unknowns,) for right-hand sides (unknowns,), with the numbers that then are in `factor`."""
+        solution, vector = np.zeros(self._unknowns), aligned_zeros(self._room, LANES)
+        numbers = factor, solution, vector, vector.reshape(-1, LANES)
+        starts = [
+            prepared(kernels.substitute, forth, self._tables, begin, end, *self._begins, *numbers)
+            for forth in (1, 0)
+            for begin, end in (self._stages if forth else reversed(self._stages))
+        ]
+
+        def solve(right: np.ndarray) -> np.ndarray:
+            solution[:] = right
+            for start in starts:
+                start()
+            return solution.copy()
+
+        return solve
 
 
 def _stages(pattern: Pattern) -> list[np.ndarray]:
