@@ -9,6 +9,7 @@ from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, WholeCholesky
+from taichi_bearings.numerics.cholesky.factor import compile_fronts
 from taichi_bearings.numerics.cholesky.side_by_side import MANY, CholeskyAlone
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
@@ -56,6 +57,11 @@ class NewtonMatrix:
         self._cholesky = cholesky_of(system.unknowns, lambda: order, system.couplings())
         pattern = self._cholesky.pattern
         self._map = system.laplacian_map(pattern.entry, pattern.entries)
+
+    def compile(self) -> None:
+        """Compile what it needs, before the clock starts."""
+        if not self._empty and isinstance(self._cholesky, Cholesky):
+            compile_fronts()
 
     def factorise(self, stiffness: Arrays, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin, (unknowns,).

@@ -23,7 +23,7 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import Matrix, Path, balance, flowing
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Arrays, apart, each, isotropic, together, where
+from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -124,9 +124,6 @@ def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[floa
         return system, order, None, None
     matrix = NewtonMatrix(system, order)
     matrices = NewtonMatrices(system, order) if lattice.sites < SMALL else matrix
-    with one_thread():
-        matrix.factorise(isotropic(system.offset))  # compiles what it needs
-        matrix.solve(np.zeros(system.unknowns))
     return system, order, matrix, matrices
 
 
@@ -149,10 +146,10 @@ class InteriorPointMethod:
         if matrix is not None and matrices is not None:
             self.matrix, self.matrices = matrix, matrices
             compile_passes()  # all before the clock starts
-            if isinstance(matrices, NewtonMatrices):
-                compile_eliminations(1)  # the last one may be alone
-                if scene.replicas > 1:
-                    compile_eliminations(LANES)
+            matrix.compile()
+            compile_eliminations(1)  # the last one may be alone
+            if isinstance(matrices, NewtonMatrices) and scene.replicas > 1:
+                compile_eliminations(LANES)
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:

@@ -63,6 +63,16 @@ class Cholesky:
             self._elimination = None
 
 
+@lru_cache
+def compile_fronts() -> None:
+    """Compile the kernels of large factorisations, on a single unknown: they are the same for all."""
+    none = np.zeros(0, dtype=np.int64)
+    cholesky = Cholesky(np.zeros(1, dtype=np.int64), none, none)
+    cholesky.factorise(np.ones(1))
+    cholesky.solve(np.ones(1))
+    assemble(False, 0, 0, cholesky._storage.tables, np.zeros(1))  # the one above was serial
+
+
 class _Elimination:
     """The numbers of a factorisation, and the calls that work on them."""
 
