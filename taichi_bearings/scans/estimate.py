@@ -13,7 +13,7 @@ from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
-UNIT_SECONDS = 0.5  # estimated work that is sent to a worker at a time
+UNIT_SECONDS = 1.0  # estimated work that is sent to a worker at a time
 TOGETHER = 24  # samples of which an interior point steps eight at once: where one is done, another takes its place
 MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
@@ -47,7 +47,7 @@ def bytes_of(settings: RunSettings) -> float:
 
 
 def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
-    """The samples in units of work: as many of like settings as take a fraction of a second or gain by being solved
+    """The samples in units of work: as many of like settings as take about a second or gain by being solved
     together, but as much for every worker."""
     units = []
     for group in groups_of(samples):

@@ -163,7 +163,7 @@ class InteriorPoint(MethodOptions):
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         sites = prod(shape)
-        return 3e-6 * sites**1.3 if len(shape) == 2 else 1.5e-5 * sites + 2e-8 * sites**2
+        return 3e-6 * sites**1.3 if len(shape) == 2 else 1.2e-5 * sites + 1.2e-8 * sites**2
 
     @classmethod
     def bytes(cls, sites: int) -> float:

@@ -343,7 +343,7 @@ def test_samples_of_two_precisions_get_workers_of_their_own(plan_of, tmp_path):
     assert np.allclose(power[:2], power[2:], rtol=2e-2)
 
 
-def test_units_hold_like_samples_of_a_fraction_of_a_second(plan_of):
+def test_units_hold_like_samples_of_about_a_second(plan_of):
     plan = plan_of("[scan]\nshape = [[10, 10], [10, 10, 10], [24, 24, 24]]\nseed = { start = 0, stop = 300 }\n")
     units = units_of(plan.samples)
     assert [sample for unit in units for sample in unit] == list(plan.samples)
