@@ -90,15 +90,19 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
 
     order : the unknowns as they are to be eliminated, which branches of the tree may change places in.
     """
-    parts = supernodes(_coupled(order, first, second), price)
-    order = order[parts.order]
-    coupled, size = _coupled(order, first, second), len(order)
+    coupled = _coupled(order, first, second)
+    parts = supernodes(coupled, price)
+    order, place = order[parts.order], _inverse(parts.order)
+    half = sparse.tril(coupled).tocoo()
+    a, b = place[half.row], place[half.col]
+    column, row = np.divmod(np.sort(np.minimum(a, b) * len(order) + np.maximum(a, b)), len(order))
+    entries = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=len(order)))]).tolist()
     starts = np.cumsum([0, *parts.own]).tolist()
     borders: list[np.ndarray] = []
     for begin, end, children in zip(starts[:-1], starts[1:], parts.children, strict=True):
-        touched = coupled.indices[coupled.indptr[begin] : coupled.indptr[end]]
+        touched = row[entries[begin] : entries[end]]
         later = np.unique(np.concatenate([touched, *(borders[child] for child in children)]))
-        borders.append(later[later >= end].astype(np.int64))
+        borders.append(later[later >= end])
 
     parent = {child: number for number, children in enumerate(parts.children) for child in children}
     depth, fronts = [0] * len(borders), list[Front]()
@@ -111,10 +115,7 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
             places = np.where(border < end, border - begin, end - begin + np.searchsorted(borders[above], border))
         own, children = parts.own[number], parts.children[number]
         fronts.append(Front(starts[number], own, border, children, places, depth[number]))
-    column = np.repeat(np.arange(size), np.diff(coupled.indptr))
-    stored = coupled.indices >= column
-    place = _inverse(order)
-    return Pattern(order, place, tuple(reversed(fronts)), coupled.indices[stored].astype(np.int64), column[stored])
+    return Pattern(order, _inverse(order), tuple(reversed(fronts)), row, column)
 
 
 def _coupled(order: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:
@@ -122,9 +123,7 @@ def _coupled(order: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse
     place, diagonal = _inverse(order), np.arange(len(order))
     a, b = place[first], place[second]
     rows, columns = np.concatenate([a, b, diagonal]), np.concatenate([b, a, diagonal])
-    coupled = sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(order),) * 2)
-    coupled.sort_indices()
-    return coupled
+    return sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(order),) * 2)
 
 
 def _inverse(order: np.ndarray) -> np.ndarray:
