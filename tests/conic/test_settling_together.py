@@ -57,6 +57,20 @@ def test_sets_of_tied_spins_are_those_of_each_sample_alone(system, order, tied, 
         assert sorted(alone.order(0).tolist()) == list(range(alone.unknowns))
 
 
+def test_contacts_that_loops_leave_no_slip_are_tied_too(system, tied, contraction):
+    rng = np.random.default_rng(5)
+    spins, _ = contraction.expanded((rng.random(contraction.unknowns), np.zeros(contraction.unknowns)))
+    slips, looped = system.copies(len(tied)).differences(spins).length(), 0
+    for slip, kept, mask in zip(slips, contraction.kept, together(tied), strict=True):
+        left = np.zeros(len(slip), dtype=bool)
+        left[kept] = True
+        consistent = np.repeat(~contraction.contradicts, len(slip) // len(tied))
+        assert not (left & mask).any()
+        assert (left == (slip > 0))[consistent].all()
+        looped += int((~left & ~mask)[consistent].sum())
+    assert looped > 0
+
+
 def test_largest_numbers_are_found_sample_by_sample(contraction):
     owners, rng = contraction.owners, np.random.default_rng(2)
     values = each(lambda own: rng.random((2, len(own))), owners.contacts)

@@ -2,7 +2,7 @@
 
 Every Newton step on the lattice needs one. Contacts along an axis do not couple the spin component along it, so a plane
 of spheres separates the lattice with the other components alone: half the size of an ordinary separator, an eighth of
-its cost. No general ordering that we measured finds this; dissection.py builds it in.
+its cost. METIS and minimum degree do not find this; dissection.py builds it in.
 """
 
 from taichi_bearings.numerics.cholesky.dissection import dissect
