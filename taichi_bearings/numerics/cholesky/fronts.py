@@ -69,6 +69,15 @@ class Pattern:
         """Which of the stored entries are on the diagonal, (size,)."""
         return np.flatnonzero(self.row == self.column)
 
+    @property
+    def kin(self) -> np.ndarray:
+        """First child of each front, and the next child of its parent, (fronts, 2); -1 of none."""
+        found = np.full((len(self.fronts), 2), -1)
+        for number, front in enumerate(self.fronts):
+            found[number, 0] = front.children[0] if front.children else -1
+            found[list(front.children[:-1]), 1] = front.children[1:]
+        return found
+
     @cached_property
     def factor_entries(self) -> int:
         return sum(f.own * (f.own + len(f.border)) for f in self.fronts)

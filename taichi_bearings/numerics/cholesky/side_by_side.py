@@ -133,7 +133,8 @@ def _tables(pattern: Pattern, unit: int) -> tuple[np.ndarray, int, np.ndarray]:
     share_end = np.cumsum([len(f.border) for f in fronts]).tolist()
     sizes = [len(f.border) * height for f, (_, height, _) in zip(fronts, shapes, strict=True)]
     updates, size = _updates(pattern, sizes, columns_end[-1])
-    table, places, pivots = np.full((len(fronts), WIDTH), -1), [], []
+    table, places, pivots = np.zeros((len(fronts), WIDTH), dtype=np.int64), [], []
+    table[:, [kernels.CHILD, kernels.SIBLING]] = pattern.kin
     for number, (front, (height, update_height, skip)) in enumerate(zip(fronts, shapes, strict=True)):
         end, columns = front.first + front.own, columns_end[number] - front.own * height
         entries = slice(start[front.first], start[end])
@@ -142,9 +143,6 @@ def _tables(pattern: Pattern, unit: int) -> tuple[np.ndarray, int, np.ndarray]:
         places.append(column * height + inside)
         pivots.append(columns + np.arange(front.own) * (height + 1))
         table[number, :6] = front.own, len(front.border), columns, updates[number], entries.start, entries.stop
-        next_of = [(number, kernels.CHILD), *((child, kernels.SIBLING) for child in front.children)]
-        for place, child in zip(next_of, front.children, strict=False):
-            table[place] = child
         table[number, 8:] = share_end[number] - len(front.border), front.first, height, update_height, skip
     none = [np.zeros(0, dtype=np.int64)]
     maps = np.concatenate([*none, *(np.resize(f.place_in_parent, len(f.border)) for f in fronts)])

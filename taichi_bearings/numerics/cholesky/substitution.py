@@ -19,7 +19,7 @@ class Substitution:
 
     def __init__(self, pattern: Pattern, columns: np.ndarray) -> None:
         """columns : (fronts,) places of the own columns of the fronts among the numbers of a factor."""
-        fronts = pattern.fronts
+        fronts, kin = pattern.fronts, pattern.kin
         own = np.array([front.own for front in fronts])
         border = np.array([len(front.border) for front in fronts])
         room = -(-(own + border) // LANES) * LANES
@@ -27,10 +27,9 @@ class Substitution:
         table[:, kernels.OWN], table[:, kernels.HEIGHT], table[:, kernels.COLUMNS] = own, own + border, columns
         table[:, kernels.VECTOR], table[:, kernels.MAP] = np.cumsum(room) - room, np.cumsum(border) - border
         table[:, kernels.FIRST] = [front.first for front in fronts]
+        table[:, [kernels.CHILD, kernels.SIBLING]] = np.where(kin >= 0, kin * WIDTH, -1)
         for number, front in enumerate(fronts):
-            next_of = [(number, kernels.CHILD), *((child, kernels.SIBLING) for child in front.children)]
-            for place, child in zip(next_of, front.children, strict=False):
-                table[place], table[child, kernels.PARENT] = child * WIDTH, number * WIDTH
+            table[list(front.children), kernels.PARENT] = number * WIDTH
         stages = _stages(pattern)
         branches = np.concatenate(stages)
         ends = np.cumsum([len(stage) for stage in stages]).tolist()
