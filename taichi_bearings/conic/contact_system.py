@@ -169,6 +169,18 @@ class ContactSystem:
         both = (below >= 0) & (above >= 0)
         return joined(below[both], above[both], self.unknowns)
 
+    def at(self, spins: np.ndarray) -> Arrays:
+        """The contacts, (n,) masks a group, at one of the spins, (unknowns,) mask, or at several."""
+        reached = np.append(spins, False)  # imposed ones are not
+        return Grouped((reached[group.below] | reached[group.above]).any(axis=0) for group in self.groups)
+
+    def touching(self, chosen: Arrays) -> Arrays:
+        """The chosen contacts, (n,) masks a group, and all that share a spin with one of them."""
+        reached = np.zeros(self.unknowns + 1, dtype=bool)
+        for group, some in zip(self.groups, chosen, strict=True):
+            reached[group.below[:, some]] = reached[group.above[:, some]] = True
+        return self.at(reached[:-1])
+
     def _entries(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
         """(first unknown, second unknown, place in `stacked` stiffness, sign) of all terms of the Laplacian, each pair
         once."""

@@ -83,9 +83,14 @@ class Iterate:
         return products.sum() / max(1, self.in_cones)
 
     @property
+    def margin(self) -> Arrays:
+        """Share of the friction that is left, (n,) a group."""
+        return 1 - self.dual.length() / self.friction
+
+    @property
     def slip_over_margin(self) -> Arrays:
-        """Slip over the share of the friction that is left, (n,): along the path it goes to 0 or to infinity."""
-        return self.difference.length() / each(np.maximum, 1 - self.dual.length() / self.friction, TINY)
+        """(n,) a group: along the path it goes to 0 or to infinity."""
+        return self.difference.length() / each(np.maximum, self.margin, TINY)
 
     @property
     def whole_dual(self) -> Arrays:

@@ -3,8 +3,9 @@
 On the central path slip times friction margin is the same for all contacts, so a slip of 1e-9 can be seen only where
 margins of 1e-9 can, and double precision ends before. Here
 
-1. contacts that seem to stick are tied. Mostly all others slip. If more of them come to rest, or the tied ones cannot
-   bear what is left to them, the path goes on until every contact is decided (last_decades.py);
+1. contacts that seem to stick are tied. In small samples all others mostly slip. If more of them come to rest, or the
+   tied ones cannot bear what is left to them, and in large samples always, the path goes on until every contact is
+   decided (last_decades.py);
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
@@ -29,11 +30,14 @@ from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import bear, nearly_borne
+from taichi_bearings.conic.slipless_forces import Borne, bear, borne_nearby, nearly_borne, roughly_borne
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
+MOVES = 1e-3  # of the largest slip of a motion, from which a contact takes part
+APART, TREND = 1e2, 0.6  # ratio of margin and slip, and change of either in a step, that divide what seems to stick
+FEW = 3e-3  # share of the contacts that may be in doubt when those are tied that surely stick
 TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
@@ -91,23 +95,26 @@ class Surroundings:
     top: Pair
 
 
-def resolve(iterates: Sequence[Iterate], tied: Sequence[Arrays | None], lattice: Surroundings) -> list[Resolved | None]:
+def resolve(
+    iterates: Sequence[Iterate], before: Sequence[Iterate | None], lattice: Surroundings, small: bool
+) -> list[Resolved | None]:
     """Spins, forces and contact states of each sample at the minimum; None if they cannot be had in double precision.
 
     What becomes of a sample, bit by bit, does not depend on the others.
 
-    iterates : near the end of the central path; not changed. tied : (n,) mask a group, contacts that surely stick;
-    None if that is not known.
+    iterates : near the end of the central path; not changed. before : where they were a step before; None if that is
+    not known. small : most contacts that seem to stick do.
     """
     lattice.matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        slipping = [None if mask is None else ~mask for mask in tied]
+        steps = zip(iterates, before, strict=True)
+        slipping = [~_sticking(here, there) if small and there is not None else None for here, there in steps]
         minima = _minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, lattice)
-        found = _nearly_borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)
+        found = [settled for settled, _ in _borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)]
         for number, iterate in enumerate(iterates):
             if found[number] is None:
                 with suppress(NotPositiveDefinite):
-                    found[number] = _followed(iterate, lattice)
+                    found[number] = _followed(iterate, before[number], lattice)
         pairs = zip(iterates, found, strict=True)
         return [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
 
@@ -117,15 +124,25 @@ def _is_least(iterate: Iterate, settled: Resolved) -> bool:
     return -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME
 
 
-def _followed(iterate: Iterate, lattice: Surroundings) -> Resolved | None:
+def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
+    """Masks (n,) a group, contacts that seem to stick: along the path their slips vanish, their margins do not."""
+    slip, slip_before = iterate.difference.length(), before.difference.length()
+    apart = iterate.margin > APART * slip
+    return apart & (slip < TREND * slip_before) & (iterate.margin > TREND * before.margin)
+
+
+def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
     """The same by the last decades of the path: on and on, until tied contacts bear what the slipping ones leave."""
-    path, found = LastDecades(iterate, lattice.matrix), None
+    path = LastDecades.after(iterate, before, lattice.matrix)
+    with suppress(NotPositiveDefinite):
+        settled = _followed_briefly(iterate, path, lattice)
+        if settled is not None:
+            return settled
     for _ in range(TRIALS):
         slipping = path.decide()
         if slipping is None:
             return None
-        (found,) = _minima([iterate], [path.spins], [slipping], lattice)
-        (settled,) = _nearly_borne([iterate], [found], [path.point.dual], lattice)
+        found, settled, _ = _tried(iterate, path.spins, slipping, path.point.dual, lattice)
         if settled is not None:
             return settled
         if path.ended:
@@ -140,6 +157,39 @@ def _followed(iterate: Iterate, lattice: Surroundings) -> Resolved | None:
     return replace(found, dual=iterate.dual)
 
 
+def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
+    """The same with contacts tied that surely stick as soon as few others are in doubt. What is freed once more is what
+    moves where they cannot bear what is left to them. None if that does not help."""
+    if path.decide(int(FEW * iterate.in_cones)) is None:
+        return None
+    sticking = path.sticking
+    for _ in range(TRIALS):
+        tied = Contraction(lattice.system, lattice.order, sticking)
+        rest = path.over(tied)
+        slipping = None if tied.contradicts.any() else rest.decide()
+        if slipping is None:
+            return None
+        everywhere = each(np.zeros_like, sticking).placed(tied.kept, slipping)
+        dual = path.point.dual.placed(tied.kept, rest.point.dual)
+        motion = roughly_borne(lattice.system, lattice.order, iterate.friction, dual, everywhere).motion
+        if motion is None:
+            _, settled, motion = _tried(iterate, tied.expanded(rest.spins), everywhere, dual, lattice)
+            if settled is not None or motion is None:
+                return settled
+        moved = iterate.system.change(motion).length()
+        sticking = sticking & (moved < MOVES * moved.max())
+    return None
+
+
+def _tried(
+    iterate: Iterate, spins: Pair, slipping: Arrays, near: Arrays, lattice: Surroundings
+) -> tuple[Resolved | None, Resolved | None, np.ndarray | None]:
+    """The minimum if these contacts slip, and what :func:`_borne` makes of it."""
+    (found,) = _minima([iterate], [spins], [slipping], lattice)
+    (borne,) = _borne([iterate], [found], [near], lattice)
+    return found, *borne
+
+
 def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
     """Does the power still fall where the motion, (unknowns,), has led to slips of NEGLIGIBLE?"""
     change = iterate.system.change(motion)
@@ -148,11 +198,13 @@ def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
     return (iterate.friction * each(inner, there, change) / each(np.maximum, there.length(), TINY)).sum() < 0
 
 
-def _nearly_borne(
+def _borne(
     iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[Arrays], lattice: Surroundings
-) -> list[Resolved | None]:
-    """The same with forces of the slipless contacts, where they can have nearly those of which `near` is the dual."""
-    settled: list[Resolved | None] = [None] * len(minima)
+) -> list[tuple[Resolved | None, np.ndarray | None]]:
+    """The same with forces of the slipless contacts, where they can have nearly those of which `near` is the dual; or
+    the motion (unknowns,) of what cannot bear what is left to it.
+    """
+    settled: list[tuple[Resolved | None, np.ndarray | None]] = [(None, None)] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
         slipping = together([found.slipping for _, found in some])
@@ -160,9 +212,13 @@ def _nearly_borne(
         dual = where(slipping, known, together([near[number] for number, _ in some]))
         friction = together([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
-        duals, borne = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, heads)
-        for (number, found), whole, fine in zip(some, apart(duals, len(some)), borne, strict=True):
-            settled[number] = replace(found, dual=whole, borne=True) if fine else None
+        duals, fine = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, heads)
+        for (number, found), whole, inside in zip(some, apart(duals, len(some)), fine, strict=True):
+            borne = Borne(dual=whole)
+            if not inside:
+                borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, found.slipping)
+            with_forces = None if borne.dual is None else replace(found, dual=borne.dual, borne=True)
+            settled[number] = with_forces, borne.motion
         lattice.matrix.forget()
     return settled
 

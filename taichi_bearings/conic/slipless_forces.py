@@ -26,6 +26,8 @@ STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
 NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
 SURELY = 10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
+FEW, FAR = 100, 30  # contacts outside their discs for whose sake others change their forces, so many contacts away
+CONSIDERABLE, NEAR = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
 CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
 CLOSE = 1e-22  # mean product of the two at which nothing more can be told
@@ -44,11 +46,14 @@ class Borne:
 
 
 @np.errstate(all="ignore")  # where double precision ends, numbers that are not finite turn up
-def bear(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
+def bear(
+    system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays, roughly: bool = False
+) -> Borne:
     """What slipless contacts do with what slipping ones, as their dual tells, leave to them.
 
     order : of elimination of the unknowns of `system`. friction (n,), dual (d, n), minus the forces, and slipping
-    (n,), a group each; the dual of slipless contacts is not used.
+    (n,), a group each; the dual of slipless contacts is not used. roughly : the dual found need not be in balance
+    where a domain as a whole is not.
     """
     number, kept = _held(system, slipping), each(np.flatnonzero, ~slipping)
     slipless = _slipless(system, kept, number)
@@ -65,7 +70,7 @@ def bear(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Array
             still = balance(still, matrix)
         if still.unbalanced < BALANCED:
             whole = dual.placed(kept, still.dual)
-            if _inside(friction, whole, slipping, system.torques(whole)[:, None])[0]:
+            if roughly or _inside(friction, whole, slipping, system.torques(whole)[:, None])[0]:
                 return Borne(dual=whole)
         if point.slip_over_margin.max() > CLEAR or point.complementarity < CLOSE:
             return Borne(motion=np.append(point.spins, 0.0)[number])
@@ -91,6 +96,38 @@ def nearly_borne(
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)
     return whole, regular & _inside(friction, whole, slipping, system.torques(side))
+
+
+@np.errstate(all="ignore")
+def borne_nearby(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
+    """As :func:`bear`, but only contacts near those that bear too much change their forces.
+
+    dual : of all contacts, in balance, a few of the slipless ones outside their friction discs.
+    """
+    too_much = ~slipping & ~(dual.length() < friction)
+    if not 0 < too_much.sum() <= FEW:
+        return Borne()
+    nearby = _around(system, too_much, slipping, FAR)
+    found = bear(system, order, friction, dual, ~nearby)
+    inside = found.dual is None or _inside(friction, found.dual, slipping, system.torques(found.dual)[:, None])[0]
+    return found if inside else Borne()
+
+
+@np.errstate(all="ignore")
+def roughly_borne(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
+    """As :func:`bear`, but only contacts near spins that feel a torque of CONSIDERABLE change their forces, and what no
+    spin would move for is no matter: a quick look for contacts that are wrongly said not to slip."""
+    unbalanced = system.at(np.abs(system.torques(dual)) > CONSIDERABLE) & ~slipping
+    if not unbalanced.any():
+        return Borne(dual=dual)
+    return bear(system, order, friction, dual, ~_around(system, unbalanced, slipping, NEAR), roughly=True)
+
+
+def _around(system: ContactSystem, chosen: Arrays, slipping: Arrays, steps: int) -> Arrays:
+    """Slipless contacts that lead from the chosen ones so many contacts away, (n,) masks a group."""
+    for _ in range(steps):
+        chosen = system.touching(chosen) & ~slipping
+    return chosen
 
 
 def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:

@@ -51,7 +51,6 @@ SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factor
 QUICK = 10_000  # spheres up to which what all samples of a lattice share is kept
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
-TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 
 
 @dataclass
@@ -64,7 +63,7 @@ class _Sample:
     gap: float = np.inf  # relative
     done: bool = False
     at_end: bool = False  # its states are to be settled before it goes on
-    sticking: Arrays | None = None  # masks (n,) a group, contacts that then surely stick, if that is known
+    before: Iterate | None = None  # where it then was a step before, if that is known
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
 
@@ -77,7 +76,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
         return together(settled)
     iterates = [sample.iterate for sample in samples]
     friction, dual = together([of.friction for of in iterates]), together([of.dual for of in iterates])
-    slip, margin = _slip_and_margin(together([of.difference for of in iterates]), dual, friction)
+    slip, margin = together([of.difference for of in iterates]).length(), 1 - dual.length() / friction
     viscosity = [of.viscosity for of in iterates if of.viscosity is not None]
     if viscosity:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + together(viscosity) / friction)
@@ -86,19 +85,6 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
         return found
     each_found, known = apart(found, len(samples)), iter(settled)
     return together([f if s.resolved is None else next(known) for f, s in zip(each_found, samples, strict=True)])
-
-
-def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
-    """Masks (n,) a group, contacts that surely stick: along the path their slips vanish, their margins do not."""
-    (slip, margin), (slip_before, margin_before) = (
-        _slip_and_margin(of.difference, of.dual, of.friction) for of in (iterate, before)
-    )
-    return (margin > APART * slip) & (slip < TREND * slip_before) & (margin > TREND * margin_before)
-
-
-def _slip_and_margin(difference: Arrays, dual: Arrays, friction: Arrays) -> tuple[Arrays, Arrays]:
-    """(n,) a group, relative to the jump and to the friction."""
-    return difference.length(), 1 - dual.length() / friction
 
 
 _Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None, Matrix | None]
@@ -242,8 +228,7 @@ class InteriorPointMethod:
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
         if sample.at_end:
-            known = accepted and self._small
-            sample.sticking = _sticking(sample.iterate, path.before(place)) if known else None
+            sample.before = path.before(place) if accepted else None
 
     @property
     def _settles(self) -> bool:
@@ -279,9 +264,9 @@ class InteriorPointMethod:
     def _settle(self, samples: list[_Sample]) -> None:
         lattice = Surroundings(self.system, self.order, self.matrix, self.matrices, self.top)
         with stage("settling contact states"):
-            resolved = resolve([s.iterate for s in samples], [s.sticking for s in samples], lattice)
+            resolved = resolve([s.iterate for s in samples], [s.before for s in samples], lattice, self._small)
         for sample, found in zip(samples, resolved, strict=True):
-            sample.tried, sample.at_end, sample.sticking = sample.gap, False, None
+            sample.tried, sample.at_end, sample.before = sample.gap, False, None
             if found is None:
                 continue
             if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):

@@ -7,7 +7,7 @@ from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.resolution import Resolved, gains
-from taichi_bearings.conic.slipless_forces import bear
+from taichi_bearings.conic.slipless_forces import bear, borne_nearby, roughly_borne
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -70,6 +70,57 @@ def test_a_free_domain_turns_as_a_whole_at_no_cost():
     assert found[0] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-10)
     motion = borne(system, order, np.array([0.4, 0.3, 0.4]), dual, slipping).motion
     assert motion[1] > motion[0]  # apart
+
+
+def two_pulled(friction, forces):
+    """Two spheres, each held to the bottom by two contacts and dragged by the top with 0.5."""
+    ends = [(BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0), (BOTTOM, 1, 0.0), (BOTTOM, 1, 0.0), (1, TOP, 1.0)]
+    system, order = chain(*ends, unknowns=2)
+    slipping = np.array([False, False, True] * 2)
+    mu, dual = np.array([*friction, 0.5, 0.4, 0.4, 0.5]), -np.array([[*forces, 0.5, 0.2, 0.3, 0.5]])
+    return system, order, *(Grouped([values]) for values in (mu, dual, slipping))
+
+
+def test_what_one_contact_cannot_bear_its_neighbours_do():
+    system, *of = two_pulled((0.4, 0.3), (0.45, 0.05))
+    (dual,), (mu,), (given,) = borne_nearby(system, *of).dual, of[1], of[2]
+    assert system.torques(Grouped([dual])) == pytest.approx([0.0, 0.0], abs=1e-11)
+    assert (np.abs(dual[0, :2]) < mu[:2]).all()
+    assert (dual[:, 2:] == given[:, 2:]).all()
+
+
+def test_what_no_neighbour_can_bear_moves():
+    system, *of = two_pulled((0.25, 0.24), (0.3, 0.2))
+    found = borne_nearby(system, *of)
+    assert found.dual is None
+    assert found.motion[0] > 0
+    assert found.motion[1] == 0
+
+
+def test_a_sphere_whose_contacts_bear_enough_is_left_alone():
+    system, *of = two_pulled((0.4, 0.3), (0.3, 0.2))
+    found = borne_nearby(system, *of)
+    assert (found.dual, found.motion) == (None, None)
+
+
+@pytest.mark.parametrize(("friction", "moves"), [((0.3, 0.3), False), ((0.25, 0.24), True)], ids=str)
+def test_a_torque_that_is_left_tells_quickly_whether_something_moves(friction, moves):
+    system, *of = two_pulled(friction, (0.2, 0.2))
+    motion = roughly_borne(system, *of).motion
+    assert (motion is not None) == moves
+    assert not moves or (motion[0] > 0 and motion[1] == 0)
+
+
+def test_a_small_torque_is_no_reason_to_look():
+    system, *of = two_pulled((0.25, 0.24), (0.246, 0.248))
+    assert roughly_borne(system, *of).motion is None
+
+
+def test_contacts_at_the_same_spins_touch_each_other():
+    system, _ = chain((BOTTOM, 0, 0.0), (0, 1, 0.0), (1, 2, 0.0), (2, TOP, 0.0), unknowns=3)
+    (touching,) = system.touching(Grouped([np.array([True, False, False, False])]))
+    assert touching.tolist() == [True, True, False, False]  # both ends at driven planes join nothing
+    assert [part.tolist() for part in system.at(np.array([False, False, True]))] == [[False, False, True, True]]
 
 
 @pytest.mark.parametrize(("held", "falls"), [(0.5, False), (0.4, False), (0.3, True)])

@@ -223,7 +223,7 @@ def test_small_lattices_keep_what_their_samples_share(monkeypatch):
 
 def test_most_samples_do_without_the_last_decades_of_the_path(monkeypatch):
     """Newton's method with every contact slipping that does not surely stick."""
-    monkeypatch.setattr(LastDecades, "decide", lambda path: None)
+    monkeypatch.setattr(LastDecades, "decide", lambda *of: None)
     resolved = [minimum_of(make_scene((6, 6, 6), seeds=(seed,))).resolved[0] for seed in range(10)]
     assert sum(resolved) >= 7
 
@@ -240,10 +240,18 @@ def test_a_sample_with_slips_of_all_sizes_is_settled_by_the_path_at_once(monkeyp
     assert (len(looks), len(asked)) == (1, 0)
 
 
+@pytest.fixture
+def as_large(monkeypatch):
+    """Small samples are settled as large ones are."""
+    monkeypatch.setattr(interior_point.InteriorPointMethod, "_small", False)
+
+
+@pytest.mark.usefixtures("as_large")
 def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
     """Else they do not add up to nothing round loops of contacts, and contacts at rest seem to slip."""
     paths, decide = [], LastDecades.decide
-    monkeypatch.setattr(LastDecades, "decide", lambda path: paths.append(path) or decide(path))
+    monkeypatch.setattr(LastDecades, "decide", lambda path, *of: paths.append(path) or decide(path, *of))
+    monkeypatch.setattr(resolution, "FEW", -1.0)  # without tying contacts
     assert minimum_of(make_scene((10, 10, 10), seeds=(559,))).resolved[0]
     path = paths[-1]
     rounded = 4 * np.finfo(float).eps * np.abs(path.spins[1]).max()  # as spins of that size are, step after step
@@ -252,6 +260,33 @@ def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
         (large, small), offset = (np.append(part, 0.0) for part in path.spins), group.offset
         true = (large[group.above] - large[group.below] + offset) + (small[group.above] - small[group.below])
         assert found == pytest.approx(true, rel=1e-12, abs=rounded)
+
+
+@pytest.mark.usefixtures("as_large")
+@pytest.mark.parametrize(("seed", "freed"), [(0, False), (1, True), (2, False)])
+def test_a_contact_that_is_wrongly_tied_is_freed(monkeypatch, seed, freed):
+    """The one that slips least. If what moves does not tell, the path of the whole is followed: the states are its."""
+    scene, decide, moved = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide, []
+    monkeypatch.setattr(resolution, "FEW", -1.0)
+    whole = minimum_of(scene)
+
+    def wrongly_decided(path, *doubtful):
+        slipping = decide(path, *doubtful)
+        if doubtful:
+            mask, slip = slipping.parts[0], path.point.difference.length().parts[0]
+            path.sticking.parts[0][np.flatnonzero(mask)[np.argsort(slip[mask])[:10]]] = True
+        return slipping
+
+    monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
+    monkeypatch.setattr(resolution, "FEW", 0.0)
+    for name in ("roughly_borne", "borne_nearby"):
+        look = getattr(resolution, name)
+        monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])
+    brief = minimum_of(scene)
+    assert any(of.motion is not None for of in moved) == freed
+    assert (whole.resolved[0], brief.resolved[0]) == (True, True)
+    for state, other in zip(brief.state, whole.state, strict=True):
+        assert (state == other).all()
 
 
 def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():

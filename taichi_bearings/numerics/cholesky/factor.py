@@ -16,7 +16,7 @@ from taichi_bearings.numerics.cholesky.substitution import Substitution
 from taichi_bearings.numerics.cholesky.supernodes import Price
 
 SERIAL = 500_000  # numbers of a batch below which one worker assembles faster than a team
-WORTH_FORGETTING = 50_000_000  # entries of a factor whose memory is given back
+WORTH_FORGETTING = 10_000_000  # entries of a factor whose memory is given back
 PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
 WORTH_A_THREAD = 3e6  # operations of a batch from which several threads share it
 
