@@ -37,7 +37,7 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
 MOVES = 1e-3  # of the largest slip of a motion, from which a contact takes part
 APART, TREND = 1e2, 0.6  # ratio of margin and slip, and change of either in a step, that divide what seems to stick
-FEW = 3e-3  # share of the contacts that may be in doubt when those are tied that surely stick
+FEW, HANDFUL = 3e-3, 300  # share and number of contacts that may be in doubt when those are tied that surely stick
 TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
@@ -160,7 +160,7 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
 def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
     """The same with contacts tied that surely stick as soon as few others are in doubt. What is freed once more is what
     moves where they cannot bear what is left to them. None if that does not help."""
-    if path.decide(int(FEW * iterate.in_cones)) is None:
+    if path.decide(min(int(FEW * iterate.in_cones), HANDFUL)) is None:
         return None
     sticking = path.sticking
     for _ in range(TRIALS):
