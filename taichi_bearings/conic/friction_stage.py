@@ -11,6 +11,7 @@ that slips only across its force, resistance * limit / |F*|. A line search on th
 Contacts change between the two branches finitely often, and then convergence is quadratic.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,10 @@ CORRECTIONS = 3  # linear ones with the last factorisation, at most
 COUPLED = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 RULED_BY_INERTIA = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 SHARP = 1e-5  # residual to which they do, relative
+FEW, MUCH = (
+    5,
+    0.5,
+)  # contacts whose stiffness may have changed so much, of itself, where the last factorisation still serves
 FLAT = 0.1  # share of its slope at which a line search ends
 LINE_SEARCH = 20  # trials, at most
 TINY = 1e-280  # far below any force, and no limit over it overflows
@@ -48,14 +53,13 @@ class Friction:
     """Contacts of one sample in a stage, (n,) a group each.
 
     limit : largest force; infinite for linear contacts. resistance : force * time / length.
-    inertia : moment of inertia / time of the stage. number : of the sample; with the inertia it tells the resistance.
+    inertia : moment of inertia / time of the stage.
     viscosity : of contacts that have it beside all that, force * time / length.
     """
 
     limit: Arrays
     resistance: Arrays
     inertia: float
-    number: int
     viscosity: Arrays | None = None
 
     @property
@@ -103,7 +107,12 @@ class FrictionStage:
         self.system, self.matrix, self.radius, self.conserved = system, matrix, radius, conserved
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
-        self._held: tuple[float, int] | None = None  # inertia and number of what is factorised if nothing slips in it
+        self._factorised: tuple[float, Arrays] | None = None  # inertia and stiffness
+        self._of_this_step = False
+
+    def begin_step(self) -> None:
+        """What is factorised serves no other matrix any more: a step does not depend on those before."""
+        self._of_this_step = False
 
     def solve(self, friction: Friction, base: np.ndarray, start: Arrays, guess: np.ndarray) -> StageEnd | None:
         """Spins and forces at the end of the stage; None if Newton's method gets nowhere.
@@ -148,38 +157,44 @@ class FrictionStage:
         """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
 
         Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
-        slips and nothing else changes.
+        changes, and in a step it also serves to solve where few contacts have changed between sticking and slipping.
         """
-        linear = not friction.slips(trial).any()
-        coupling = COUPLED * self.radius**2 * friction.stiffest
-        self._iterates = not linear and coupling <= RULED_BY_INERTIA * friction.inertia
         self._inertia, self._stiffness = friction.inertia, self.radius**2 * stiffness
-        if self._iterates:
+        coupling = COUPLED * self.radius**2 * friction.stiffest
+        self._precondition: Callable[[np.ndarray], np.ndarray] | None = None
+        if coupling <= RULED_BY_INERTIA * friction.inertia and friction.slips(trial).any():
+            self._precondition = np.copy
             return True
-        held = (friction.inertia, friction.number) if linear else None
-        if held is not None and held == self._held:
-            return True
-        self._held = None
+        if self._factorised is not None and self._factorised[0] == friction.inertia:
+            changed = each(_changed, self._stiffness, self._factorised[1])
+            if not (changed > 0).any():
+                return True
+            if self._of_this_step and (changed > MUCH).sum() <= FEW:
+                self._precondition = self.matrix.solve
+                return True
+        self._factorised = None
         try:
             self.matrix.factorise(self._stiffness, friction.inertia)
         except NotPositiveDefinite:
             return False
         self.factorisations += 1
-        self._held = held
+        self._factorised, self._of_this_step = (friction.inertia, self._stiffness), True
         return True
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         """Solution with what was prepared last; by conjugate gradients to SHARP, relative."""
-        if not self._iterates:
+        if self._precondition is None:
             return self.matrix.solve(right)
-        solution, left, direction = np.zeros_like(right), right, right
-        size = first = float(right @ right)
-        while size > SHARP**2 * first:
+        solution, left, enough = np.zeros_like(right), right, SHARP**2 * float(right @ right)
+        direction = near = self._precondition(left)
+        size = float(left @ near)
+        while float(left @ left) > enough:
             image = self._resisted(direction)
             length = size / float(direction @ image)
             solution, left = solution + length * direction, left - length * image
-            size, before = float(left @ left), size
-            direction = left + size / before * direction
+            near = self._precondition(left)
+            size, before = float(left @ near), size
+            direction = near + size / before * direction
         return solution
 
     def _resisted(self, spins: np.ndarray) -> np.ndarray:
@@ -247,3 +262,9 @@ class FrictionStage:
         if self.conserved.size:
             step[self.conserved] += (wanted - step)[self.conserved].mean(axis=1, keepdims=True)
         return step
+
+
+@np.errstate(divide="ignore", invalid="ignore")  # one component alone resists nothing along its slip
+def _changed(stiffness: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Change of stiffnesses (d, d, n), relative to what they were, (n,)."""
+    return np.sqrt(((stiffness - before) ** 2).sum(axis=(0, 1)) / (before**2).sum(axis=(0, 1)))

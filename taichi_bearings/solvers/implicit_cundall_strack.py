@@ -102,10 +102,10 @@ class ImplicitCundallStrackMethod:
         """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
         strength, inertia = self.strength[replica], self.inertia / span if span > 0 else np.inf
         if not self.scene.law.holds:
-            return Friction(each(np.full_like, strength, np.inf), strength, inertia, replica)
+            return Friction(each(np.full_like, strength, np.inf), strength, inertia)
         resistance = self.options.stiffness * span + self.options.damping
         resisting = each(np.full_like, strength, resistance)
-        return Friction(strength, resisting, inertia, replica, self.viscosity[replica])
+        return Friction(strength, resisting, inertia, self.viscosity[replica])
 
     def _sample_at(self, replica: int, spins: np.ndarray) -> _Sample:
         """At the start: no spring is stretched."""
@@ -177,6 +177,7 @@ class ImplicitCundallStrackMethod:
 
     def _tried(self, replica: int, sample: _Sample, span: float) -> tuple[_Sample, float] | None:
         """The sample after a step and the error (root mean square of the spins); None if a stage cannot be solved."""
+        self.stage.begin_step()
         stage, share = GAMMA * span, (1 - GAMMA) / GAMMA
         friction = self._friction(replica, stage)
         first = self._stage(friction, sample.spins, sample.elongation, sample.spins)

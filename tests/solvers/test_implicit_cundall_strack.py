@@ -279,7 +279,7 @@ def test_a_stage_ends_at_the_minimum_of_its_function():
     base = method.samples[0].spins
     start = each(lambda offset: rng.uniform(-20, 20, offset.shape), method.system.offset)
     limit = method.strength[0]
-    friction = Friction(limit, each(np.full_like, limit, 80.0), 7.0, 0)
+    friction = Friction(limit, each(np.full_like, limit, 80.0), 7.0)
     end = method.stage.solve(friction, base, start, base)
 
     def function(x):
@@ -293,6 +293,27 @@ def test_a_stage_ends_at_the_minimum_of_its_function():
     assert function(end.spins) <= general.fun + 1e-9
     assert end.spins == pytest.approx(general.x, abs=1e-4)
     assert 0 < sum(int(s.sum()) for s in end.slips) < scene.lattice.contacts
+
+
+def test_a_factorisation_serves_where_few_contacts_have_changed():
+    """Stages that pull a little harder each time: fewer factorisations, and the same spins."""
+
+    def ends(anew):
+        scene = make_scene((5, 5, 6), seeds=(9,))
+        method = begun(scene, random_start(scene))
+        rng, base, found = np.random.default_rng(1), method.samples[0].spins, []
+        start = each(lambda offset: rng.uniform(-20, 20, offset.shape), method.system.offset)
+        friction = Friction(method.strength[0], each(np.full_like, method.strength[0], 4000.0), 7.0)
+        for harder in (1.0, 1.002, 1.004, 1.006):
+            if anew:
+                method.stage.begin_step()
+            guess = base if not found else found[-1]
+            found.append(method.stage.solve(friction, base, harder * start, guess).spins)
+        return np.array(found), method.stage.factorisations
+
+    (few, factorised), (many, factorised_anew) = ends(anew=False), ends(anew=True)
+    assert factorised < factorised_anew
+    assert few == pytest.approx(many, abs=1e-11)
 
 
 def test_an_error_tolerance_must_be_positive():
