@@ -28,10 +28,7 @@ CORRECTIONS = 3  # linear ones with the last factorisation, at most
 COUPLED = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 RULED_BY_INERTIA = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 SHARP = 1e-5  # residual to which they do, relative
-FEW, MUCH = (
-    5,
-    0.5,
-)  # contacts whose stiffness may have changed so much, of itself, where the last factorisation still serves
+FEW, MUCH = 5, 0.5  # contacts that may have changed by so much of their stiffness where an old factorisation serves
 FLAT = 0.1  # share of its slope at which a line search ends
 LINE_SEARCH = 20  # trials, at most
 TINY = 1e-280  # far below any force, and no limit over it overflows

@@ -115,8 +115,8 @@ def borne_nearby(system: ContactSystem, order: np.ndarray, friction: Arrays, dua
 
 @np.errstate(all="ignore")
 def roughly_borne(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
-    """As :func:`bear`, but only contacts near spins that feel a torque of CONSIDERABLE change their forces, and what no
-    spin would move for is no matter: a quick look for contacts that are wrongly said not to slip."""
+    """A quick look for contacts that are wrongly said not to slip: as :func:`bear`, roughly, and only contacts near
+    spins that feel a torque of CONSIDERABLE change their forces."""
     unbalanced = system.at(np.abs(system.torques(dual)) > CONSIDERABLE) & ~slipping
     if not unbalanced.any():
         return Borne(dual=dual)
