@@ -164,9 +164,9 @@ class FrictionStage:
             return True
         if self._factorised is not None and self._factorised[0] == friction.inertia:
             changed = each(_changed, self._stiffness, self._factorised[1])
-            if not (changed > 0).any():
+            if (changed == 0).all():
                 return True
-            if self._of_this_step and (changed > MUCH).sum() <= FEW:
+            if self._of_this_step and (~(changed <= MUCH)).sum() <= FEW:
                 self._precondition = self.matrix.solve
                 return True
         self._factorised = None
@@ -261,7 +261,8 @@ class FrictionStage:
         return step
 
 
-@np.errstate(divide="ignore", invalid="ignore")  # one component alone resists nothing along its slip
+@np.errstate(divide="ignore")  # one component alone resists nothing along its slip
 def _changed(stiffness: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Change of stiffnesses (d, d, n), relative to what they were, (n,)."""
-    return np.sqrt(((stiffness - before) ** 2).sum(axis=(0, 1)) / (before**2).sum(axis=(0, 1)))
+    change = ((stiffness - before) ** 2).sum(axis=(0, 1))
+    return np.sqrt(np.divide(change, (before**2).sum(axis=(0, 1)), out=change, where=change != 0))

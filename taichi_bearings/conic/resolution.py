@@ -36,7 +36,8 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
 MOVES = 1e-3  # of the largest slip of a motion, from which a contact takes part
-APART, TREND = 1e2, 0.6  # ratio of margin and slip, and change of either in a step, that divide what seems to stick
+APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
+TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 FEW, HANDFUL = 3e-3, 300  # share and number of contacts that may be in doubt when those are tied that surely stick
 TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it

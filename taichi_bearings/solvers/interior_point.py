@@ -27,7 +27,7 @@ from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.resolution import Resolved, Surroundings, resolve
+from taichi_bearings.conic.resolution import APART, Resolved, Surroundings, resolve
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
@@ -50,7 +50,6 @@ AT_ONCE = 64  # steps that small samples may take from one look at where they ar
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 QUICK = 10_000  # spheres up to which what all samples of a lattice share is kept
 LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
-APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 
 
 @dataclass
@@ -75,11 +74,10 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
     if len(settled) == len(samples):
         return together(settled)
     iterates = [sample.iterate for sample in samples]
-    friction, dual = together([of.friction for of in iterates]), together([of.dual for of in iterates])
-    slip, margin = together([of.difference for of in iterates]).length(), 1 - dual.length() / friction
+    slip, margin = together([of.difference.length() for of in iterates]), together([of.margin for of in iterates])
     viscosity = [of.viscosity for of in iterates if of.viscosity is not None]
     if viscosity:  # slips at which viscous forces match the friction are no small ones
-        slip = slip * (1 + together(viscosity) / friction)
+        slip = slip * (1 + together(viscosity) / together([of.friction for of in iterates]))
     found = where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
     if not settled:
         return found

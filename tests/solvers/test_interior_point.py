@@ -251,7 +251,7 @@ def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
     """Else they do not add up to nothing round loops of contacts, and contacts at rest seem to slip."""
     paths, decide = [], LastDecades.decide
     monkeypatch.setattr(LastDecades, "decide", lambda path, *of: paths.append(path) or decide(path, *of))
-    monkeypatch.setattr(resolution, "FEW", -1.0)  # without tying contacts
+    monkeypatch.setattr(resolution, "_followed_briefly", lambda *of: None)  # nothing is tied
     assert minimum_of(make_scene((10, 10, 10), seeds=(559,))).resolved[0]
     path = paths[-1]
     rounded = 4 * np.finfo(float).eps * np.abs(path.spins[1]).max()  # as spins of that size are, step after step
@@ -263,18 +263,22 @@ def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
 
 
 @pytest.mark.usefixtures("as_large")
-@pytest.mark.parametrize(("seed", "freed"), [(0, False), (1, True), (2, False)])
-def test_a_contact_that_is_wrongly_tied_is_freed(monkeypatch, seed, freed):
-    """The one that slips least. If what moves does not tell, the path of the whole is followed: the states are its."""
+@pytest.mark.parametrize(
+    ("seed", "wrong", "freed"),
+    [(0, 1, True), (1, 1, True), (2, 1, True), (0, 10, False), (1, 10, True), (2, 10, False)],
+)
+def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, freed):
+    """Those that slip least. Where what moves does not tell, the path of the whole is followed: the states are its."""
     scene, decide, moved = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide, []
-    monkeypatch.setattr(resolution, "FEW", -1.0)
-    whole = minimum_of(scene)
+    with monkeypatch.context() as nothing_tied:
+        nothing_tied.setattr(resolution, "_followed_briefly", lambda *of: None)
+        whole = minimum_of(scene)
 
     def wrongly_decided(path, *doubtful):
         slipping = decide(path, *doubtful)
         if doubtful:
             mask, slip = slipping.parts[0], path.point.difference.length().parts[0]
-            path.sticking.parts[0][np.flatnonzero(mask)[np.argsort(slip[mask])[:10]]] = True
+            path.sticking.parts[0][np.flatnonzero(mask)[np.argsort(slip[mask])[:wrong]]] = True
         return slipping
 
     monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
