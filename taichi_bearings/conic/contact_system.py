@@ -101,12 +101,14 @@ class Home:
 class ContactSystem:
     """Groups of contacts over a common vector of unknown spins.
 
-    homes : where they are on a lattice, a tuple a group; none of a system that is not that of a whole lattice.
+    homes : where they are on a lattice, a tuple a group; place : (D, unknowns), where the spins are. None of a system
+    that is not that of a whole lattice.
     """
 
     unknowns: int
     groups: tuple[ContactGroup, ...]
     homes: tuple[tuple[Home, ...], ...] = ()
+    place: np.ndarray | None = None
 
     @cached_property
     def offset(self) -> Arrays:
@@ -127,7 +129,9 @@ class ContactSystem:
         """So many samples as parts of one system that no contact joins, one after the other in every group."""
         if count == 1:
             return self
-        return ContactSystem(self.unknowns * count, tuple(group.copies(count) for group in self.groups))
+        groups = tuple(group.copies(count) for group in self.groups)
+        place = None if self.place is None else np.tile(self.place, count)
+        return ContactSystem(self.unknowns * count, groups, place=place)
 
     def grouped(self, rows: np.ndarray) -> Arrays:
         """Values of all rows, (rows,) or (rows, S) of alike samples, as vectors (d, n) or (d, n, S) a group."""
@@ -174,12 +178,14 @@ class ContactSystem:
         reached = np.append(spins, False)  # imposed ones are not
         return Grouped((reached[group.below] | reached[group.above]).any(axis=0) for group in self.groups)
 
-    def touching(self, chosen: Arrays) -> Arrays:
-        """The chosen contacts, (n,) masks a group, and all that share a spin with one of them."""
-        reached = np.zeros(self.unknowns + 1, dtype=bool)
-        for group, some in zip(self.groups, chosen, strict=True):
-            reached[group.below[:, some]] = reached[group.above[:, some]] = True
-        return self.at(reached[:-1])
+    def around(self, chosen: Arrays, steps: int, among: Arrays) -> Arrays:
+        """The chosen contacts, and those among some that lead from there so many contacts away: (n,) masks a group."""
+        for _ in range(steps):
+            reached = np.zeros(self.unknowns + 1, dtype=bool)
+            for group, some in zip(self.groups, chosen, strict=True):
+                reached[group.below[:, some]] = reached[group.above[:, some]] = True
+            chosen = chosen | (self.at(reached[:-1]) & among)
+        return chosen
 
     def _entries(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
         """(first unknown, second unknown, place in `stacked` stiffness, sign) of all terms of the Laplacian, each pair
@@ -274,4 +280,5 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
                 for (axis, acting, _), end in zip(kind, ends_at, strict=True)
             )
         )
-    return ContactSystem(unknowns, tuple(groups), tuple(homes))
+    place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
+    return ContactSystem(unknowns, tuple(groups), tuple(homes), place)

@@ -10,10 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Arrays, Grouped, each
 from taichi_bearings.numerics.double_double import Pair, two_sum
+from taichi_bearings.verifier.dissection import dissected
+
+MANY, LEAF = 2_000, 20  # unknowns of a sample with an order of its own, and of a region that then is not divided
 
 
 @dataclass(frozen=True)
@@ -133,14 +137,27 @@ class Contraction:
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
-        """Of elimination of the unknowns of a sample, counted from its first: a set goes when the last of its spins
-        would."""
+        """Of elimination of the unknowns of a sample, counted from its first. In small ones a set goes when the last of
+        its spins would. In large ones the sets, which reach across any plane, are dissected anew: by where they are."""
         own = self.span(sample)
+        if self.whole.place is not None and own.stop - own.start >= MANY:
+            return self._dissected(own, self.whole.place)
         number = np.split(self.number, self.owners.samples)[sample][self._order]
         number = number[number >= 0] - own.start
         last = np.empty(own.stop - own.start, dtype=np.int64)
         last[number] = np.arange(len(number))
         return np.argsort(last)
+
+    def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
+        """The order of these unknowns by nested dissection; place : (D, unknowns before)."""
+        free = self.number >= 0
+        number, size = self.number[free], own.stop - own.start
+        centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
+        first, second = (end - own.start for end in self.system.couplings())
+        inside = (first >= 0) & (first < size)
+        ends = np.concatenate([first[inside], second[inside]]), np.concatenate([second[inside], first[inside]])
+        graph = sparse.csc_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(size, size))
+        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], LEAF)])
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""

@@ -35,7 +35,7 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
-MOVES = 1e-3  # of the largest slip of a motion, from which a contact takes part
+MOVES, WITH_IT = 1e-3, 7  # of the largest slip of a motion, from which a contact takes part; what is so near is freed
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 FEW, HANDFUL = 3e-3, 300  # share and number of contacts that may be in doubt when those are tied that surely stick
@@ -178,7 +178,7 @@ def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings
             if settled is not None or motion is None:
                 return settled
         moved = iterate.system.change(motion).length()
-        sticking = sticking & (moved < MOVES * moved.max())
+        sticking = sticking & ~iterate.system.around(moved > MOVES * moved.max(), WITH_IT, sticking)
     return None
 
 

@@ -107,7 +107,7 @@ def borne_nearby(system: ContactSystem, order: np.ndarray, friction: Arrays, dua
     too_much = ~slipping & ~(dual.length() < friction)
     if not 0 < too_much.sum() <= FEW:
         return Borne()
-    nearby = _around(system, too_much, slipping, FAR)
+    nearby = system.around(too_much, FAR, ~slipping)
     found = bear(system, order, friction, dual, ~nearby)
     inside = found.dual is None or _inside(friction, found.dual, slipping, system.torques(found.dual)[:, None])[0]
     return found if inside else Borne()
@@ -120,14 +120,7 @@ def roughly_borne(system: ContactSystem, order: np.ndarray, friction: Arrays, du
     unbalanced = system.at(np.abs(system.torques(dual)) > CONSIDERABLE) & ~slipping
     if not unbalanced.any():
         return Borne(dual=dual)
-    return bear(system, order, friction, dual, ~_around(system, unbalanced, slipping, NEAR), roughly=True)
-
-
-def _around(system: ContactSystem, chosen: Arrays, slipping: Arrays, steps: int) -> Arrays:
-    """Slipless contacts that lead from the chosen ones so many contacts away, (n,) masks a group."""
-    for _ in range(steps):
-        chosen = system.touching(chosen) & ~slipping
-    return chosen
+    return bear(system, order, friction, dual, ~system.around(unbalanced, NEAR, ~slipping), roughly=True)
 
 
 def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Nested dissection of a graph whose nodes have places: an order in which elimination fills in little.
 
-A region is halved across the axis where the fewest nodes of a half touch the other one. The least set of nodes that
-meets every edge between the two halves, a least cover of a bipartite graph (König), separates what is left of them and
-is eliminated last. All regions of a level are worked on at once.
+A region is halved across an axis. The least set of nodes that meets every edge between the two halves, a least cover of
+a bipartite graph (König), separates what is left of them and is eliminated last: across the axis where it is smallest.
+All regions of a level are worked on at once.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_bipartite_matching
-
-LEAF = 150  # nodes of a region that is not divided
 
 
 @dataclass(frozen=True)
@@ -27,8 +25,11 @@ class Part:
     children: list[int]
 
 
-def dissected(graph: sparse.csc_array, place: np.ndarray) -> list[Part]:
-    """Parts of a symmetric graph (n, n) whose nodes have these coordinates (d, n), children before parents."""
+def dissected(graph: sparse.csc_array, place: np.ndarray, leaf: int) -> list[Part]:
+    """Parts of a symmetric graph (n, n) whose nodes have these coordinates (d, n), children before parents.
+
+    leaf : nodes of a region that is not divided.
+    """
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
     once = graph.indices > second
@@ -43,7 +44,7 @@ def dissected(graph: sparse.csc_array, place: np.ndarray) -> list[Part]:
         # regions are numbered from 0 on a level, parts from `first_part` on
         first_part = sum(map(len, parent)) - len(parent[-1])
         part[active] = first_part + own[active]
-        active = active[np.bincount(own[active], minlength=1)[own[active]] > LEAF]
+        active = active[np.bincount(own[active], minlength=1)[own[active]] > leaf]
         if not len(active):
             return _in_postorder(np.concatenate(parent), part)
         large = np.zeros(count, dtype=bool)
@@ -62,14 +63,10 @@ def _best_cut(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Masks (n,): the upper half of each region of active nodes, and the separator of the halves."""
     halved = np.stack([_upper_half(along, region) for along in ordered])
-    side, least = np.zeros(len(region), dtype=bool), np.full(len(region), len(region))  # of the region of each node
-    code = np.left_shift(1, np.arange(len(halved), dtype=np.uint8)) @ halved
-    crossing = code[first] ^ code[second]
-    for bit, upper in enumerate(halved):
-        low, high = _across(first, second, crossing & (1 << bit), upper)
-        size = np.minimum(*(_members(end, region) for end in (low, high)))[region]
-        side, least = np.where(size < least, upper, side), np.minimum(size, least)
-    return side, _least_cover(*_across(first, second, side[first] != side[second], side), len(region))
+    covers = np.stack([_least_cover(*_across(first, second, upper), len(region)) for upper in halved])
+    sizes = [np.bincount(region[cover], minlength=int(region.max()) + 1) for cover in covers]
+    best, node = np.argmin(sizes, axis=0)[region], np.arange(len(region))
+    return halved[best, node], covers[best, node]
 
 
 def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -83,19 +80,12 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
     return upper
 
 
-def _across(first: np.ndarray, second: np.ndarray, cut: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper node of the edges that are cut between the two halves of a region."""
-    at = np.flatnonzero(cut)
+    at = np.flatnonzero(upper[first] != upper[second])
     first, second = first[at], second[at]
     swapped = upper[first]
     return np.where(swapped, second, first), np.where(swapped, first, second)
-
-
-def _members(nodes: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """How many different ones of these nodes each region has."""
-    mask = np.zeros(len(region), dtype=bool)
-    mask[nodes] = True
-    return np.bincount(region[mask], minlength=int(region.max()) + 1)
 
 
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:

@@ -10,7 +10,9 @@ from taichi_bearings.conic.grouped import Grouped, apart, each, isotropic, one_b
 from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.slipless_forces import _held
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.cholesky import dissect
+from taichi_bearings.numerics.cholesky import dissect, factor
+from taichi_bearings.numerics.cholesky.fronts import analyse
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.solvers import interior_point
 from tests.scenes import make_scene
 from tests.solvers.test_interior_point import minimum_of
@@ -55,6 +57,27 @@ def test_sets_of_tied_spins_are_those_of_each_sample_alone(system, order, tied, 
         assert (heads[number] == (_held(system, ~mask) < 0)).all()
         assert contraction.order(number).tolist() == alone.order(0).tolist()
         assert sorted(alone.order(0).tolist()) == list(range(alone.unknowns))
+
+
+def test_large_samples_are_dissected_anew_alone_as_together(system, order, tied, contraction, monkeypatch):
+    monkeypatch.setattr("taichi_bearings.conic.contraction.MANY", 1)
+    for number, mask in enumerate(tied[:-1]):
+        alone = Contraction(system, order, mask)
+        assert contraction.order(number).tolist() == alone.order(0).tolist()
+        assert sorted(alone.order(0).tolist()) == list(range(alone.unknowns))
+
+
+def test_sets_dissected_anew_take_fewer_operations(monkeypatch):
+    """Tied spins of a minimum reach across the planes of the lattice: these divide them badly."""
+    scene = make_scene((16, 16, 16))
+    whole = lattice_system(scene.lattice, AXES, np.array([1.0, 0.0]))
+    tied = whole.gather([state == ContactState.SLIPLESS for state in minimum_of(scene).state], 0)
+    contraction, operations = Contraction(whole, dissect(scene.lattice.free_shape, AXES), tied), []
+    for many in (np.inf, 1):
+        monkeypatch.setattr("taichi_bearings.conic.contraction.MANY", many)
+        pattern = analyse(contraction.order(0), *contraction.system.couplings(), factor.PRICE)
+        operations.append(sum(front.own * (front.own + len(front.border)) ** 2 for front in pattern.fronts))
+    assert operations[1] < 0.75 * operations[0]
 
 
 def test_contacts_that_loops_leave_no_slip_are_tied_too(system, tied, contraction):

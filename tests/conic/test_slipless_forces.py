@@ -116,10 +116,20 @@ def test_a_small_torque_is_no_reason_to_look():
     assert roughly_borne(system, *of).motion is None
 
 
-def test_contacts_at_the_same_spins_touch_each_other():
+@pytest.mark.parametrize(
+    ("steps", "among", "found"),
+    [(0, 4, 1), (1, 4, 2), (2, 4, 3), (9, 4, 4), (9, 2, 2), (9, 0, 1)],
+)
+def test_contacts_lead_from_spin_to_spin_but_not_through_driven_planes(steps, among, found):
+    """Of a chain from plane to plane: from its first contact on, among so many."""
     system, _ = chain((BOTTOM, 0, 0.0), (0, 1, 0.0), (1, 2, 0.0), (2, TOP, 0.0), unknowns=3)
-    (touching,) = system.touching(Grouped([np.array([True, False, False, False])]))
-    assert touching.tolist() == [True, True, False, False]  # both ends at driven planes join nothing
+    first, allowed = (Grouped([np.arange(4) < count]) for count in (1, among))
+    (around,) = system.around(first, steps, allowed)
+    assert around.tolist() == [number < found for number in range(4)]
+
+
+def test_contacts_at_a_spin():
+    system, _ = chain((BOTTOM, 0, 0.0), (0, 1, 0.0), (1, 2, 0.0), (2, TOP, 0.0), unknowns=3)
     assert [part.tolist() for part in system.at(np.array([False, False, True]))] == [[False, False, True, True]]
 
 

@@ -8,7 +8,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier import dissection
+from taichi_bearings.verifier import elimination
 from taichi_bearings.verifier.judgement import Judgement
 from tests.scenes import make_scene
 from tests.verifier.test_bounds import samples_of
@@ -23,7 +23,7 @@ def solved(shape: tuple[int, ...]):
 def test_states_are_proven_in_many_parts_and_in_one(monkeypatch):
     solution = solved((6, 6, 6))
     for leaf in (5, 10_000):
-        monkeypatch.setattr(dissection, "LEAF", leaf)
+        monkeypatch.setattr(elimination, "LEAF", leaf)
         assert Judgement(samples_of(solution)).states[0].agree([state[0] for state in solution.state])
 
 

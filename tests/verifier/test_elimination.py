@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from taichi_bearings.verifier import dissection
+from taichi_bearings.verifier import dissection, elimination
 from taichi_bearings.verifier.dissection import dissected
 from taichi_bearings.verifier.elimination import Elimination
 
@@ -31,13 +31,13 @@ def scattered(seed: int, count: int = 120) -> tuple[sparse.csc_array, np.ndarray
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    monkeypatch.setattr(dissection, "LEAF", 4)
+    monkeypatch.setattr(elimination, "LEAF", 4)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
     matrix, place = scattered(seed)
-    parts = dissected(matrix, place)
+    parts = dissected(matrix, place, 4)
     assert sorted(np.concatenate([part.nodes for part in parts])) == list(range(len(place[0])))
     owner, parent = np.empty(len(place[0]), dtype=int), {}
     for number, part in enumerate(parts):
@@ -65,7 +65,7 @@ def test_fewest_nodes_meet_all_edges_between_two_sides():
 def test_planes_separate_a_cube_and_little_fills_in():
     """The separators are planes; with 3D dissection the factor has at most some 8 n^(4/3) entries."""
     matrix, place = neighbours((12, 12, 12))
-    parts = dissected(matrix, place)
+    parts = dissected(matrix, place, 4)
     assert max(len(part.nodes) for part in parts) == 144
     fronts = Elimination.of(matrix, place).fronts
     assert sum(f.own * (f.own + len(f.border)) for f in fronts) < 8 * 1728 ** (4 / 3)
