@@ -57,7 +57,8 @@ class LastDecades:
         )
         smooth = None if point.smooth is None else point.smooth[tied.kept]
         left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth)
-        return LastDecades(left, spins, tied.differences(spins), NewtonMatrix(tied.system, tied.order(0)))
+        matrix = NewtonMatrix(tied.system, tied.order(0), self._matrix.memory)
+        return LastDecades(left, spins, tied.differences(spins), matrix)
 
     @property
     def spins(self) -> Pair:
@@ -83,7 +84,6 @@ class LastDecades:
             decided = (each(np.abs, power) > CLEARLY) | (ratios > DECIDED)
             ended = self.point.unbalanced < BALANCED and ((~decided).sum() <= doubtful or self.ended)
             if ended or stalled == PATIENCE:
-                self._matrix.forget()
                 self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING)
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
                 return (ratios > 1) | (ratios > before)

@@ -9,12 +9,14 @@ from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays
 from taichi_bearings.conic.newton_matrix import cholesky_of, factorise_raised
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.numerics.cholesky.factor import Memory
 
 
 class NewtonBlocks:
     """As :class:`NewtonMatrix`, a block for each sample; what is singular in one of them is no matter to the others."""
 
-    def __init__(self, tied: Contraction) -> None:
+    def __init__(self, tied: Contraction, memory: Memory | None = None) -> None:
+        """memory : for a single sample, that of a matrix which is not needed as long."""
         first, second, self._source, self._sign = tied.system.terms()
         owner, samples = tied.owners.spins[first], tied.owners.samples
         order = np.argsort(owner, kind="stable") if samples > 1 else np.arange(len(first))
@@ -26,7 +28,8 @@ class NewtonBlocks:
                 continue
             pairs = first[of_sample] - own.start, second[of_sample] - own.start
             size = own.stop - own.start
-            cholesky = cholesky_of(size, partial(tied.order, sample), pairs)
+            own_memory = memory if memory and samples == 1 else Memory()
+            cholesky = cholesky_of(size, partial(tied.order, sample), pairs, own_memory)
             begin, end = end, end + cholesky.pattern.entries
             self._places[of_sample] = begin + cholesky.pattern.entry(*pairs)
             self._blocks.append((sample, own, cholesky, slice(begin, end)))

@@ -9,7 +9,7 @@ from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, WholeCholesky
-from taichi_bearings.numerics.cholesky.factor import compile_fronts
+from taichi_bearings.numerics.cholesky.factor import Memory, compile_fronts
 from taichi_bearings.numerics.cholesky.side_by_side import MANY, CholeskyAlone
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
@@ -20,12 +20,13 @@ AnyCholesky = WholeCholesky | CholeskyAlone | Cholesky
 
 
 def cholesky_of(
-    unknowns: int, order: Callable[[], np.ndarray], couplings: tuple[np.ndarray, np.ndarray]
+    unknowns: int, order: Callable[[], np.ndarray], couplings: tuple[np.ndarray, np.ndarray], memory: Memory
 ) -> AnyCholesky:
-    """What is quickest for so many unknowns. order : of elimination. couplings : pairs that are coupled."""
+    """What is quickest for so many unknowns. order : of elimination. couplings : pairs that are coupled. memory : for
+    large ones."""
     if unknowns <= FEW:
         return WholeCholesky(unknowns)
-    return (CholeskyAlone if unknowns < MANY else Cholesky)(order(), *couplings)
+    return CholeskyAlone(order(), *couplings) if unknowns < MANY else Cholesky(order(), *couplings, memory)
 
 
 def factorise_raised(cholesky: AnyCholesky, values: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
@@ -48,13 +49,13 @@ def factorise_raised(cholesky: AnyCholesky, values: np.ndarray, inertia: float |
 class NewtonMatrix:
     """Factorised weighted Laplacian of a contact system; the pattern is analysed once."""
 
-    def __init__(self, system: ContactSystem, order: np.ndarray) -> None:
-        """order : of elimination of the unknowns of `system`."""
-        self._system = system
+    def __init__(self, system: ContactSystem, order: np.ndarray, memory: Memory | None = None) -> None:
+        """order : of elimination of the unknowns of `system`. memory : that of a matrix which is not needed as long."""
+        self._system, self.memory = system, memory or Memory()
         self._empty = system.unknowns == 0  # everything is tied to the driven planes
         if self._empty:
             return
-        self._cholesky = cholesky_of(system.unknowns, lambda: order, system.couplings())
+        self._cholesky = cholesky_of(system.unknowns, lambda: order, system.couplings(), self.memory)
         pattern = self._cholesky.pattern
         self._map = system.laplacian_map(pattern.entry, pattern.entries)
 
@@ -119,7 +120,7 @@ class NewtonMatrix:
         return right if self._empty else self._cholesky.solve(right)
 
     def forget(self) -> None:
-        """Give the memory of the factor back, until it is factorised anew: at 64^3 there is room for one of them."""
+        """Give the memory of a large factor back, until it is factorised anew."""
         if not self._empty:
             self._cholesky.forget()
 

@@ -106,7 +106,6 @@ def resolve(
     iterates : near the end of the central path; not changed. before : where they were a step before; None if that is
     not known. small : most contacts that seem to stick do.
     """
-    lattice.matrix.forget()
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         steps = zip(iterates, before, strict=True)
         slipping = [~_sticking(here, there) if small and there is not None else None for here, there in steps]
@@ -116,6 +115,7 @@ def resolve(
             if found[number] is None:
                 with suppress(NotPositiveDefinite):
                     found[number] = _followed(iterate, before[number], lattice)
+        lattice.matrix.forget()
         pairs = zip(iterates, found, strict=True)
         return [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
 
@@ -150,7 +150,8 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
             break
     if found is None:
         return None
-    borne = bear(iterate.system, lattice.order, iterate.friction, found.dual, found.slipping)
+    memory = lattice.matrix.memory
+    borne = bear(iterate.system, lattice.order, iterate.friction, found.dual, found.slipping, memory=memory)
     if borne.dual is not None:
         return replace(found, dual=borne.dual, borne=True)
     if borne.motion is None or gains(iterate, found, borne.motion):
@@ -220,7 +221,6 @@ def _borne(
                 borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, found.slipping)
             with_forces = None if borne.dual is None else replace(found, dual=borne.dual, borne=True)
             settled[number] = with_forces, borne.motion
-        lattice.matrix.forget()
     return settled
 
 
@@ -262,7 +262,7 @@ class _Slipping:
         self.samples, whole = len(iterates), lattice.system.copies(len(iterates))
         self.tied = Contraction(whole, lattice.order, together([~mask for mask in slipping]), self.samples)
         self.slipping = self.everywhere(each(np.ones_like, self.tied.kept, bool))
-        self.matrix = NewtonBlocks(self.tied)
+        self.matrix = NewtonBlocks(self.tied, lattice.matrix.memory)
         self.friction = together([iterate.friction for iterate in iterates])[self.tied.kept]
         self.balanced = np.zeros(self.samples, dtype=bool)
         self.spins: Pair

@@ -21,6 +21,7 @@ from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
+from taichi_bearings.numerics.cholesky.factor import Memory
 
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
@@ -47,17 +48,23 @@ class Borne:
 
 @np.errstate(all="ignore")  # where double precision ends, numbers that are not finite turn up
 def bear(
-    system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays, roughly: bool = False
+    system: ContactSystem,
+    order: np.ndarray,
+    friction: Arrays,
+    dual: Arrays,
+    slipping: Arrays,
+    roughly: bool = False,
+    memory: Memory | None = None,
 ) -> Borne:
     """What slipless contacts do with what slipping ones, as their dual tells, leave to them.
 
     order : of elimination of the unknowns of `system`. friction (n,), dual (d, n), minus the forces, and slipping
     (n,), a group each; the dual of slipless contacts is not used. roughly : the dual found need not be in balance
-    where a domain as a whole is not.
+    where a domain as a whole is not. memory : for its matrix.
     """
     number, kept = _held(system, slipping), each(np.flatnonzero, ~slipping)
     slipless = _slipless(system, kept, number)
-    matrix = NewtonMatrix(slipless, _free(number[order]))
+    matrix = NewtonMatrix(slipless, _free(number[order]), memory)
     at_rest = np.zeros(slipless.unknowns)
     load = -system.torques(where(slipping, dual, 0.0))[number >= 0]
     point = replace(Iterate.start(slipless, at_rest, friction[kept], SLACK), load=load, inertia=Inertia(1.0, at_rest))

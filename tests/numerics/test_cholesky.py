@@ -280,9 +280,43 @@ def test_few_updates_wait_at_a_time(monkeypatch):
 def test_a_factor_that_is_forgotten_gives_its_memory_back(monkeypatch):
     monkeypatch.setattr(factor, "WORTH_FORGETTING", 0)
     matrix, stiffness, right = random_system()
+    matrix.compile()  # the compiler keeps what a kernel is first started with
     matrix.factorise(stiffness)
     expected, reals = matrix.solve(right), weakref.ref(matrix._cholesky._elimination.reals)
     matrix.forget()
     assert reals() is None
     matrix.factorise(stiffness)
     assert (matrix.solve(right) == expected).all()
+
+
+def test_matrices_that_share_memory_take_it_from_each_other():
+    """The large one first: there is room for the small one in what it has, and nothing else is asked for."""
+    alone = [random_system(shape) for shape in ((6, 7, 8), (4, 5, 5))]
+    expected = []
+    for matrix, stiffness, right in alone:
+        matrix.factorise(stiffness)
+        expected.append(matrix.solve(right))
+    large, small = (random_system(shape)[0] for shape in ((6, 7, 8), (4, 5, 5)))
+    small._cholesky._memory = large.memory
+    for _ in range(2):
+        for matrix, other, (_, stiffness, right), solution in zip(
+            (large, small), (small, large), alone, expected, strict=True
+        ):
+            matrix.factorise(stiffness)
+            assert (matrix.solve(right) == solution).all()
+            assert matrix._cholesky._elimination.reals is large._cholesky._elimination.reals
+            with pytest.raises(AssertionError):
+                other.solve(right)
+
+
+def test_a_matrix_that_needs_more_memory_than_another_had_gets_it():
+    small, large = random_system((4, 5, 5)), random_system()
+    large[0]._cholesky._memory = small[0].memory
+    solutions = []
+    for matrix, stiffness, right in (small, large, small):
+        matrix.factorise(stiffness)
+        solutions.append(matrix.solve(right))
+    assert (solutions[0] == solutions[2]).all()
+    for (matrix, stiffness, right), solution in zip((small, large), solutions, strict=False):
+        matrix.factorise(stiffness)
+        assert (matrix.solve(right) == solution).all()

@@ -1,5 +1,6 @@
 """Numeric factorisation and solves: fronts assembled by Taichi, eliminated by LAPACK and BLAS on several threads."""
 
+import weakref
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -25,16 +26,44 @@ class NotPositiveDefinite(ArithmeticError):
     """The matrix is not positive definite to working precision."""
 
 
+class Memory:
+    """Memory for one factor at a time: who factorises next takes it from who did before.
+
+    The first touch of new memory costs as much as a factorisation, at 32^3.
+    """
+
+    _holder: "weakref.ref[Cholesky] | None"
+
+    def __init__(self) -> None:
+        self.free()
+
+    def free(self) -> None:
+        self._reals, self._holder = np.zeros(0), None
+
+    def is_held_by(self, cholesky: "Cholesky") -> bool:
+        return self._holder is not None and self._holder() is cholesky
+
+    def taken_by(self, cholesky: "Cholesky", storage: Storage) -> np.ndarray:
+        """Zeros, as many as it needs or more. Raises MemoryError if there is no room for them."""
+        if len(self._reals) < storage.size:
+            self.free()
+            self._reals = storage.new_reals()
+        else:
+            self._reals[: storage.size] = 0.0
+        self._holder = weakref.ref(cholesky)
+        return self._reals
+
+
 class Cholesky:
     """Cholesky factorisation of a symmetric positive definite matrix.
 
-    order : of elimination, (unknowns,). first, second : coupled unknowns, pairwise.
+    order : of elimination, (unknowns,). first, second : coupled unknowns, pairwise. memory : to share with others.
     Values are given for the entries (pattern.row, pattern.column); where they go, `pattern.entry` tells.
     """
 
-    def __init__(self, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
+    def __init__(self, order: np.ndarray, first: np.ndarray, second: np.ndarray, memory: Memory | None = None) -> None:
         self.pattern = analyse(order, first, second, PRICE)
-        self._storage = Storage(self.pattern)
+        self._storage, self._memory = Storage(self.pattern), memory or Memory()
         self._substitution = Substitution(self.pattern, self._storage.factor)
         self._elimination: _Elimination | None = None
 
@@ -47,13 +76,16 @@ class Cholesky:
 
         Raises NotPositiveDefinite if a pivot is not positive.
         """
-        if self._elimination is None:
-            self._elimination = _Elimination(self.pattern, self._storage, self._substitution)
+        if self._elimination is None or not self._memory.is_held_by(self):
+            reals = self._memory.taken_by(self, self._storage)
+            if self._elimination is None or self._elimination.reals is not reals:
+                self._elimination = _Elimination(self.pattern, self._storage, self._substitution, reals)
         self._elimination.eliminate(values)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for one right-hand side, (size,)."""
         assert self._elimination is not None
+        assert self._memory.is_held_by(self)
         look_up()
         return self._elimination.solve(right)
 
@@ -61,6 +93,7 @@ class Cholesky:
         """Give the memory of the factor back, if it is large."""
         if self.pattern.factor_entries > WORTH_FORGETTING:
             self._elimination = None
+            self._memory.free()
 
 
 @lru_cache
@@ -76,8 +109,8 @@ def compile_fronts() -> None:
 class _Elimination:
     """The numbers of a factorisation, and the calls that work on them."""
 
-    def __init__(self, pattern: Pattern, storage: Storage, substitution: Substitution) -> None:
-        self._tables, self.reals, self._entries = storage.tables, storage.new_reals(), pattern.entries
+    def __init__(self, pattern: Pattern, storage: Storage, substitution: Substitution, reals: np.ndarray) -> None:
+        self._tables, self.reals, self._entries = storage.tables, reals, pattern.entries
         self.solve = substitution.of(self.reals)
         columns, updates = (
             (self.reals.ctypes.data + REAL * places).tolist() for places in (storage.factor, storage.update)

@@ -43,6 +43,7 @@ class Storage:
     batches : of fronts, children first.
     factor, update : (fronts,) places among the reals of the own columns, (own + border, own) in Fortran order, and of
     the update of the border, panels of PANEL columns from the diagonal down; lower triangles count.
+    size : how many reals.
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -53,9 +54,9 @@ class Storage:
         ends = pattern.entries + np.cumsum(own * height)
         self.factor = ends - own * height
         self.update = ends[-1] + schedule.update
-        self._size, self._unknowns = int(ends[-1]) + schedule.peak, pattern.size
-        if self._size > MOST_REALS:
-            raise MemoryError(f"the factorisation needs {self._size} numbers; at most {MOST_REALS} can be indexed")
+        self.size, self._unknowns = int(ends[-1]) + schedule.peak + LANES - 1, pattern.size  # solves read whole vectors
+        if self.size > MOST_REALS:
+            raise MemoryError(f"the factorisation needs {self.size} numbers; at most {MOST_REALS} can be indexed")
         order = np.concatenate(schedule.batches)
         table = np.zeros((len(fronts), FRONT_WIDTH), dtype=np.int64)
         table[:, OWN], table[:, HEIGHT], table[:, FIRST] = own, height, [f.first for f in fronts]
@@ -69,8 +70,8 @@ class Storage:
 
     def new_reals(self) -> np.ndarray:
         """Raises MemoryError if there is no room for them."""
-        refuse_beyond(8 * self._size, f"the factorisation of {self._unknowns:,} unknowns")
-        return np.zeros(self._size + LANES - 1)  # solves read whole vectors
+        refuse_beyond(8 * self.size, f"the factorisation of {self._unknowns:,} unknowns")
+        return np.zeros(self.size)
 
     def _batch(self, members: np.ndarray, table: np.ndarray) -> Batch:
         own, height = table[members, OWN], table[members, HEIGHT]
