@@ -160,8 +160,8 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
 
 
 def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
-    """The same with contacts tied that surely stick as soon as few others are in doubt. What is freed once more is what
-    moves where they cannot bear what is left to them. None if that does not help."""
+    """The same with contacts tied that surely stick as soon as few others are in doubt. Where they cannot bear what is
+    left to them, what moves is freed once more with its surroundings. None if that does not help."""
     if path.decide(min(int(FEW * iterate.in_cones), HANDFUL)) is None:
         return None
     sticking = path.sticking
