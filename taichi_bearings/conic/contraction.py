@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Arrays, Grouped, each
+from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, two_sum
 from taichi_bearings.verifier.dissection import dissected
 
@@ -155,8 +155,7 @@ class Contraction:
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
         first, second = (end - own.start for end in self.system.couplings())
         inside = (first >= 0) & (first < size)
-        ends = np.concatenate([first[inside], second[inside]]), np.concatenate([second[inside], first[inside]])
-        graph = sparse.csc_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(size, size))
+        graph = coupled(np.arange(size), first[inside], second[inside])
         return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], LEAF)])
 
     def contracted(self, spins: Pair) -> Pair:

@@ -28,8 +28,8 @@ class NewtonBlocks:
                 continue
             pairs = first[of_sample] - own.start, second[of_sample] - own.start
             size = own.stop - own.start
-            own_memory = memory if memory and samples == 1 else Memory()
-            cholesky = cholesky_of(size, partial(tied.order, sample), pairs, own_memory)
+            shared = memory if samples == 1 else None
+            cholesky = cholesky_of(size, partial(tied.order, sample), pairs, shared)
             begin, end = end, end + cholesky.pattern.entries
             self._places[of_sample] = begin + cholesky.pattern.entry(*pairs)
             self._blocks.append((sample, own, cholesky, slice(begin, end)))

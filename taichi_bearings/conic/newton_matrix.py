@@ -20,7 +20,7 @@ AnyCholesky = WholeCholesky | CholeskyAlone | Cholesky
 
 
 def cholesky_of(
-    unknowns: int, order: Callable[[], np.ndarray], couplings: tuple[np.ndarray, np.ndarray], memory: Memory
+    unknowns: int, order: Callable[[], np.ndarray], couplings: tuple[np.ndarray, np.ndarray], memory: Memory | None
 ) -> AnyCholesky:
     """What is quickest for so many unknowns. order : of elimination. couplings : pairs that are coupled. memory : for
     large ones."""

@@ -25,7 +25,7 @@ class Part:
     children: list[int]
 
 
-def dissected(graph: sparse.csc_array, place: np.ndarray, leaf: int) -> list[Part]:
+def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
     """Parts of a symmetric graph (n, n) whose nodes have these coordinates (d, n), children before parents.
 
     leaf : nodes of a region that is not divided.

@@ -99,10 +99,10 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
 
     order : the unknowns as they are to be eliminated, which branches of the tree may change places in.
     """
-    coupled = _coupled(order, first, second)
-    parts = supernodes(coupled, price)
+    pattern = coupled(_inverse(order), first, second)
+    parts = supernodes(pattern, price)
     order, place = order[parts.order], _inverse(parts.order)
-    half = sparse.tril(coupled).tocoo()
+    half = sparse.tril(pattern).tocoo()
     a, b = place[half.row], place[half.col]
     column, row = np.divmod(np.sort(np.minimum(a, b) * len(order) + np.maximum(a, b)), len(order))
     entries = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=len(order)))]).tolist()
@@ -127,12 +127,12 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
     return Pattern(order, _inverse(order), tuple(reversed(fronts)), row, column)
 
 
-def _coupled(order: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:
-    """Which places of the order are coupled, both ways, and each with itself."""
-    place, diagonal = _inverse(order), np.arange(len(order))
+def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:
+    """Which places are coupled, both ways, and each with itself. place : of each unknown, (unknowns,)."""
+    diagonal = np.arange(len(place))
     a, b = place[first], place[second]
     rows, columns = np.concatenate([a, b, diagonal]), np.concatenate([b, a, diagonal])
-    return sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(order),) * 2)
+    return sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(place),) * 2)
 
 
 def _inverse(order: np.ndarray) -> np.ndarray:
