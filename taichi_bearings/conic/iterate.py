@@ -53,9 +53,8 @@ class Iterate:
         bound = each(np.hypot, difference.length(), slack)
         return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference), viscosity=viscosity)
 
-    def let_slip(self, limit: float) -> "Iterate":
-        """Contacts that slip more than `limit` leave their cones, others come back into them."""
-        slips = self.difference.length() > limit
+    def let_slip(self, slips: Arrays) -> "Iterate":
+        """These contacts, (n,) masks a group, leave their cones, others come back into them."""
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
             back, central = self.smooth & ~slips, _central(self.friction, self.difference, self.complementarity)

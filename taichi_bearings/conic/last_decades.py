@@ -20,6 +20,7 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 CLEARLY = 0.5  # power of the product with which slip or margin of a contact falls that is decided
+BOTH = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
 DECIDED = 1e4  # ratio of slip and margin from which a contact surely slips
 STICKING = 1e-5  # and below which one surely sticks, if it falls with the product
 LEAST = 1e-25  # product at which double precision ends
@@ -38,7 +39,7 @@ class LastDecades:
         self._large, self._matrix = spins[0], matrix
         bound = iterate.bound - iterate.difference.length() + difference.length()
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
-        self.sticking = each(np.zeros_like, iterate.friction, bool)
+        self.sticking = self.critical = each(np.zeros_like, iterate.friction, bool)
         self._ratios, self._product = each(np.zeros_like, iterate.friction), np.inf
 
     @classmethod
@@ -69,25 +70,44 @@ class LastDecades:
         """Is the product so small that double precision ends?"""
         return self.point.complementarity < LEAST
 
-    def decide(self, doubtful: int = 0) -> Arrays | None:
+    def decide(self, doubtful: int = 0, to_the_end: bool = False) -> Arrays | None:
         """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or as far as
-        it goes: masks (n,) a group, the contacts that slip, or come to slip; None if that fails.
+        it goes, or `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if that fails.
 
-        Contacts that surely stick then are the `sticking` ones, (n,) masks a group. The next time it goes on from there
-        by at least one step.
+        Contacts that surely stick then are the `sticking` ones, (n,) masks a group; where the path ends, contacts whose
+        slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip. The next
+        time it goes on from there by at least one step.
         """
         before, last, stalled, fell = self._ratios, self._product, 0, each(np.ones_like, self.point.friction, bool)
+        late: tuple[Arrays, float] | None = None  # ratios and product where contacts at their limit begin to tell
         for _ in range(STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             stalled = stalled + 1 if product > STALLING * last else 0
             power = each(np.log, ratios / before) / abs(np.log(product / last))
             decided = (each(np.abs, power) > CLEARLY) | (ratios > DECIDED)
-            ended = self.point.unbalanced < BALANCED and ((~decided).sum() <= doubtful or self.ended)
+            enough = self.ended or (not to_the_end and (~decided).sum() <= doubtful)
+            ended = enough and self.point.unbalanced < BALANCED
             if ended or stalled == PATIENCE:
                 self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING)
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
-                return (ratios > 1) | (ratios > before)
+                if self.ended and late is not None:
+                    self.critical = self._vanishing(late)
+                return ((ratios > 1) | (ratios > before)) & ~self.critical
+            if late is None and product < BOTH:
+                late = ratios, product
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
-            point = self.point.let_slip(max(product / (1000 * EPS), 100 * np.sqrt(product)))
-            self.point, before, last, fell = newton_step(point, self._matrix), ratios, product, ~(power > -CLEARLY)
+            far = self.point.difference.length() > max(product / (1000 * EPS), 100 * np.sqrt(product))
+            slips = far & ((power > CLEARLY) | self._smooth)
+            self.point = newton_step(self.point.let_slip(slips), self._matrix)
+            before, last, fell = ratios, product, ~(power > -CLEARLY)
         return None
+
+    @property
+    def _smooth(self) -> Arrays:
+        none = each(np.zeros_like, self.point.friction, bool)
+        return none if self.point.smooth is None else self.point.smooth
+
+    def _vanishing(self, late: tuple[Arrays, float]) -> Arrays:
+        """Masks (n,) a group, contacts whose ratio of slip and margin has not changed with the product since then."""
+        ratios, fall = self.point.slip_over_margin, abs(np.log(self.point.complementarity / late[1]))
+        return ~self._smooth & (each(np.abs, each(np.log, ratios / late[0])) < CLEARLY * fall)

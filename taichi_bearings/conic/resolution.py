@@ -54,7 +54,8 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, and slipping (n,).
+    """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, slipping (n,), and critical (n,):
+    contacts that bear all their friction and yet do not slip.
 
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
@@ -66,6 +67,7 @@ class Resolved:
     difference: Arrays
     dual: Arrays
     slipping: Arrays
+    critical: Arrays
     heads: np.ndarray
     rest: np.ndarray | None = None
     borne: bool = False
@@ -112,9 +114,10 @@ def resolve(
         minima = _minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, lattice)
         found = [settled for settled, _ in _borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)]
         for number, iterate in enumerate(iterates):
-            if found[number] is None:
+            quickly = found[number]
+            if quickly is None or not quickly.sure:
                 with suppress(NotPositiveDefinite):
-                    found[number] = _followed(iterate, before[number], lattice)
+                    found[number] = _followed(iterate, before[number], lattice, small) or quickly
         lattice.matrix.forget()
         pairs = zip(iterates, found, strict=True)
         return [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
@@ -132,22 +135,20 @@ def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
     return apart & (slip < TREND * slip_before) & (iterate.margin > TREND * before.margin)
 
 
-def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
+def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings, small: bool) -> Resolved | None:
     """The same by the last decades of the path: on and on, until tied contacts bear what the slipping ones leave."""
-    path = LastDecades.after(iterate, before, lattice.matrix)
+    path, found = LastDecades.after(iterate, before, lattice.matrix), None
     with suppress(NotPositiveDefinite):
         settled = _followed_briefly(iterate, path, lattice)
-        if settled is not None:
+        if settled is not None and settled.sure:
             return settled
-    for _ in range(TRIALS):
-        slipping = path.decide()
+    for to_the_end in (False, True):
+        slipping = path.decide(to_the_end=to_the_end)
         if slipping is None:
             return None
-        found, settled, _ = _tried(iterate, path.spins, slipping, path.point.dual, lattice)
-        if settled is not None:
+        found, settled, _ = _tried(iterate, path.spins, slipping, path.critical, path.point.dual, lattice)
+        if settled is not None and (settled.sure or path.ended):
             return settled
-        if path.ended:
-            break
     if found is None:
         return None
     memory = lattice.matrix.memory
@@ -162,32 +163,36 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
 def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
     """The same with contacts tied that surely stick as soon as few others are in doubt. Where they cannot bear what is
     left to them, what moves is freed once more with its surroundings. None if that does not help."""
-    if path.decide(min(int(FEW * iterate.in_cones), HANDFUL)) is None:
+    if path.decide(int(min(max(FEW * iterate.in_cones, 30), HANDFUL))) is None:
         return None
-    sticking = path.sticking
-    for _ in range(TRIALS):
+    sticking, none, settled = path.sticking, each(np.zeros_like, path.sticking), None
+    for trial in range(TRIALS):
         tied = Contraction(lattice.system, lattice.order, sticking)
         rest = path.over(tied)
-        slipping = None if tied.contradicts.any() else rest.decide()
-        if slipping is None:
+        left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0)
+        if left is None:
             return None
-        everywhere = each(np.zeros_like, sticking).placed(tied.kept, slipping)
-        dual = path.point.dual.placed(tied.kept, rest.point.dual)
-        motion = roughly_borne(lattice.system, lattice.order, iterate.friction, dual, everywhere).motion
+        slipping, critical = none.placed(tied.kept, left), none.placed(tied.kept, rest.critical)
+        dual, at_limit = path.point.dual.placed(tied.kept, rest.point.dual), slipping | critical
+        motion = roughly_borne(lattice.system, lattice.order, iterate.friction, dual, at_limit).motion
         if motion is None:
-            _, settled, motion = _tried(iterate, tied.expanded(rest.spins), everywhere, dual, lattice)
-            if settled is not None or motion is None:
+            spins = tied.expanded(rest.spins)
+            _, settled, motion = _tried(iterate, spins, slipping, critical, dual, lattice)
+            if motion is None and (settled is None or settled.sure):
                 return settled
-        moved = iterate.system.change(motion).length()
-        sticking = sticking & ~iterate.system.around(moved > MOVES * moved.max(), WITH_IT, sticking)
-    return None
+        if motion is not None:
+            moved = iterate.system.change(motion).length()
+            sticking = sticking & ~iterate.system.around(moved > MOVES * moved.max(), WITH_IT, sticking)
+    return settled
 
 
 def _tried(
-    iterate: Iterate, spins: Pair, slipping: Arrays, near: Arrays, lattice: Surroundings
+    iterate: Iterate, spins: Pair, slipping: Arrays, critical: Arrays, near: Arrays, lattice: Surroundings
 ) -> tuple[Resolved | None, Resolved | None, np.ndarray | None]:
     """The minimum if these contacts slip, and what :func:`_borne` makes of it."""
     (found,) = _minima([iterate], [spins], [slipping], lattice)
+    if found is not None and critical.any():  # as all are whose slip Newton's method has lost
+        found = replace(found, critical=(critical | slipping) & ~found.slipping)
     (borne,) = _borne([iterate], [found], [near], lattice)
     return found, *borne
 
@@ -214,11 +219,12 @@ def _borne(
         dual = where(slipping, known, together([near[number] for number, _ in some]))
         friction = together([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
-        duals, fine = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, heads)
+        critical = together([found.critical for _, found in some])
+        duals, fine = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, critical, heads)
         for (number, found), whole, inside in zip(some, apart(duals, len(some)), fine, strict=True):
-            borne = Borne(dual=whole)
+            borne, at_limit = Borne(dual=whole), found.slipping | found.critical
             if not inside:
-                borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, found.slipping)
+                borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, at_limit)
             with_forces = None if borne.dual is None else replace(found, dual=borne.dual, borne=True)
             settled[number] = with_forces, borne.motion
     return settled
@@ -328,7 +334,8 @@ class _Slipping:
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: Arrays, dual: Arrays
     ) -> list[Resolved]:
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
-        return list(map(Resolved, *of_samples, self.slipping, np.split(self.tied.heads, self.samples), rests))
+        critical = [each(np.zeros_like, mask) for mask in self.slipping]
+        return list(map(Resolved, *of_samples, self.slipping, critical, np.split(self.tied.heads, self.samples), rests))
 
     def everywhere(self, values: Arrays) -> list[Arrays]:
         """Values of slipping contacts with zeros for the others, sample by sample."""

@@ -29,6 +29,8 @@ NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be tak
 SURELY = 10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
 FEW, FAR = 100, 30  # contacts outside their discs for whose sake others change their forces, so many contacts away
 CONSIDERABLE, NEAR = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
+LOOSE = 1e-7  # share of its friction by which a contact at its limit counts as having room where forces are balanced
+AT_LIMIT = 1e-12  # share of the friction by which rounding may take the force of such a contact beyond the limit
 CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
 CLOSE = 1e-22  # mean product of the two at which nothing more can be told
@@ -86,23 +88,32 @@ def bear(
 
 @np.errstate(all="ignore")
 def nearly_borne(
-    system: ContactSystem, matrix: Matrix, friction: Arrays, dual: Arrays, slipping: Arrays, heads: Sequence[np.ndarray]
+    system: ContactSystem,
+    matrix: Matrix,
+    friction: Arrays,
+    dual: Arrays,
+    slipping: Arrays,
+    critical: Arrays,
+    heads: Sequence[np.ndarray],
 ) -> tuple[Arrays, np.ndarray]:
     """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
     the samples (samples,) in which that is enough, as it is most often near the end of the central path.
 
     system, matrix : of a sample. heads : of each sample, mask (unknowns,) of one spin of each domain that is tied to no
-    driven plane. The others as for :func:`bear`, of all samples together, the dual of slipless contacts nearly in
-    balance and inside their friction discs.
+    driven plane. critical : masks (n,) a group, contacts that may bear all their friction. The others as for
+    :func:`bear`, of all samples together, the dual of slipless contacts nearly in balance and inside their friction
+    discs.
     """
-    room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), 0.0))
+    room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, LOOSE * friction, 0.0)))
     side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_given(stacked(isotropic(side, springs)), still)
     for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)
-    return whole, regular & _inside(friction, whole, slipping, system.torques(side))
+    within = ~critical | (whole.length() < (1 + AT_LIMIT) * friction)
+    inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
+    return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
 
 
 @np.errstate(all="ignore")

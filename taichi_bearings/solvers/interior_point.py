@@ -70,7 +70,11 @@ class _Sample:
 def _states(samples: Sequence[_Sample]) -> Arrays:
     """Contact states (R * n,) a group, one sample after the other."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
-    settled = [where(s.resolved.slipping, slipping, slipless) for s in samples if s.resolved is not None]
+    settled = [
+        where(s.resolved.slipping, slipping, where(s.resolved.critical, undecided, slipless))
+        for s in samples
+        if s.resolved is not None
+    ]
     if len(settled) == len(samples):
         return together(settled)
     iterates = [sample.iterate for sample in samples]
