@@ -20,6 +20,7 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 CLEARLY = 0.5  # power of the product with which slip or margin of a contact falls that is decided
+NO_ROOM = 1e-6  # margin below which one can be at its limit
 BOTH = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
 DECIDED = 1e4  # ratio of slip and margin from which a contact surely slips
 STICKING = 1e-5  # and below which one surely sticks, if it falls with the product
@@ -110,4 +111,5 @@ class LastDecades:
     def _vanishing(self, late: tuple[Arrays, float]) -> Arrays:
         """Masks (n,) a group, contacts whose ratio of slip and margin has not changed with the product since then."""
         ratios, fall = self.point.slip_over_margin, abs(np.log(self.point.complementarity / late[1]))
-        return ~self._smooth & (each(np.abs, each(np.log, ratios / late[0])) < CLEARLY * fall)
+        steady = each(np.abs, each(np.log, ratios / late[0])) < CLEARLY * fall
+        return ~self._smooth & steady & (self.point.margin < NO_ROOM)

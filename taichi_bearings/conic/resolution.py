@@ -30,7 +30,7 @@ from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import Borne, bear, borne_nearby, nearly_borne, roughly_borne
+from taichi_bearings.conic.slipless_forces import Borne, bear, beyond_limit, borne_nearby, nearly_borne, roughly_borne
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
@@ -112,7 +112,7 @@ def resolve(
         steps = zip(iterates, before, strict=True)
         slipping = [~_sticking(here, there) if small and there is not None else None for here, there in steps]
         minima = _minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, lattice)
-        found = [settled for settled, _ in _borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)]
+        found = [settled for settled, *_ in _borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)]
         for number, iterate in enumerate(iterates):
             quickly = found[number]
             if quickly is None or not quickly.sure:
@@ -189,12 +189,20 @@ def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings
 def _tried(
     iterate: Iterate, spins: Pair, slipping: Arrays, critical: Arrays, near: Arrays, lattice: Surroundings
 ) -> tuple[Resolved | None, Resolved | None, np.ndarray | None]:
-    """The minimum if these contacts slip, and what :func:`_borne` makes of it."""
-    (found,) = _minima([iterate], [spins], [slipping], lattice)
-    if found is not None and critical.any():  # as all are whose slip Newton's method has lost
-        found = replace(found, critical=(critical | slipping) & ~found.slipping)
-    (borne,) = _borne([iterate], [found], [near], lattice)
-    return found, *borne
+    """The minimum if these contacts slip, and what :func:`_borne` makes of it.
+
+    critical : contacts that come to their limit and do not seem to slip; those that would have to bear more do slip.
+    """
+    for _ in range(NEWTON_TRIALS):
+        (found,) = _minima([iterate], [spins], [slipping], lattice)
+        if found is not None and critical.any():  # as all are whose slip Newton's method has lost
+            found = replace(found, critical=(critical | slipping) & ~found.slipping)
+        ((settled, motion, dual),) = _borne([iterate], [found], [near], lattice)
+        beyond = found.critical & beyond_limit(iterate.friction, dual) if found is not None else critical
+        if settled is not None or found is None or not beyond.any():
+            break
+        slipping, critical = slipping | beyond, critical & ~beyond
+    return found, settled, motion
 
 
 def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
@@ -207,11 +215,11 @@ def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
 
 def _borne(
     iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[Arrays], lattice: Surroundings
-) -> list[tuple[Resolved | None, np.ndarray | None]]:
+) -> list[tuple[Resolved | None, np.ndarray | None, Arrays]]:
     """The same with forces of the slipless contacts, where they can have nearly those of which `near` is the dual; or
-    the motion (unknowns,) of what cannot bear what is left to it.
+    the motion (unknowns,) of what cannot bear what is left to it; and the dual that is in balance anyhow.
     """
-    settled: list[tuple[Resolved | None, np.ndarray | None]] = [(None, None)] * len(minima)
+    settled: list[tuple[Resolved | None, np.ndarray | None, Arrays]] = [(None, None, dual) for dual in near]
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
         slipping = together([found.slipping for _, found in some])
@@ -226,7 +234,7 @@ def _borne(
             if not inside:
                 borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, at_limit)
             with_forces = None if borne.dual is None else replace(found, dual=borne.dual, borne=True)
-            settled[number] = with_forces, borne.motion
+            settled[number] = with_forces, borne.motion, whole
     return settled
 
 

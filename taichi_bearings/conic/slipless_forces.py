@@ -104,6 +104,7 @@ def nearly_borne(
     :func:`bear`, of all samples together, the dual of slipless contacts nearly in balance and inside their friction
     discs.
     """
+    dual = where(critical, friction * dual / dual.length(), dual)
     room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, LOOSE * friction, 0.0)))
     side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
@@ -111,7 +112,7 @@ def nearly_borne(
     for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)
-    within = ~critical | (whole.length() < (1 + AT_LIMIT) * friction)
+    within = ~(critical & beyond_limit(friction, whole))
     inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
     return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
 
@@ -149,6 +150,11 @@ def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarra
     surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
     inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
     return (left.max(axis=1, initial=0.0) < SURELY * BALANCED) & np.all(inside, axis=0)
+
+
+def beyond_limit(friction: Arrays, dual: Arrays) -> Arrays:
+    """Masks (n,) a group of contacts whose force exceeds their friction by more than rounding."""
+    return ~(dual.length() < (1 + AT_LIMIT) * friction)
 
 
 def _free(numbers: np.ndarray) -> np.ndarray:

@@ -42,9 +42,8 @@ from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-9, 100  # relative gap from which settling is tried, and factor between one trial and the next
+SETTLE, AGAIN = 1e-9, 100  # relative gap from which settling is tried, and factor to the next trial in large samples
 SOONEST, CLEAR = 1e-8, 0.55  # in small samples the gap is CLEAR / spheres^3, at most SOONEST: their slips are larger
-SOON_AGAIN = 3  # the factor in small samples
 FAR = 1e-4  # relative gap that is far from any tolerance of this method
 AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
 SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
@@ -239,9 +238,10 @@ class InteriorPointMethod:
         return self.scene.law.is_rate_independent
 
     def _near(self, sample: _Sample) -> float:
-        """Relative gap from which the states of a sample are to be settled; 0 if never."""
-        again = SOON_AGAIN if self._small else AGAIN
-        return min(self.settles_at, sample.tried / again) if self._settles else 0.0
+        """Relative gap from which the states of a sample are to be settled; 0 if never. In small samples that is tried
+        once, and where the path ends: the last decades are followed each time, and tell no more from closer by."""
+        again = 0.0 if self._small and np.isfinite(sample.tried) else sample.tried / AGAIN
+        return min(self.settles_at, again) if self._settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: _Sample, path: Path, place: int) -> float:
