@@ -131,16 +131,17 @@ def describe(summary: dict[str, Any], times: str) -> str:
         lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
     least = "its potential proven" if "potential" in summary else "proven"
-    keys = ("power", "gap", "slipping", "slipless", "undecided")
-    rows = zip(seeds, *(v if isinstance(v, list) else [v] for v in (summary[k] for k in keys)), strict=True)
-    for number, (seed, power, gap, slipping, slipless, undecided) in enumerate(rows):
+    keys = ("power", "gap", "slipping", "slipless", "undecided", "critical")
+    known = [summary.get("tied_contacts") or [0] * len(seeds), *(summary[key] for key in keys)]
+    rows = zip(seeds, *(v if isinstance(v, list) else [v] for v in known), strict=True)
+    for number, (seed, tied, power, gap, slipping, slipless, undecided, critical) in enumerate(rows):
         if number == 10 and len(seeds) > 11:
             lines.append(f"  ... and {len(seeds) - 10} more seeds, in summary.json")
             break
         lines.append(
             f"  seed {seed}: P = {_number(power, '.12g')}, {least} within {_number(gap, '.1e')}; "
             f"of {summary['contacts']:,} contacts "
-            f"{slipping:,} slip, {slipless:,} do not, {undecided:,} {'is' if undecided == 1 else 'are'} undecided"
+            f"{slipping:,} slip, {slipless:,} do not, {_others(undecided, critical, tied)}"
         )
     if len(seeds) == 1:
         lines += [f"  {line}" for line in _separation(summary)]
@@ -155,6 +156,14 @@ def describe(summary: dict[str, Any], times: str) -> str:
     picture = Path(summary["run"]) / "power_histogram.png"
     lines += [f"  histogram: {picture}"] if picture.exists() else []
     return "\n".join(lines)
+
+
+def _others(undecided: int, critical: int, tied: int) -> str:
+    """What the contacts are that neither slip nor rest for certain."""
+    left = undecided - critical - tied
+    kinds = [(critical, "critical"), (tied, "tied"), (left, "undecided")]
+    named = [(number, kind) for number, kind in kinds if number] or [(0, "undecided")]
+    return ", ".join(f"{number:,} {'is' if number == 1 else 'are'} {kind}" for number, kind in named)
 
 
 def _separation(summary: dict[str, Any]) -> list[str]:

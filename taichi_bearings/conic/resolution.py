@@ -31,6 +31,7 @@ from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import Borne, bear, beyond_limit, borne_nearby, nearly_borne, roughly_borne
+from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
@@ -54,8 +55,8 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, slipping (n,), and critical (n,):
-    contacts that bear all their friction and yet do not slip.
+    """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, slipping (n,), critical (n,),
+    contacts that bear all their friction and yet do not slip, and tied (n,), slipping ones that rest at other minima.
 
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
@@ -71,6 +72,12 @@ class Resolved:
     heads: np.ndarray
     rest: np.ndarray | None = None
     borne: bool = False
+    tied: Arrays | None = None
+
+    @property
+    def open(self) -> Arrays:
+        """Masks (n,) a group, contacts that are critical or tied."""
+        return self.critical if self.tied is None else self.critical | self.tied
 
     @property
     def sure(self) -> bool:
@@ -120,7 +127,16 @@ def resolve(
                     found[number] = _followed(iterate, before[number], lattice, small) or quickly
         lattice.matrix.forget()
         pairs = zip(iterates, found, strict=True)
-        return [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
+        least = [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
+        return [settled and _with_ties(iterate, settled, lattice) for iterate, settled in zip(iterates, least, strict=True)]
+
+
+def _with_ties(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved:
+    """The same, with what is known of other minima."""
+    if not settled.sure:
+        return settled
+    of_minimum = iterate.friction, settled.difference, settled.slipping
+    return replace(settled, tied=tied_contacts(lattice.system, lattice.order, *of_minimum))
 
 
 def _is_least(iterate: Iterate, settled: Resolved) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from taichi_bearings.proof.certificate import saturation
 from taichi_bearings.scene.scene import Scene
+from taichi_bearings.scene.solution import Solution
 
 
 class ContactState(IntEnum):
@@ -14,7 +15,7 @@ class ContactState(IntEnum):
 
     SLIPLESS = 0
     SLIPPING = 1
-    UNDECIDED = 2
+    UNDECIDED = 2  # critical, tied, or not known
     DRIVEN = 3  # between two driven spheres, or absent: it takes no part
 
 
@@ -75,6 +76,28 @@ def separate(scene: Scene, slip: tuple[np.ndarray, ...], state: tuple[np.ndarray
     with np.errstate(divide="ignore", invalid="ignore"):
         decades = np.log10(smallest / np.maximum(largest, rounding))
     return Separation(largest, smallest, decades)
+
+
+def unresolved(solution: Solution) -> tuple[np.ndarray, ...]:
+    """Masks (R, *contacts) an axis: friction times slip is no more than what power and lower bound leave open."""
+    scene, left = solution.scene, solution.objective - solution.lower_bound
+    return tuple(
+        scene.strength * of * slip <= left.reshape(-1, *(1,) * (slip.ndim - 1))
+        for of, slip in zip(scene.coefficient, solution.slip, strict=True)
+    )
+
+
+def critical(solution: Solution) -> np.ndarray:
+    """Number (R,) of undecided contacts that bear all their friction, with a slip that the gap does not resolve; but for
+    those that are known to slip at other minima."""
+    scene, found = solution.scene, np.zeros(solution.scene.replicas, dtype=np.int64)
+    others = count(solution.state, ContactState.UNDECIDED) - solution.findings.get("tied_contacts", 0)
+    if scene.law.holds:
+        parts = zip(solution.state, solution.force, scene.coefficient, unresolved(solution), strict=True)
+        for state, force, of, faint in parts:
+            at_limit = (state == ContactState.UNDECIDED) & faint & (force >= SATURATED * scene.strength * of)
+            found += at_limit.reshape(len(found), -1).sum(axis=1)
+    return np.minimum(found, others)
 
 
 def counts(state: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import ContactState, count, separate
+from taichi_bearings.proof.contact_state import ContactState, count, critical, separate
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE
@@ -52,17 +52,15 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Contacts whose slip and friction disagree."""
-    number = int(count(solution.state, ContactState.UNDECIDED).sum())
-    if number:
-        fast = sum(
-            int(((state == ContactState.UNDECIDED) & (slip > solution.slip_threshold)).sum())
-            for state, slip in zip(solution.state, solution.slip, strict=True)
-        )
+    """Contacts of which slip and friction do not tell whether they slip; critical and tied ones are known for what
+    they are."""
+    known = critical(solution) + solution.findings.get("tied_contacts", 0)
+    number = int((count(solution.state, ContactState.UNDECIDED) - known).sum())
+    if number > 0:
         all_contacts = solution.scene.lattice.contacts * solution.scene.replicas
         yield (
-            f"{number:,} of {counted(all_contacts, 'contact')} undecided: {fast:,} slip faster than "
-            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - fast:,} the other way round"
+            f"{number:,} of {counted(all_contacts, 'contact')} undecided: their slip and their friction do not agree "
+            "whether they slip at the minimum"
         )
 
 
@@ -84,7 +82,7 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
     tied = int(np.sum(solution.findings.get("tied_contacts", 0)))
     if tied:
-        yield f"cuts tie exactly: {counted(tied, 'contact')} slip at some minima and not at others"
+        yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 
 
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:

@@ -23,7 +23,7 @@ from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
-from taichi_bearings.proof.contact_state import ContactState, counts, separate
+from taichi_bearings.proof.contact_state import ContactState, counts, critical, separate
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
     completed,
@@ -271,6 +271,7 @@ def summarise(run: Run) -> dict[str, Any]:
         "slipping": per_seed(in_state[:, ContactState.SLIPPING]),
         "slipless": per_seed(in_state[:, ContactState.SLIPLESS]),
         "undecided": per_seed(in_state[:, ContactState.UNDECIDED]),
+        "critical": per_seed(critical(solution)),
         "states_proven": per_seed(solution.resolved),
         "largest_slipless_slip": per_seed(separation.largest_slipless),
         "smallest_slipping_slip": per_seed(separation.smallest_slipping),

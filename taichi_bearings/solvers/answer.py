@@ -7,7 +7,7 @@ import numpy as np
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap
-from taichi_bearings.proof.contact_state import ContactState, classify, separate
+from taichi_bearings.proof.contact_state import ContactState, classify, separate, unresolved
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
@@ -157,6 +157,19 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
         scene.named_coefficients.get("viscosity", ()),
     )  # fmt: skip
     return Judgement(samples) if samples.can_be_judged else None
+
+
+def above_noise(answer: Solution) -> tuple[np.ndarray, ...]:
+    """Its contact states, those undecided that seem to slip by less than the gap resolves, where nothing is proven."""
+    open_ = ~answer.resolved
+    return tuple(
+        np.where(
+            (state == ContactState.SLIPPING) & faint & open_.reshape(-1, *(1,) * (state.ndim - 1)),
+            ContactState.UNDECIDED,
+            state,
+        ).astype(np.uint8)
+        for state, faint in zip(answer.state, unresolved(answer), strict=True)
+    )
 
 
 def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tuple[np.ndarray, ...]) -> np.ndarray:

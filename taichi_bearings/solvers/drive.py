@@ -14,7 +14,7 @@ from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
-from taichi_bearings.solvers.answer import answered, proven
+from taichi_bearings.solvers.answer import above_noise, answered, proven
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
@@ -214,6 +214,8 @@ class _Course:
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
             found = replace(found, resolved=proven(scene, final, judgement, found.state))
+        if final.state is not None and scene.law.is_rate_independent:
+            found = replace(found, state=above_noise(found))
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
 

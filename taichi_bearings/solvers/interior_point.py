@@ -70,9 +70,9 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
     """Contact states (R * n,) a group, one sample after the other."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     settled = [
-        where(s.resolved.slipping, slipping, where(s.resolved.critical, undecided, slipless))
-        for s in samples
-        if s.resolved is not None
+        where(of.open, undecided, where(of.slipping, slipping, slipless))
+        for of in (sample.resolved for sample in samples)
+        if of is not None
     ]
     if len(settled) == len(samples):
         return together(settled)
@@ -313,12 +313,18 @@ class InteriorPointMethod:
             state=state if self.frustrated else None,
             slip=slip if self.frustrated else None,
             settled=settled,
+            findings=self._findings(),
             resolved=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
             settles_at=self.settles_at,
             ended=np.array([sample.steps for sample in self.samples]),
         )
+
+    def _findings(self) -> dict[str, np.ndarray]:
+        """Contacts that slip at some minima and not at others, where that was looked for."""
+        tied = [None if sample.resolved is None else sample.resolved.tied for sample in self.samples]
+        return ({} if all(of is None for of in tied) else {"tied_contacts": np.array([0 if of is None else int(of.sum()) for of in tied])})
 
     def _spins(self) -> Pair:
         """Staggered spins (C, R, *N) in twice the precision, 1/time; zero in the driven planes."""

@@ -139,7 +139,8 @@ def test_a_motion_gains_if_the_power_falls_along_it(held, falls):
     system, _ = chain((BOTTOM, 0, 0.0), (0, TOP, 1e-3))
     friction, slipping = Grouped([np.array([held, 0.4])]), Grouped([np.array([False, True])])
     point = Iterate.start(system, np.zeros(1), friction, slack=1.0)
-    found = Resolved(np.zeros(1), point.difference, point.dual, slipping, np.zeros(1, dtype=bool))
+    none = Grouped([np.zeros(2, dtype=bool)])
+    found = Resolved(np.zeros(1), point.difference, point.dual, slipping, none, np.zeros(1, dtype=bool))
     assert gains(point, found, np.array([0.7])) == falls
 
 

@@ -1,0 +1,108 @@
+"""Where minima are not unique: the contacts that slip at some of them and rest at others.
+
+All minima share the directions of slip, so they are a polyhedron in the sizes of the slips: motions of what slipless
+contacts tie together that turn no slip, as far as no slip turns round. Equal friction makes such motions, as of a set
+of spheres that two neighbours pull with the same force either way.
+"""
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import linprog
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.grouped import Arrays, Grouped, each
+
+LARGEST = 600  # unknowns of a block that is searched for motions which turn no slip
+TURNS = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
+MOVES = 1e-7  # least change of a slip, of the largest of its motion, that counts
+COMES_TO_REST = 1e-7  # share of its slip that is left of one that comes to rest
+MANY = 200  # linear programmes for one polyhedron, at most
+
+
+def tied_contacts(
+    system: ContactSystem, order: np.ndarray, friction: Arrays, difference: Arrays, slipping: Arrays
+) -> Arrays:
+    """Masks (n,) a group of slipping contacts that rest at other minima.
+
+    order : of elimination of the unknowns of `system`. friction, slipping (n,), difference (d, n) : of a minimum, a
+    group each. Only contacts with the same friction can tie.
+    """
+    none = each(np.zeros_like, slipping)
+    values = np.concatenate([*friction])
+    if len(np.unique(values)) == len(values):
+        return none
+    tied = Contraction(system, order, ~slipping)
+    motions = _turning_no_slip(tied, difference[tied.kept])
+    if motions.shape[1] == 0:
+        return none
+    along = difference[tied.kept] / difference[tied.kept].length()
+    rates = np.concatenate(
+        [np.einsum("dn,dnk->nk", n, change) for n, change in zip(along, tied.system.change(motions), strict=True)]
+    )
+    rates = rates / np.maximum(np.abs(rates).max(axis=0), MOVES)
+    rates = np.where(np.abs(rates) > MOVES, rates, 0.0)
+    slips = np.concatenate([*difference[tied.kept].length()])
+    found = _resting_somewhere(slips, rates)
+    parts = np.split(found, np.cumsum([len(kept) for kept in tied.kept])[:-1])
+    return none.placed(tied.kept, Grouped(parts))
+
+
+def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
+    """(unknowns, k), basis of the motions of what is tied that turn no slip."""
+    unknowns, rows = tied.unknowns, []
+    for group, slip in zip(tied.system.groups, difference, strict=True):
+        if len(slip) == 2:
+            along = slip / np.hypot(*slip)
+            across = np.where(np.abs(along[::-1]) > TURNS, [-along[1], along[0]], 0.0)
+            count = slip.shape[1]
+            take = sparse.csr_array(
+                (across.ravel(), (np.tile(np.arange(count), 2), np.arange(2 * count))), shape=(count, 2 * count)
+            )
+            rows.append(take @ group.operator)
+    conditions = sparse.csr_array(sparse.vstack(rows)) if rows else sparse.csr_array((0, unknowns))
+    conditions.eliminate_zeros()
+    blocks, label = connected_components(abs(conditions.T) @ abs(conditions), directed=False)
+    motions = [np.zeros((unknowns, 0))]
+    of_row = label[conditions.indices[conditions.indptr[:-1][np.diff(conditions.indptr) > 0]]]
+    filled = conditions[np.flatnonzero(np.diff(conditions.indptr))]
+    for block in range(blocks):
+        own = np.flatnonzero(label == block)
+        if len(own) <= LARGEST:
+            matrix = filled[np.flatnonzero(of_row == block)][:, own].toarray()
+            _, sizes, vectors = np.linalg.svd(np.vstack([matrix, np.zeros((1, len(own)))]))
+            free = np.append(sizes, np.zeros(len(own) - len(sizes))) < TURNS
+            basis = np.zeros((unknowns, int(free.sum())))
+            basis[own] = vectors[free].T
+            motions.append(basis)
+    return np.concatenate(motions, axis=1)
+
+
+def _resting_somewhere(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Mask (n,), slips >= 0 that vanish at some point of the polyhedron slips + rates @ y >= 0."""
+    found = np.zeros(len(slips), dtype=bool)
+    shared = (rates != 0).astype(float)
+    count, label = connected_components(sparse.csr_array(shared.T @ shared), directed=False)
+    for part in range(count):
+        own = np.flatnonzero(label == part)
+        some = np.flatnonzero(shared[:, own].any(axis=1))
+        found[some] = _resting(rates[np.ix_(some, own)] / slips[some, None])
+    return found
+
+
+def _resting(rates: np.ndarray) -> np.ndarray:
+    """The same of the polyhedron 1 + rates @ y >= 0, by linear programmes: the least sum of those that have not come to
+    rest, as long as that brings others to rest, and then one by one."""
+    found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
+    for _ in range(MANY):
+        left = np.flatnonzero(~found & ~asked)
+        if not len(left):
+            break
+        some = left if together else left[:1]
+        answer = linprog(rates[some].sum(axis=0), A_ub=-rates, b_ub=np.ones(len(rates)), bounds=(None, None))
+        resting = (1 + rates @ answer.x < COMES_TO_REST) if answer.status == 0 else np.zeros_like(found)
+        asked[some] |= not together
+        together = together and bool((resting & ~found).any())
+        found |= resting
+    return found
