@@ -91,9 +91,10 @@ class LastDecades:
             if ended or stalled == PATIENCE:
                 self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING)
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
-                if self.ended and late is not None:
-                    self.critical = self._vanishing(late)
-                return ((ratios > 1) | (ratios > before)) & ~self.critical
+                if not self.ended or late is None:
+                    return (ratios > 1) | (ratios > before)
+                self.critical = self._vanishing(late)
+                return (ratios > 1) & ~self.critical
             if late is None and product < BOTH:
                 late = ratios, product
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt

@@ -39,7 +39,8 @@ SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the
 MOVES, WITH_IT = 1e-3, 7  # of the largest slip of a motion, from which a contact takes part; what is so near is freed
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
-FEW, HANDFUL = 3e-3, 300  # share and number of contacts that may be in doubt when those are tied that surely stick
+FEW = 3e-3  # share of the contacts that may be in doubt when those are tied that surely stick
+FEWEST, HANDFUL = 30, 300  # and their number, at least and at most
 TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
@@ -179,7 +180,7 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings, s
 def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
     """The same with contacts tied that surely stick as soon as few others are in doubt. Where they cannot bear what is
     left to them, what moves is freed once more with its surroundings. None if that does not help."""
-    if path.decide(int(min(max(FEW * iterate.in_cones, 30), HANDFUL))) is None:
+    if path.decide(int(min(max(FEW * iterate.in_cones, FEWEST), HANDFUL))) is None:
         return None
     sticking, none, settled = path.sticking, each(np.zeros_like, path.sticking), None
     for trial in range(TRIALS):

@@ -223,7 +223,7 @@ def test_small_lattices_keep_what_their_samples_share(monkeypatch):
 
 def test_most_samples_do_without_the_last_decades_of_the_path(monkeypatch):
     """Newton's method with every contact slipping that does not surely stick."""
-    monkeypatch.setattr(LastDecades, "decide", lambda *of: None)
+    monkeypatch.setattr(LastDecades, "decide", lambda *of, **how: None)
     resolved = [minimum_of(make_scene((6, 6, 6), seeds=(seed,))).resolved[0] for seed in range(10)]
     assert sum(resolved) >= 7
 
@@ -250,7 +250,7 @@ def as_large(monkeypatch):
 def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
     """Else they do not add up to nothing round loops of contacts, and contacts at rest seem to slip."""
     paths, decide = [], LastDecades.decide
-    monkeypatch.setattr(LastDecades, "decide", lambda path, *of: paths.append(path) or decide(path, *of))
+    monkeypatch.setattr(LastDecades, "decide", lambda path, *of, **how: paths.append(path) or decide(path, *of, **how))
     monkeypatch.setattr(resolution, "_followed_briefly", lambda *of: None)  # nothing is tied
     assert minimum_of(make_scene((10, 10, 10), seeds=(559,))).resolved[0]
     path = paths[-1]
@@ -274,8 +274,8 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
         nothing_tied.setattr(resolution, "_followed_briefly", lambda *of: None)
         whole = minimum_of(scene)
 
-    def wrongly_decided(path, *doubtful):
-        slipping = decide(path, *doubtful)
+    def wrongly_decided(path, *doubtful, **how):
+        slipping = decide(path, *doubtful, **how)
         if doubtful:
             mask, slip = slipping.parts[0], path.point.difference.length().parts[0]
             path.sticking.parts[0][np.flatnonzero(mask)[np.argsort(slip[mask])[:wrong]]] = True
@@ -283,6 +283,7 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
 
     monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
     monkeypatch.setattr(resolution, "FEW", 0.0)
+    monkeypatch.setattr(resolution, "FEWEST", 0)
     for name in ("roughly_borne", "borne_nearby"):
         look = getattr(resolution, name)
         monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])
