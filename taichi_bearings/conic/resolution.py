@@ -129,7 +129,9 @@ def resolve(
         lattice.matrix.forget()
         pairs = zip(iterates, found, strict=True)
         least = [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
-        return [settled and _with_ties(iterate, settled, lattice) for iterate, settled in zip(iterates, least, strict=True)]
+        return [
+            settled and _with_ties(iterate, settled, lattice) for iterate, settled in zip(iterates, least, strict=True)
+        ]
 
 
 def _with_ties(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved:

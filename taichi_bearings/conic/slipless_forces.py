@@ -29,7 +29,7 @@ NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be tak
 SURELY = 10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
 FEW, FAR = 100, 30  # contacts outside their discs for whose sake others change their forces, so many contacts away
 CONSIDERABLE, NEAR = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
-LOOSE = 1e-7  # share of its friction by which a contact at its limit counts as having room where forces are balanced
+LOOSE = 1e-5  # share of its friction by which a contact at its limit counts as having room where forces are balanced
 AT_LIMIT = 1e-12  # share of the friction by which rounding may take the force of such a contact beyond the limit
 CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
@@ -104,12 +104,13 @@ def nearly_borne(
     :func:`bear`, of all samples together, the dual of slipless contacts nearly in balance and inside their friction
     discs.
     """
-    dual = where(critical, friction * dual / dual.length(), dual)
     room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, LOOSE * friction, 0.0)))
     side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
+    at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_given(stacked(isotropic(side, springs)), still)
     for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
+        side = side if at_limit is None else each(_at_limit, side, at_limit)
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)
     within = ~(critical & beyond_limit(friction, whole))
@@ -150,6 +151,12 @@ def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarra
     surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
     inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
     return (left.max(axis=1, initial=0.0) < SURELY * BALANCED) & np.all(inside, axis=0)
+
+
+def _at_limit(force: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Forces (d, n, S), those with a limit (n, S) above 0 just as large as that."""
+    size = np.sqrt((force**2).sum(axis=0))
+    return force * np.where(limit > 0, limit / size, 1.0)
 
 
 def beyond_limit(friction: Arrays, dual: Arrays) -> Arrays:

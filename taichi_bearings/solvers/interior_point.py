@@ -324,7 +324,11 @@ class InteriorPointMethod:
     def _findings(self) -> dict[str, np.ndarray]:
         """Contacts that slip at some minima and not at others, where that was looked for."""
         tied = [None if sample.resolved is None else sample.resolved.tied for sample in self.samples]
-        return ({} if all(of is None for of in tied) else {"tied_contacts": np.array([0 if of is None else int(of.sum()) for of in tied])})
+        return (
+            {}
+            if all(of is None for of in tied)
+            else {"tied_contacts": np.array([0 if of is None else int(of.sum()) for of in tied])}
+        )
 
     def _spins(self) -> Pair:
         """Staggered spins (C, R, *N) in twice the precision, 1/time; zero in the driven planes."""
