@@ -93,7 +93,10 @@ def _resting_somewhere(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 def _resting(rates: np.ndarray) -> np.ndarray:
     """The same of the polyhedron 1 + rates @ y >= 0, by linear programmes: the least sum of those that have not come to
-    rest, as long as that brings others to rest, and then one by one."""
+    rest, as long as that brings others to rest, and then one by one. With one motion alone: at either end of its way."""
+    if rates.shape[1] == 1:
+        ends = (end * rates[:, 0] / np.max(end * rates[:, 0]) for end in (1, -1))
+        return np.any([1 - end < COMES_TO_REST for end in ends], axis=0)
     found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
     for _ in range(MANY):
         left = np.flatnonzero(~found & ~asked)
