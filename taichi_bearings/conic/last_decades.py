@@ -62,18 +62,39 @@ class LastDecades:
         matrix = NewtonMatrix(tied.system, tied.order(0), self._matrix.memory)
         return LastDecades(left, spins, tied.differences(spins), matrix)
 
+    def further(self, tied: Contraction, rest: "LastDecades") -> "LastDecades":
+        """The point that `rest`, which is over what is tied, has come to, of this whole system."""
+        spins, point, end = tied.expanded(rest.spins), self.point, rest.point
+        bound, difference, dual, smooth = (
+            whole.placed(tied.kept, part)
+            for whole, part in (
+                (point.bound, end.bound),
+                (point.difference, end.difference),
+                (point.dual, end.dual),
+                (self._smooth, rest._smooth),
+            )
+        )
+        there = replace(point, spins=spins[1], bound=bound, difference=difference, dual=dual, smooth=smooth)
+        return LastDecades(there, spins, difference, self._matrix)
+
     @property
     def spins(self) -> Pair:
         return self._large, self.point.spins
 
     @property
+    def product(self) -> float:
+        """Mean of slip times friction margin over the contacts in cones."""
+        return self.point.complementarity
+
+    @property
     def ended(self) -> bool:
         """Is the product so small that double precision ends?"""
-        return self.point.complementarity < LEAST
+        return self.product < LEAST
 
-    def decide(self, doubtful: int = 0, to_the_end: bool = False) -> Arrays | None:
-        """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or as far as
-        it goes, or `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if that fails.
+    def decide(self, doubtful: int = 0, to_the_end: bool = False, until: float = LEAST) -> Arrays | None:
+        """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or `until` the
+        product is so small; `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if
+        that fails.
 
         Contacts that surely stick then are the `sticking` ones, (n,) masks a group; where the path ends, contacts whose
         slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip. The next
@@ -86,7 +107,7 @@ class LastDecades:
             stalled = stalled + 1 if product > STALLING * last else 0
             power = each(np.log, ratios / before) / abs(np.log(product / last))
             decided = (each(np.abs, power) > CLEARLY) | (ratios > DECIDED)
-            enough = self.ended or (not to_the_end and (~decided).sum() <= doubtful)
+            enough = product < until or (not to_the_end and (~decided).sum() <= doubtful)
             ended = enough and self.point.unbalanced < BALANCED
             if ended or stalled == PATIENCE:
                 self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING)

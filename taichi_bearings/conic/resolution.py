@@ -39,8 +39,9 @@ SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the
 MOVES, WITH_IT = 1e-3, 7  # of the largest slip of a motion, from which a contact takes part; what is so near is freed
 APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
-FEW = 3e-3  # share of the contacts that may be in doubt when those are tied that surely stick
+FEW = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
 FEWEST, HANDFUL = 30, 300  # and their number, at least and at most
+STIFF = 1e-18  # product at which contacts in doubt that stick are so stiff that rounding hides softer motions
 TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
@@ -188,7 +189,12 @@ def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings
     for trial in range(TRIALS):
         tied = Contraction(lattice.system, lattice.order, sticking)
         rest = path.over(tied)
-        left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0)
+        left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0, until=STIFF)
+        if left is not None and rest.sticking.any() and (trial > 0 or rest.product < STIFF):
+            further = path.further(tied, rest)
+            tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
+            rest = further.over(tied)
+            left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0)
         if left is None:
             return None
         slipping, critical = none.placed(tied.kept, left), none.placed(tied.kept, rest.critical)

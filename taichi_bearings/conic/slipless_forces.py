@@ -29,8 +29,9 @@ NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be tak
 SURELY = 10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
 FEW, FAR = 100, 30  # contacts outside their discs for whose sake others change their forces, so many contacts away
 CONSIDERABLE, NEAR = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
+MORE_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
 LOOSE = 1e-5  # share of its friction by which a contact at its limit counts as having room where forces are balanced
-AT_LIMIT = 1e-12  # share of the friction by which rounding may take the force of such a contact beyond the limit
+AT_LIMIT = 1e-11  # share of the friction by which rounding may take the force of such a contact beyond the limit
 CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 STIFF = 1e-10  # mean product of the two from which rounding leaves torques
 CLOSE = 1e-22  # mean product of the two at which nothing more can be told
@@ -109,7 +110,7 @@ def nearly_borne(
     at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_given(stacked(isotropic(side, springs)), still)
-    for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
+    for _ in range(REFINEMENTS if at_limit is None else MORE_REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side if at_limit is None else each(_at_limit, side, at_limit)
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)
