@@ -23,7 +23,7 @@ CLEARLY = 0.5  # power of the product with which slip or margin of a contact fal
 NO_ROOM = 1e-6  # margin below which one can be at its limit
 BOTH = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
 DECIDED = 1e4  # ratio of slip and margin from which a contact surely slips
-STICKING = 1e-5  # and below which one surely sticks, if it falls with the product
+STICKING, ROOM = 1e-5, 1e-5  # and below which one surely sticks, if it falls with the product; and its least margin
 LEAST = 1e-25  # product at which double precision ends
 STEPS = 80
 STALLING, PATIENCE = 0.6, 10  # share of the product that a step leaves if rounding stops it, and such steps in a row
@@ -110,7 +110,7 @@ class LastDecades:
             enough = product < until or (not to_the_end and (~decided).sum() <= doubtful)
             ended = enough and self.point.unbalanced < BALANCED
             if ended or stalled == PATIENCE:
-                self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING)
+                self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING) & (self.point.margin > ROOM)
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
                 if not self.ended or late is None:
                     return (ratios > 1) | (ratios > before)

@@ -45,6 +45,7 @@ STIFF = 1e-18  # product at which contacts in doubt that stick are so stiff that
 TRIALS = 3  # of Newton's method and proof along the last decades of the path
 STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
 ROUGHLY = 1e-4  # torques that will do if double precision ends before
+REPAIRS = 3  # of the contacts that slip, where some lose their slip or have to bear more than their friction
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 HALF, NEARLY_ALL = 0.5, 0.95  # of a slip, by which a step may change it; if the whole step would turn it round
 COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
@@ -190,10 +191,11 @@ def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings
         tied = Contraction(lattice.system, lattice.order, sticking)
         rest = path.over(tied)
         left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0, until=STIFF)
-        if left is not None and rest.sticking.any() and (trial > 0 or rest.product < STIFF):
-            further = path.further(tied, rest)
-            tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
-            rest = further.over(tied)
+        if left is not None and rest.product < STIFF:
+            if rest.sticking.any():
+                further = path.further(tied, rest)
+                tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
+                rest = further.over(tied)
             left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0)
         if left is None:
             return None
@@ -218,9 +220,15 @@ def _tried(
 
     critical : contacts that come to their limit and do not seem to slip; those that would have to bear more do slip.
     """
-    for _ in range(NEWTON_TRIALS):
+    settled, motion = None, None
+    for _ in range(REPAIRS):
         (found,) = _minima([iterate], [spins], [slipping], lattice)
-        if found is not None and critical.any():  # as all are whose slip Newton's method has lost
+        if found is not None and found.rest is None:  # slips that Newton's method loses are none
+            lost = found.slipping & (found.difference.length() < ROUGH)
+            if lost.any():
+                slipping, critical = slipping & ~lost, critical | lost
+                continue
+        if found is not None and critical.any():
             found = replace(found, critical=(critical | slipping) & ~found.slipping)
         ((settled, motion, dual),) = _borne([iterate], [found], [near], lattice)
         beyond = found.critical & beyond_limit(iterate.friction, dual) if found is not None else critical
