@@ -30,7 +30,7 @@ from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import Borne, bear, beyond_limit, borne_nearby, nearly_borne, roughly_borne
+from taichi_bearings.conic.slipless_forces import AT_LIMIT, Borne, bear, borne_nearby, nearly_borne, roughly_borne
 from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
@@ -218,7 +218,8 @@ def _tried(
 ) -> tuple[Resolved | None, Resolved | None, np.ndarray | None]:
     """The minimum if these contacts slip, and what :func:`_borne` makes of it.
 
-    critical : contacts that come to their limit and do not seem to slip; those that would have to bear more do slip.
+    critical : contacts that come to their limit and do not seem to slip. Those that would have to bear more do slip;
+    tied ones without room are critical, too.
     """
     settled, motion = None, None
     for _ in range(REPAIRS):
@@ -228,13 +229,16 @@ def _tried(
             if lost.any():
                 slipping, critical = slipping & ~lost, critical | lost
                 continue
-        if found is not None and critical.any():
+        if found is not None and critical.any():  # as are those that Newton's method has brought to rest
             found = replace(found, critical=(critical | slipping) & ~found.slipping)
         ((settled, motion, dual),) = _borne([iterate], [found], [near], lattice)
-        beyond = found.critical & beyond_limit(iterate.friction, dual) if found is not None else critical
-        if settled is not None or found is None or not beyond.any():
+        if settled is not None or found is None:
             break
-        slipping, critical = slipping | beyond, critical & ~beyond
+        beyond = found.critical & (dual.length() > (1 + AT_LIMIT) * iterate.friction)
+        full = ~(found.slipping | found.critical) & (dual.length() > (1 - AT_LIMIT) * iterate.friction)
+        if not (beyond.any() or full.any()):
+            break
+        slipping, critical = found.slipping | beyond, (found.critical & ~beyond) | full
     return found, settled, motion
 
 

@@ -114,7 +114,7 @@ def nearly_borne(
         side = side if at_limit is None else each(_at_limit, side, at_limit)
         side = side - springs * system.change(matrix.solve_given(system.torques(side)))
     whole = one_by_one(side)
-    within = ~(critical & beyond_limit(friction, whole))
+    within = ~critical | (whole.length() < (1 + AT_LIMIT) * friction)
     inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
     return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
 
@@ -158,11 +158,6 @@ def _at_limit(force: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Forces (d, n, S), those with a limit (n, S) above 0 just as large as that."""
     size = np.sqrt((force**2).sum(axis=0))
     return force * np.where(limit > 0, limit / size, 1.0)
-
-
-def beyond_limit(friction: Arrays, dual: Arrays) -> Arrays:
-    """Masks (n,) a group of contacts whose force exceeds their friction by more than rounding."""
-    return ~(dual.length() < (1 + AT_LIMIT) * friction)
 
 
 def _free(numbers: np.ndarray) -> np.ndarray:

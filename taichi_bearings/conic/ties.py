@@ -93,7 +93,7 @@ def _resting_somewhere(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 def _resting(rates: np.ndarray) -> np.ndarray:
     """The same of the polyhedron 1 + rates @ y >= 0, by linear programmes: the least sum of those that have not come to
-    rest, as long as that brings others to rest, and then one by one. With one motion alone: at either end of its way."""
+    rest, as long as that brings others to rest, and then one by one. With one motion alone: at its two ends."""
     if rates.shape[1] == 1:
         ends = (end * rates[:, 0] / np.max(end * rates[:, 0]) for end in (1, -1))
         return np.any([1 - end < COMES_TO_REST for end in ends], axis=0)

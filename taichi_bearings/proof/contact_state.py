@@ -88,8 +88,8 @@ def unresolved(solution: Solution) -> tuple[np.ndarray, ...]:
 
 
 def critical(solution: Solution) -> np.ndarray:
-    """Number (R,) of undecided contacts that bear all their friction, with a slip that the gap does not resolve; but for
-    those that are known to slip at other minima."""
+    """Number (R,) of undecided contacts that bear all their friction, with a slip that the gap does not resolve; but
+    for those that are known to slip at other minima."""
     scene, found = solution.scene, np.zeros(solution.scene.replicas, dtype=np.int64)
     others = count(solution.state, ContactState.UNDECIDED) - solution.findings.get("tied_contacts", 0)
     if scene.law.holds:
