@@ -113,7 +113,7 @@ def _write(path: Path, fill: Callable[[h5py.File], None]) -> None:
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         fill(file)
-    replace_file(path, whole.getbuffer())
+    replace_file(path, whole.getvalue())
 
 
 @contextlib.contextmanager

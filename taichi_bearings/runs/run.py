@@ -536,4 +536,4 @@ def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folde
 def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     whole = io.BytesIO()
     np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
-    replace_file(path, whole.getbuffer())
+    replace_file(path, whole.getvalue())
