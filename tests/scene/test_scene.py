@@ -106,3 +106,13 @@ def test_numbers_of_numpy_are_numbers(kind):
 def test_a_radius_in_single_precision_is_kept_as_it_is(tmp_path):
     best = tb.solve(Scene.random((3, 4), radius=np.float32(0.1)), threads=1)
     assert tb.load(best.save(tmp_path / "run")).scene.radius == float(np.float32(0.1))
+
+
+def test_a_faint_part_of_the_direction_has_a_finite_power(needs_f64):
+    """Slips of 1e-80 of the largest at contacts of 1e-15 to 1e15, whose squares no float holds."""
+    extreme = lambda rng, shape: 10.0 ** rng.uniform(-15, 15, shape)  # noqa: E731
+    scene = Scene.random((3, 3, 4), 3, extreme, law="coulomb-viscous", viscosity=extreme, direction=(1, 1e-80, 0))
+    best = tb.solve(scene, threads=1)
+    assert best.lower_bound <= best.potential < np.inf
+    assert 0 < best.power < np.inf
+    assert 0 <= best.gap <= 1
