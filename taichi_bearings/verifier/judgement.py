@@ -92,6 +92,19 @@ class Judgement:
         """(R,), not above the least objective."""
         return np.maximum(_outwards(self._lower_bound * self._unit, -np.inf), 0.0)
 
+    @cached_property
+    def gap(self) -> np.ndarray:
+        """(R,), (upper bound - lower bound) / upper bound, rounded up; NaN without an upper bound.
+
+        Where the least objective is 0, of no jump or of planes that nothing joins, a part of nothing says nothing: then
+        it is a part of the natural power, if that is larger.
+        """
+        upper, lower = self.upper_bound, self.lower_bound
+        unit = np.maximum(upper, natural_power(self.samples))
+        with np.errstate(invalid="ignore"):
+            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
+        return np.where(np.isfinite(upper), _outwards(gap, np.inf), np.nan)
+
     @property
     def price(self) -> np.ndarray:
         """(R,), what torques left over on free spheres take from the lower bound, over the objective."""
@@ -112,3 +125,38 @@ def _outwards(values: np.ndarray, towards: float) -> np.ndarray:
     for _ in range(2):
         values = np.where(values != 0, np.nextafter(values, towards), values)
     return values
+
+
+def natural_power(samples: Samples) -> np.ndarray:
+    """(R,), of all contacts with the imposed jump for slip, where nothing joins bottom and top; with the imposed spin
+    where there is no jump; else 0."""
+    speed = samples.radius * (samples.jump_size or abs(samples.spin_top))
+    unit = samples.normal_force * speed if samples.holds else speed**2
+    total = np.zeros(samples.count)
+    for coefficients, weight in ((samples.coefficient, unit), (samples.viscosity, speed**2 / 2)):
+        for axis, values in enumerate(coefficients):
+            acting = np.where(samples.between_driven(axis), 0.0, values)
+            total += weight * acting.reshape(samples.count, -1).sum(axis=1)
+    return np.where(_cut_off(samples) | (samples.jump_size == 0), total, 0.0)
+
+
+def _cut_off(samples: Samples) -> np.ndarray:
+    """(R,), True where absent contacts leave bottom and top unconnected in every component in which they differ."""
+    if all((values > 0).all() for values in samples.coefficient):
+        return np.zeros(samples.count, dtype=bool)
+    return np.array([not any(_joined(samples, number, k) for k in samples.needed) for number in range(samples.count)])
+
+
+def _joined(samples: Samples, number: int, component: int) -> bool:
+    """True if contacts that feel a component lead from the bottom of a sample to its top."""
+    reached, before = np.zeros(samples.shape, dtype=bool), -1
+    reached[..., 0] = True
+    while int(reached.sum()) > before:
+        before = int(reached.sum())
+        for axis in range(samples.dimension):
+            if component in samples.felt(axis):
+                low, high = (end[1:] for end in samples.ends(axis))
+                there = samples.coefficient[axis][number] > 0
+                reached[low] |= there & reached[high]
+                reached[high] |= there & reached[low]
+    return bool(reached[..., -1].any())

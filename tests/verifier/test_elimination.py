@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from taichi_bearings.verifier import dissection, elimination
-from taichi_bearings.verifier.dissection import dissected
+from taichi_bearings import dissection
+from taichi_bearings.dissection import dissected
+from taichi_bearings.verifier import elimination
 from taichi_bearings.verifier.elimination import Elimination
 
 

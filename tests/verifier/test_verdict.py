@@ -243,5 +243,5 @@ def test_a_text_where_a_number_belongs_is_one_sentence(folder, tmp_path, what):
             file.attrs["scene"] = "\n".join([*lines, f'{what} = "little"'])
         else:
             file.attrs[what] = "little"
-    with pytest.raises(FileError, match=r"'little' for .*must be a number"):
+    with pytest.raises(FileError, match=r"'little' for .*must be a( whole)? number"):
         verify(path)
