@@ -19,7 +19,7 @@ CHECKED = {
 }  # fmt: skip
 """Attributes that are recomputed, or that others of the file leave no choice."""
 CHECKED_SETTINGS = {
-    "law", "shape", "spin_top", "spin_bottom", "normal_force", "radius", "seed", "replicas", "tolerance",
+    "law", "shape", "spin_top", "spin_bottom", "normal_force", "radius", "seed", "replicas",
 }  # fmt: skip
 ON_HOST = {"arch": "cpu", "precision": "f64"}
 DESCRIPTIONS = "units and descriptions"
@@ -51,9 +51,10 @@ def agree(run: StoredRun) -> Iterator[str]:
         yield f"the seeds are said to be {seed}; those of a block follow each other"
     if (settings.get("coefficients") is None) != (run.claimed("coefficients")[0] is None):
         yield "scene and summary do not agree whether coefficients are given or drawn"
-    for name in np.asarray(run.attributes.get("findings", [])).reshape(-1).tolist():
-        if name not in run.attributes:
-            yield f"{name!r} is said to be found, and is not in the file"
+    names = np.asarray(run.attributes.get("findings", [])).reshape(-1).tolist()
+    for name in names:
+        if name not in run.attributes or names.count(name) > 1:
+            yield f"{name!r} is said to be found, and is not in the file, or said twice"
     yield from _computed(run)
     duration = settings.get("duration") if "time" in run.history else None
     said = run.claimed("duration")[0]
@@ -126,7 +127,7 @@ def not_checked(run: StoredRun, judged: bool) -> list[str]:
     if set(run.claimed("status")) == {"certified"}:
         sure |= {"status"}
     if settings.get("method") != "auto":
-        sure, keys = sure | {"method"}, keys | {"method"}
+        sure |= {"method"}
     if samples.dimension == 3:
         keys |= {"direction"}
     if "slip_threshold" in settings:
@@ -138,8 +139,8 @@ def not_checked(run: StoredRun, judged: bool) -> list[str]:
     found = [name for name in run.attributes if name not in sure]
     found += [f"scene.{key}" for key in settings if key not in keys]
     found += run.others
-    if is_dynamics and samples.holds:
-        found += ["contact/*/force"]
+    if is_dynamics:
+        found += ["contact/*/friction", *(["contact/*/force"] if samples.holds else [])]
     if not is_drawn(run):
         found += ["coefficient", *(["viscosity"] if samples.viscosity else [])]
     return [*found, DESCRIPTIONS]

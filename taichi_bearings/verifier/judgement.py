@@ -69,7 +69,7 @@ class Judgement:
     @property
     def largest_torque(self) -> np.ndarray:
         """(R,), that the friction leaves on a free sphere, force * length, rounded up."""
-        return _outwards(self.work.largest_torque * self.samples.force_unit * self.samples.radius, np.inf)
+        return _in_units(self.work.largest_torque, self.samples.force_unit * self.samples.radius, np.inf)
 
     @property
     def power(self) -> np.ndarray:
@@ -85,12 +85,12 @@ class Judgement:
     @property
     def upper_bound(self) -> np.ndarray:
         """(R,), not below that, and so not below the least one."""
-        return _outwards(self._objective.upper() * self._unit, np.inf)
+        return _in_units(self._objective.upper(), self._unit, np.inf)
 
     @property
     def lower_bound(self) -> np.ndarray:
         """(R,), not above the least objective."""
-        return np.maximum(_outwards(self._lower_bound * self._unit, -np.inf), 0.0)
+        return np.maximum(_in_units(self._lower_bound, self._unit, -np.inf), 0.0)
 
     @cached_property
     def gap(self) -> np.ndarray:
@@ -120,8 +120,13 @@ class Judgement:
         return proven_states(self.motion, (self._objective.upper() - proven) * (1 + 2.0**-50))
 
 
+def _in_units(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
+    """Values times a unit, rounded that way: nothing is lost by a power of two."""
+    return values * unit if np.frexp(unit)[0] == 0.5 else _outwards(values * unit, towards)
+
+
 def _outwards(values: np.ndarray, towards: float) -> np.ndarray:
-    """By two roundings, which the unit of power has at most; 0 stays as it is."""
+    """By two roundings, which a unit and the product with it have at most; 0 stays as it is."""
     for _ in range(2):
         values = np.where(values != 0, np.nextafter(values, towards), values)
     return values

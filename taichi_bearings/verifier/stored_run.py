@@ -55,9 +55,10 @@ class StoredRun:
 
     def claimed(self, name: str) -> list[Any]:
         """An attribute, sample by sample; None where the file leaves it open."""
-        value = np.asarray(self.attributes.get(name, "")).reshape(-1)
-        if len(value) not in (1, self.samples.count):
-            raise FileError(f"{self.path} has {len(value)} values of {name!r} for {self.samples.count} samples")
+        value = np.asarray(self.attributes.get(name, ""))
+        if value.shape not in ((), *([(self.samples.count,)] if self.samples.count > 1 else [])):
+            raise FileError(f"{self.path} has {value.size} values of {name!r} for {self.samples.count} samples")
+        value = value.reshape(-1)
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
         found = [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
         words, kinds = "a number", {int, float}
@@ -99,10 +100,9 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
     if attributes.get("schema") != "taichi_bearings.run":
         raise FileError(f"{path} was not written by taichi_bearings")
-    if attributes.get("schema_version", LAYOUT) != LAYOUT:
-        raise FileError(
-            f"{path} has layout version {attributes['schema_version']}; this program reads version {LAYOUT}"
-        )
+    version = attributes.get("schema_version", LAYOUT)
+    if type(version) is not int or version != LAYOUT:
+        raise FileError(f"{path} has layout version {version!r}; this program reads version {LAYOUT}")
     for name in NEEDED:
         if name not in attributes:
             raise FileError(f"{path} lacks the attribute {name!r}; it is damaged or was changed")

@@ -202,6 +202,8 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         size = np.sqrt(sum(part**2 for part in samples.turning[axis].values())) * samples.force_unit
         if size[~acts].any():
             yield f"friction along {name} acts between driven spheres"
+        if samples.dimension == 3 and samples.friction[axis][..., axis].any():
+            yield f"friction along {name} acts along the contacts themselves"
         if not (np.isfinite(force) & (force >= 0)).all():
             yield f"forces of contacts along {name} are not finite or negative"
         if not is_dynamics and not (np.abs(force - size) <= ROUNDED * size + LOST * samples.force_unit).all():
@@ -241,8 +243,8 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"{tied[number]} contacts{which} are said to differ between minima, and there is only one minimum"
         if unique[number] and not found.unique:
             yield f"the minimum{which} is said to be unique, and that is not proven"
-        if unique[number] is None and (proven[number] or tied[number]):
-            yield f"the minimum{which} is said to be neither unique nor not"
+        if bool(unique[number]) != bool(proven[number]) or (unique[number] is None and tied[number]):
+            yield f"it is said whether the minimum{which} is unique, and other words say something else"
         if run.claimed("cut_is_unique")[number] not in (None, not tied[number]):
             yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
         if unique[number] is not None and not unique[number] and (found.unique or len(run.samples.needed) != 1):
@@ -278,8 +280,9 @@ def _residual(run: StoredRun, judgement: Judgement, number: int) -> Iterator[str
     """What is left over is the torque of the friction; of a dynamics, what its history ends with."""
     said, is_dynamics = run.claimed("largest_balance_residual")[number], "time" in run.history
     rows = _row(run.history.get("unbalanced_torque"), number) if is_dynamics else judgement.largest_torque[[number]]
-    if said is not None and rows is not None and len(rows) and not _close(said, float(rows[-1])):
-        yield f"the largest torque left over is said to be {said!r}; it is {float(rows[-1])!r}"
+    value = None if rows is None or not len(rows) else _finite(rows[-1])
+    if rows is not None and said is not value and not _close(said, value):
+        yield f"the largest torque left over is said to be {said!r}; it is {value!r}"
 
 
 def _counts(run: StoredRun, judgement: Judgement) -> Iterator[str]:
@@ -331,7 +334,7 @@ def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[s
         bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
         for name, column in ENDS.items():
             said, rows = run.claimed(name)[number], _row(run.history.get(column), number)
-            if said is not None and rows is not None and len(rows) and said != rows[-1]:
+            if name in run.attributes and rows is not None and len(rows) and said != _finite(rows[-1]):
                 yield f"{name.replace('_', ' ')}: the summary says {said!r}, the history {float(rows[-1])!r}"
         if bounds is not None and (bounds > power[number] * (1 + ROUNDED)).any():
             yield f"a lower bound of the history is above the least {least}"
