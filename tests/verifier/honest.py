@@ -48,7 +48,7 @@ COURSES = (
     {"duration": 0.01}, {"duration": 0.1, "snapshots": "0.03,0.1"}, {"duration": 0.1, "record": "linear:0.01,0.1,7"},
     {"iterations": 3}, {"iterations": 300}, {"duration": 0.02, "checkpoint_every": 1e-3},
 )  # fmt: skip
-LIMIT = {"iterations": 3000, "time_limit": 4.0}  # unless a run has others: an end that is cut short is honest, too
+LIMIT = {"iterations": 3000, "time_limit": 2.0}  # unless a run has others: an end that is cut short is honest, too
 
 
 def drawn(seed: int, number: int = 0) -> dict:
