@@ -11,7 +11,7 @@ CALL := $(BIN)/bearings
 ACTIVATE := . $(BIN)/activate
 endif
 
-.PHONY: run test lint check format docs notebooks release clean
+.PHONY: run test versions lint check format docs notebooks release clean
 
 run: $(VENV)/installed
 	$(BIN)/bearings run --shape 32,32,32
@@ -23,6 +23,10 @@ test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal --compiler quadrants tests/kernels tests/agreement/test_methods.py
 	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan tests/kernels
 	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan --precision f32 tests/kernels
+
+# Every Python promised that is here, with the newest packages, and the oldest with all of them at their floors.
+versions: $(VENV)/installed
+	$(BIN)/python -m tests.versions
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .

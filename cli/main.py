@@ -76,6 +76,7 @@ def bearings() -> None:
 def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
     interrupts.heard_at_once()
+    os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result

@@ -104,10 +104,11 @@ def _plot_run(
     kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: "Page", of_scan: Any
 ) -> None:
     from taichi_bearings.errors import InputError
-    from taichi_bearings.files.whole_file import refuse_ending, refuse_standing
+    from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
     from taichi_bearings.runs.run import settings_of
+    from taichi_bearings.runs.run_directory import claimed
     from taichi_bearings.runs.run_file import read_run_file
 
     if given := [name for name, value in of_scan.items() if value]:
@@ -115,13 +116,12 @@ def _plot_run(
             f"--{given[0].replace('_', '-')} belongs to `bearings plot scan`, not to `bearings plot {kind}`"
         )
     stored = read_run_file(run)
-    if out:
-        refuse_ending(out, *ENDINGS)
-        refuse_standing([out], force)
-    figure = draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold, page)
-    if out:
-        save(figure, out)
-    click.echo(out or save_small(figure, stored.path.parent / kind))
+    refuse_ending(out, *ENDINGS)
+    with claimed(out or stored.path.parent / kind, force or out is None):
+        figure = draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold, page)
+        if out:
+            save(figure, out)
+        click.echo(out or save_small(figure, stored.path.parent / kind))
 
 
 def _page(width: str | None, dpi: str | None, planes: tuple[str, ...], view: str | None) -> "Page":

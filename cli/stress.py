@@ -35,8 +35,8 @@ def command(
     """Where the numbers end: every method, law, dimension, precision and device at extreme inputs, judged by truths.
 
     Writes stress.csv (one row a cell), stress.md (tables), summary.json, and a map for each axis (PNG and PDF).
-    Finished cells are kept in the folder: the same command goes on after a kill. Exit code 1 if an answer is wrong
-    without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
+    Finished cells are kept in the folder: the same command goes on after a kill, and judges them anew. Exit code 1 if
+    an answer is wrong without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
 
     \b
     Examples:
@@ -50,13 +50,12 @@ def command(
     from taichi_bearings.runtime import available_threads
     from taichi_bearings.scene.law import LAWS
     from taichi_bearings.stress.axes import AXES, ROWS, cells_of, rows_of
-    from taichi_bearings.stress.report import Sweep, by_axis, lines_of, table
+    from taichi_bearings.stress.report import by_axis, lines_of, open_sweep, table
 
     quick = bool(of_cells["quick"])
     rows = rows_of(chosen("method", method, ROWS), chosen("law", law, LAWS))
     cells = cells_of(rows, chosen("only", only, AXES), of_cells["seed"], quick, time_limit or (1.0 if quick else 2.0))
-    sweep = Sweep(Path(out) if out else default_run_path("stress"), cells)
-    with Display():
+    with Display(), open_sweep(Path(out) if out else default_run_path("stress"), cells) as sweep:
         finished = sweep.run(workers or available_threads(), lambda line: click.echo(line, err=True))
         paths = sweep.write()
     if as_json:

@@ -1,6 +1,7 @@
 """bearings verify"""
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,9 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
     """What is rigorously true of RUN, a run directory or its run.h5, from that file alone.
 
     Power, balance, friction limits, work of the driven planes and the slip law are evaluated anew in the laboratory
-    frame, every rounding bounded, by code that shares nothing with the solvers and their certificate. It states the
-    bounds and the contact states that follow, and where the file claims what does not follow. docs/proofs.md says what
-    is trusted and what is proven.
+    frame, every rounding bounded, by code of its own: it has nothing of the solvers and their certificate but an order
+    of elimination, which proves nothing. It states the bounds and the contact states that follow, where the file claims
+    what does not follow, and of what it says nothing. docs/proofs.md says what is trusted and what is proven.
 
     \b
     Exit codes: 0 the file proves what its summary claims, 1 it does not, 2 it cannot be read.
@@ -68,6 +69,9 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"
         lines.append(f"  friction: {balanced}, {inside}" if law.is_rate_independent else f"  damping: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
+    names = [name for name in report["not_checked"] if not name.startswith("scene.")]
+    others = f"; {len(report['not_checked']) - len(names)} settings of the scene (--json names them)"
+    lines.append(textwrap.fill(f"  not checked: {', '.join(names)}{others}", 100, subsequent_indent="    "))
     lines.append(
         f"{'verified' if report['verified'] else 'NOT verified'} in {report['seconds']:.1f} s: "
         f"{'the file proves' if report['verified'] else 'the file does not prove'} what it claims"

@@ -7,6 +7,7 @@ best = tb.solve(scene, tolerance=1e-9)
 """
 
 import html
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.options import options_of
+from taichi_bearings.options import SEED, options_of
 from taichi_bearings.proof.contact_state import ContactState, count
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
@@ -25,10 +26,11 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.many import SceneTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
+from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
-from taichi_bearings.words import meant
+from taichi_bearings.words import meant, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -284,6 +286,8 @@ def solve(
 
     Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
     """
+    if callback is not None and not callable(callback):
+        raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
     monitors = [] if callback is None else [_monitor(scene, callback)]
     settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
     solution = runs.solve_job(runs.job_of(settings, scene, spin), monitors)
@@ -306,8 +310,12 @@ def solve_many(
 
     Raises InputError before anything is computed, and BearingsError for the first scene that has no answer.
     """
-    if workers < 0:
-        raise InputError(f"workers is {workers}; it must be 1 or more, or 0 for one a processor")
+    try:
+        workers = SEED.read(workers)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"workers is {shown(workers)}; it must be 1 or more, or 0 for one a processor") from None
+    if not isinstance(scenes, Iterable):
+        raise InputError(f"scenes is a {type(scenes).__name__}; it must be scenes, as in solve_many([scene])")
     given = {"tolerance": tolerance, **options}
     tasks = [SceneTask(number, *_task(scene, method, given, start)) for number, scene in enumerate(scenes)]
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
@@ -321,11 +329,14 @@ def analyse(result: Result | str | Path, threshold: float | None = None, sample:
     sample : the one of several that is shown in figures and as `structure`.
     """
     run = (result if isinstance(result, Result) else load(result))._run
+    threshold = None if threshold is None else finite_number("threshold", threshold)
     return Analysis(run.solution, [status.value for status in run.status], threshold, sample)
 
 
 def load(path: str | Path) -> Result:
     """Read a run directory or its run.h5, whatever wrote it; FileError if it is missing, damaged or was changed."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
     stored = read_run_file(Path(path))
     command = str(stored.attributes.get("command", ""))
     place = stored.path.parent if stored.path.name == "run.h5" else stored.path

@@ -4,14 +4,19 @@ Quadrants, its maintained fork, stands in for it if the environment variable TAI
 (docs/decisions/0008): it must be known before any kernel is read, and worker processes inherit it.
 """
 
+import atexit
 import contextlib
 import importlib.util
 import inspect
 import linecache
 import os
+import shutil
+import stat
 import tempfile
+import time
 import warnings
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +24,7 @@ from typing import Any
 from taichi_bearings.errors import DeviceError
 
 VARIABLE = "TAICHI_BEARINGS_COMPILER"
+LOCKED = 300.0  # seconds after which a lock of the compiler is one that a killed process has left
 KERNEL_CACHES = {"taichi": "taichi/ticache", "quadrants": "quadrants/qdcache"}  # compiler -> folder below the cache
 QUIET = {
     "ENABLE_TAICHI_HEADER_PRINT": "0",
@@ -42,10 +48,17 @@ def name() -> str:
 
 
 def cache_folder() -> Path | None:
-    """Where compiled kernels are kept: below the user's cache, or a temporary folder if that cannot be written; None
-    where nothing can be written."""
+    """Where compiled kernels are kept: below the user's cache, or in a temporary folder if that cannot be written or
+    others can; None where nothing can be written. What a killed compiler has locked there is unlocked."""
     home = _cache_home()
-    return None if home is None else home / KERNEL_CACHES[name()]
+    if home is None:
+        return None
+    folder = home / KERNEL_CACHES[name()]
+    for lock in folder.rglob("*.lock"):
+        with contextlib.suppress(OSError):
+            if time.time() - lock.lstat().st_mtime > LOCKED:
+                lock.unlink()
+    return folder
 
 
 def _cache_home() -> Path | None:
@@ -56,23 +69,59 @@ def _cache_home() -> Path | None:
             home = Path.home() / ".cache"
         except RuntimeError:  # no home folder at all
             home = Path(os.devnull)
-    if _writable(home / name()):
+    if _is_ours(home / name()):
         return home
-    user = os.getuid() if hasattr(os, "getuid") else "user"
     try:
-        return Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{user}"
+        home = Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+        is_safe = not home.is_symlink() and _is_ours(home) and _is_ours(home / name())
+        return home if is_safe else _fresh_home(os.getpid())
     except OSError:
         return None
 
 
-def _writable(folder: Path) -> bool:
-    """True if `folder` can be created and written to; checked by doing it, since access bits lie to root."""
+@lru_cache(maxsize=1)
+def _fresh_home(process: int) -> Path:
+    """A new folder that goes with this process."""
+    home = Path(tempfile.mkdtemp(prefix="taichi_bearings-cache-"))
+
+    def go() -> None:
+        if os.getpid() == process:
+            shutil.rmtree(home, ignore_errors=True)
+
+    atexit.register(go)
+    return home
+
+
+def _is_ours(folder: Path) -> bool:
+    """True if `folder` and the cache in it are the user's own, nobody else can write there, and this process can:
+    checked by doing it, since access bits lie to root. It is made if it is missing."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        inside = folder / Path(KERNEL_CACHES[name()]).name
+        if not all(_is_private(place.stat()) for place in (folder, inside) if place.exists()):
+            return False
         with tempfile.TemporaryFile(dir=folder):
             return True
     except OSError:
         return False
+
+
+def _is_private(status: os.stat_result) -> bool:
+    """True for what nobody but this user can write; a group may if it has the user's name, as on many systems."""
+    if not hasattr(os, "getuid"):
+        return True
+    if status.st_uid != os.getuid() or status.st_mode & stat.S_IWOTH:
+        return False
+    if not status.st_mode & stat.S_IWGRP:
+        return True
+    import grp
+    import pwd
+
+    try:
+        user, group = pwd.getpwuid(status.st_uid).pw_name, grp.getgrgid(status.st_gid)
+    except KeyError:
+        return False
+    return group.gr_name == user and set(group.gr_mem) <= {user}
 
 
 @contextlib.contextmanager

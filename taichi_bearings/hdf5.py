@@ -12,6 +12,7 @@ import mmap
 import os
 import re
 import signal
+import stat
 import subprocess
 import sys
 import warnings
@@ -29,6 +30,7 @@ from taichi_bearings.errors import FileError
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
 """What HDF5 and NumPy raise at damaged files."""
 PACKED, SPARE = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
+ALL, LEAST = 16, 2**26  # bytes that all data may claim together for one of the file, and in any case
 ROOM, TIMES = 64 * 2**20, 4  # bytes of memory for looking through a file, and for each byte of it
 SECONDS, PACE = 5.0, 20e6  # processor time for that, and bytes that need another second of it
 FAILS = "it is damaged, HDF5 fails at it"
@@ -47,6 +49,8 @@ def look_through(path: Path) -> None:
     """FileError if HDF5 would hang or crash on a file, or if that leads out of itself or claims more than it can hold;
     OSError if it is not there."""
     found = os.stat(path)
+    if not stat.S_ISREG(found.st_mode):
+        raise FileError(f"{path} is not a regular file")
     reason = _reason_found(os.path.abspath(path), found.st_size, found.st_mtime_ns, found.st_ino)
     if reason:
         raise FileError(f"{path} is not read: {reason}")
@@ -125,10 +129,9 @@ def reason_against(path: str, size: int) -> str:
         file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
         if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
             return f"{leads_out[0]} in it is a link to another file; such links are not followed"
-        items: list[tuple[str, h5py.HLObject]] = [("/", file)]
-        file.visititems(lambda name, item: items.append((name, item)))
+        named = ((name.decode(), file.get(name)) for name, _ in links)  # a thing as often as it is named
         declared = 0
-        for name, item in items:
+        for name, item in [("/", file), *((name, item) for name, item in named if item is not None)]:
             if reason := _strange_attribute(item):
                 return f"{reason} of {name} in it is neither a number nor a text in UTF-8"
             if isinstance(item, h5py.Dataset):
@@ -136,9 +139,9 @@ def reason_against(path: str, size: int) -> str:
                     return f"{name} in it {reason}"
                 claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
                 declared += claimed
-                if claimed > PACKED * item.id.get_storage_size() + SPARE or declared > PACKED * size + SPARE:
+                if claimed > PACKED * item.id.get_storage_size() + SPARE or declared > max(ALL * size, LEAST):
                     return (
-                        f"{name} in it claims to hold {claimed:,} bytes, more than there can be in its {size:,} bytes"
+                        f"{name} in it claims to hold {claimed:,} bytes, more than is read of a file of {size:,} bytes"
                     )
                 if h5py.check_string_dtype(item.dtype):
                     item[()]

@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 CGROUP = Path("/sys/fs/cgroup")
 LITTLE = 1e8  # bytes
@@ -39,7 +40,7 @@ def refuse_beyond(needed: float, what: str) -> None:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(room, 0) / 1e9:.1f} GB are free")
 
 
-def aligned_zeros(count: int, block: int, dtype: np.typing.DTypeLike = float) -> np.ndarray:
+def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarray:
     """Zeros (count,) at an address that is a multiple of a block of them, as SIMD writes of whole blocks expect."""
     memory = np.zeros(count + block, dtype)
     start = -(memory.ctypes.data // memory.itemsize) % block

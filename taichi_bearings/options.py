@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.words import meant
+from taichi_bearings.words import meant, shown
 
 
 class Kind:
@@ -30,13 +30,25 @@ def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[
     return read
 
 
-def integer(value: Any) -> int:
-    if isinstance(value, bool) or (isinstance(value, float) and not value.is_integer()):
+def plain(value: Any) -> Any:
+    """A scalar of NumPy as a number of Python; ValueError for arrays and masked numbers."""
+    if not hasattr(value, "item"):
+        return value
+    if getattr(value, "ndim", 0) or getattr(value, "mask", False):
         raise ValueError
-    return int(value)
+    return value.item()
+
+
+def integer(value: Any) -> int:
+    value = plain(value)
+    number = int(value)
+    if isinstance(value, bool) or (not isinstance(value, str) and number != value):
+        raise ValueError
+    return number
 
 
 def real(value: Any) -> float:
+    value = plain(value)
     if isinstance(value, bool):
         raise ValueError
     number = float(value)
@@ -138,9 +150,12 @@ class Option:
         try:
             return self.kind.read(value)
         except (ValueError, TypeError, KeyError, OverflowError):
-            shown = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+            try:
+                text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+            except ValueError:  # more digits than Python writes
+                text = shown(value)
             raise InputError(
-                f"{name} is {shown!r}; it must be {self.kind.allowed}{meant(shown, self.kind.known)}"
+                f"{name} is {shown(text)}; it must be {self.kind.allowed}{meant(text, self.kind.known)}"
             ) from None
 
     def is_used_by(self, method: Any, law: Any) -> bool:

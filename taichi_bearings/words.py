@@ -3,10 +3,12 @@
 import difflib
 import math
 from collections.abc import Iterable
+from typing import Any
 
 MOST_DIGITS = 12
 SMALL = -4  # decimal exponent below which numbers are written with one
 ALIKE = 0.6  # share of the letters that a mistyped word has in common with what was meant
+MOST_SHOWN, LEAST_SHOWN = 100, 8  # letters of a value in a sentence: at most, and at its end if it is longer
 LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
 
 
@@ -47,6 +49,20 @@ def with_error(value: float, error: float) -> str:
     place = math.floor(math.log10(error))
     place -= error < 2 * 10.0**place
     return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, error))
+
+
+def shown(value: Any) -> str:
+    """A value that somebody gave, for the sentence that refuses it: as in Python, without the middle if it is long.
+
+    >>> shown("1,1"), shown(10**400)
+    ("'1,1'", '1000000000000000...00000000')
+    """
+    try:
+        is_numpy = hasattr(value, "tolist") and not hasattr(value, "mask")
+        text = " ".join(repr(value.tolist() if is_numpy else value).split())
+    except ValueError:  # more digits than Python writes
+        return "a number of thousands of digits"
+    return text if len(text) <= MOST_SHOWN else f"{text[: 2 * LEAST_SHOWN]}...{text[-LEAST_SHOWN:]}"
 
 
 def meant(word: object, known: Iterable[str]) -> str:

@@ -13,9 +13,9 @@ import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Arrays, Grouped, each
+from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, two_sum
-from taichi_bearings.verifier.dissection import dissected
 
 MANY, LEAF = 2_000, 20  # unknowns of a sample with an order of its own, and of a region that then is not divided
 

@@ -104,6 +104,8 @@ class LastDecades:
         late: tuple[Arrays, float] | None = None  # ratios and product where contacts at their limit begin to tell
         for _ in range(STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
+            if not product > 0:  # it underflows where coefficients differ by thirty decades
+                return None
             stalled = stalled + 1 if product > STALLING * last else 0
             power = each(np.log, ratios / before) / abs(np.log(product / last))
             decided = (each(np.abs, power) > CLEARLY) | (ratios > DECIDED)

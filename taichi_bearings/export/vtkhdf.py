@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
-from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, open_to_draw, points_and_lines
+from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, opened_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 
 NAME = "run.vtkhdf"
@@ -34,13 +34,13 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
-    stored, path = open_to_draw(run, out, NAME, force)
-    drawn = points_and_lines(stored, replica)
-    told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
-    if drawn.moments is not None:
-        told["snapshot_threshold"] = drawn.moments.threshold
-    with stage("writing"):
-        write_vtkhdf(path, drawn, told)
+    with opened_to_draw(run, out, NAME, force) as (stored, path):
+        drawn = points_and_lines(stored, replica)
+        told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
+        if drawn.moments is not None:
+            told["snapshot_threshold"] = drawn.moments.threshold
+        with stage("writing"):
+            write_vtkhdf(path, drawn, told)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
     counts = {"points": drawn.scene.lattice.sites, "lines": len(drawn.ends), "steps": steps}
     return {"file": str(path), "bytes": path.stat().st_size, **counts}

@@ -18,6 +18,8 @@ from typing import Any
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import refuse_link_out, replace_file
+from taichi_bearings.plain_files import opened, read_lines, write_all
+from taichi_bearings.scene.solution import ROUNDING
 
 NAME = "samples.jsonl"
 HEAD = '{"crc32": "%08x", "sample": '
@@ -25,6 +27,7 @@ HEAD_LENGTH = len(HEAD % 0)
 TEXTS = {"status", "method", "law", "shape", "version", "warnings", "error"}  # scalars that are no numbers
 COLUMNS = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
 MOST_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
+MOST_SCALARS = 300  # of a sample; a solve with its structure leaves some 80
 
 
 def _line(sample: Mapping[str, Any]) -> bytes:
@@ -60,13 +63,23 @@ def is_sample(sample: Any) -> bool:
     scalars, bins = sample.get("scalars"), sample.get("bins")
     if not isinstance(scalars, dict) or not isinstance(scalars.get("status"), str) or not isinstance(bins, dict):
         return False
-    if not all(_is_scalar(name, value) for name, value in scalars.items()):
+    if len(scalars) > MOST_SCALARS or not all(_is_scalar(name, value) for name, value in scalars.items()):
+        return False
+    if _has_bound_above_power(scalars):
         return False
     if not all(isinstance(scalars.get(name), int | None) for name in ("slipping", "slipless", "undecided")):
         return False
     if not all(abs(value) < 2**62 for value in scalars.values() if type(value) is int):
         return False
     return all(abs(int(name)) < MOST_BINS and type(many) is int and 0 <= many < 2**31 for name, many in bins.items())
+
+
+def _has_bound_above_power(scalars: Mapping[str, Any]) -> bool:
+    """True if a lower bound lies above what it bounds by more than rounding, where there is something to drive."""
+    power, bound = (scalars.get(name) for name in ("potential" if "potential" in scalars else "power", "lower_bound"))
+    gap = scalars.get("gap")
+    above = power is not None and bound is not None and power > 0 and bound > power * (1 + ROUNDING)
+    return above or (gap is not None and gap < -ROUNDING)
 
 
 def _record(line: bytes, fits: Callable[[Any], bool]) -> dict[str, Any] | None:
@@ -82,11 +95,7 @@ def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str
     """Samples by their key; of several lines with one key the last. Damaged lines, and those with something that is no
     such sample, are named in a warning."""
     samples: dict[str, dict[str, Any]] = {}
-    try:
-        lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(read_lines(path), start=1):
         sample = _record(line, fits)
         if sample is not None:
             samples[sample["key"]] = sample
@@ -105,17 +114,22 @@ class Journal:
         refuse_link_out(path)
         try:
             self._length = self._drop_damaged_lines()
-            self._file = path.open("ab", buffering=0)
+            self._file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         except OSError as error:
             raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
 
     def _drop_damaged_lines(self) -> int:
-        """Leave nothing but whole lines in the file, in one move; their bytes. A torn end goes on a full disk too."""
-        content = self.path.read_bytes() if self.path.exists() else b""
-        whole = b"".join(line for line in content.splitlines(keepends=True) if _is_whole(line))
-        if not content.startswith(whole):
+        """Leave nothing but whole lines in the file, in one move, and no other name of it; their bytes. A torn end goes
+        on a full disk too."""
+        whole = b"".join(line for line in read_lines(self.path) if _is_whole(line))
+        if not self.path.exists():
+            return 0
+        status = self.path.stat()
+        with opened(self.path) as file:
+            is_start = file.read(len(whole)) == whole
+        if not is_start or status.st_nlink > 1:
             replace_file(self.path, whole)
-        elif whole != content:
+        elif status.st_size != len(whole):
             os.truncate(self.path, len(whole))
         return len(whole)
 
@@ -123,10 +137,7 @@ class Journal:
         """Write samples down for good. On a full disk FileError, and the journal is as it was."""
         lines = b"".join(_line(sample) for sample in samples)
         try:
-            written = 0
-            while written < len(lines):
-                written += self._file.write(lines[written:])
-            os.fsync(self._file.fileno())
+            write_all(self._file, lines)
         except OSError as error:
             self._file.truncate(self._length)
             raise FileError(f"{self.path} cannot be written: {error.strerror or error}") from None

@@ -4,6 +4,7 @@ import contextlib
 import csv
 import io
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+from taichi_bearings.plain_files import new_file, write_all
 
 Buffer = bytes | memoryview
 
@@ -46,23 +48,22 @@ def refuse_link_out(path: Path) -> None:
         raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
 
 
-def replace_file(path: Path, content: Buffer, ending: str = ".partial") -> None:
-    """Replace `path` by a file with this content in one move; WriteError if that cannot be done.
-
-    ending : of the name that the file has meanwhile; processes that may write it at the same time need different ones.
-    """
+def replace_file(path: Path, content: Buffer) -> None:
+    """Replace `path` by a file with this content in one move; WriteError if that cannot be done."""
     refuse_link_out(path)
-    path = path.resolve()  # a link stays one
-    temporary = path.with_name(path.name + ending)
+    path, temporary = path.resolve(), None  # a link stays one
     try:
-        with temporary.open("wb") as written:
-            written.write(content)
-            written.flush()
-            os.fsync(written.fileno())
-        os.replace(temporary, path)
+        file, temporary = new_file(path)
+        with file:
+            write_all(file, content)
+            if sys.platform != "win32":  # where no open file can be renamed
+                os.replace(temporary, path)
+        if sys.platform == "win32":
+            os.replace(temporary, path)
     except BaseException as error:  # Ctrl-C too
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
         raise
@@ -82,8 +83,19 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     text.writelines(f"# {line}\n" for line in notes)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
-    writer.writerows(rows)
+    writer.writerows(map(_harmless, row) for row in rows)
     write_text(path, text.getvalue())
+
+
+def _harmless(cell: Any) -> Any:
+    """Numbers as they are; before a text that spreadsheets would take for a formula an apostrophe."""
+    if not (isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return "'" + cell
+    return cell
 
 
 def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
@@ -101,7 +113,7 @@ def _write(path: Path, fill: Callable[[h5py.File], None]) -> None:
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         fill(file)
-    replace_file(path, whole.getbuffer())
+    replace_file(path, whole.getvalue())
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.words import shown
 
 MOST_SITES = 2**31 - 1  # Taichi indexes with 32-bit integers and would silently run nothing beyond
 
@@ -30,13 +31,13 @@ class Lattice:
 
     def __post_init__(self) -> None:
         if len(self.shape) not in (2, 3):
-            raise InputError(f"shape is {list(self.shape)}; it must have two or three numbers")
+            raise InputError(f"shape is {shown(list(self.shape))}; it must have two or three numbers")
         if min(self.shape) < 2:
-            raise InputError(f"shape is {list(self.shape)}; every side must be 2 or more")
+            raise InputError(f"shape is {shown(list(self.shape))}; every side must be 2 or more")
         if self.shape[-1] < 3:
-            raise InputError(f"shape is {list(self.shape)}; the height (last number) must be 3 or more")
+            raise InputError(f"shape is {shown(list(self.shape))}; the height (last number) must be 3 or more")
         if self.sites > MOST_SITES // 8:
-            raise InputError(f"shape is {list(self.shape)}; at most {MOST_SITES // 8} spheres can be indexed")
+            raise InputError(f"shape is {shown(list(self.shape))}; at most {MOST_SITES // 8} spheres can be indexed")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius is {self.radius}; it must be a positive number")
 

@@ -27,6 +27,8 @@ from taichi_bearings.lattice import incidence
 from taichi_bearings.numerics.planar import minimum_cuts
 
 TIE = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
+LIGHTER = 2.0**-16  # weight of a cut over that of one known before, below which its rounding matters
+PRESENT = 2**40  # capacity of every contact that is there, where a cut of absent ones is known
 BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
 
 
@@ -135,16 +137,21 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, float]:
     """Sides N, what lies between ties N, and proven weight of one lattice; weight : one array of contacts an axis."""
     node, ends = _network(weight[-1].shape)
-    levels = weight[-1].reshape(-1, weight[-1].shape[-1])
-    lightest = levels.sum(axis=0).argmin()
-    at_most = levels[:, lightest].sum()
-    unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
-    capacity = np.floor(np.minimum(_edges(weight), 2 * at_most) / unit).astype(np.int64)
-    level_cut = int(np.floor(levels[:, lightest] / unit).sum())
-    flow = largest_flow(ends, capacity, level_cut)
-    left_over = np.stack([capacity - flow, capacity + flow])
-    above = ~_reached(ends, left_over, 0)
-    cut = above[ends[0]] != above[ends[1]]
+    edges, lightest = _edges(weight), weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
+    above = np.zeros(node.max() + 1, dtype=bool)
+    above[node[..., lightest + 1 :]] = True
+    cut, light = above[ends[0]] != above[ends[1]], False
+    while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
+        at_most = float(edges[cut].sum())
+        unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
+        capacity = np.where(edges > 0, PRESENT, 0)
+        if at_most > 0:
+            capacity = np.floor(np.minimum(edges, 2 * at_most) / unit).astype(np.int64)
+        flow = largest_flow(ends, capacity, int(capacity[cut].sum()))
+        left_over = np.stack([capacity - flow, capacity + flow])
+        above = ~_reached(ends, left_over, 0)
+        cut = above[ends[0]] != above[ends[1]]
+        light = bool(edges[cut].sum() >= at_most * LIGHTER)
     units = int(capacity[cut].sum())
     tie = int(TIE * units) + int(cut.sum())
     from_bottom, from_top = _reached(ends, left_over, 0, tie), _reached(ends, left_over[::-1], node.max(), tie)

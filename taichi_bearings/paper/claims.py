@@ -73,6 +73,14 @@ class Claim:
         }
 
 
+def is_claim(found: Any) -> bool:
+    """True for what :meth:`Claim.as_dict` makes."""
+    plain = Claim("", "", True).as_dict()
+    if not isinstance(found, dict) or not all(type(found.get(key)) is type(value) for key, value in plain.items()):
+        return False
+    return found["verdict"] in VERDICTS and found["kind"] in KINDS and found.keys() == plain.keys()
+
+
 @dataclass(frozen=True)
 class Share:
     """A share of all samples, as a number of those drawn shows it. least, most : the exact interval (Clopper, Pearson),

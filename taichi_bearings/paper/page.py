@@ -81,7 +81,7 @@ def _anchor(name: str, number: int) -> str:
 
 
 def _verdict(claim: Mapping[str, Any]) -> str:
-    name = str(claim["verdict"])
+    name = escape(claim["verdict"])
     return f'<span class="verdict {name.replace(" ", "-")}">{name}</span>'
 
 
@@ -108,7 +108,7 @@ def _table(report: Mapping[str, Any]) -> Iterator[str]:
                 f'<td><a href="#{_anchor(name, number)}">{_words(claim["claim"])}</a></td>',
                 *(f"<td>{_words(claim[key])}</td>" for key in ("paper", "ours")),
                 f'<td class="number">{claim["samples"]:,}</td>',
-                f"<td>{claim['kind']}</td>",
+                f"<td>{_words(claim['kind'])}</td>",
                 f"<td>{_verdict(claim)}</td>",
             ]
             yield f"<tr>{''.join(cells)}</tr>"
@@ -131,7 +131,7 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
             "chosen after the data": claim["chosen_after_the_data"],
         }
         rows = "".join(f"<dt>{key}</dt><dd>{_words(text)}</dd>" for key, text in facts.items() if text)
-        style = claim["verdict"].replace(" ", "-")
+        style = escape(claim["verdict"]).replace(" ", "-")
         yield f'<article class="{style}" id="{_anchor(name, number)}"><h3>{_words(claim["claim"])}</h3>'
         yield f'{_verdict(claim)}<dl class="facts">{rows}</dl>'
         yield f'<p class="finding">{_words(claim["finding"])}</p></article>'

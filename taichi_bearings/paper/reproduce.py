@@ -11,9 +11,10 @@ from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.whole_file import refuse_standing, write_text
-from taichi_bearings.paper.claims import KINDS, VERDICTS, Claim, Effort
+from taichi_bearings.paper.claims import KINDS, VERDICTS, Claim, Effort, is_claim
 from taichi_bearings.paper.environment import environment
 from taichi_bearings.paper.page import page
+from taichi_bearings.plain_files import read_json, read_whole
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
@@ -101,6 +102,7 @@ FIGURES = {
         (60, 50),
     ),
 }
+MOST_PICTURE = 2**26  # bytes of one that the page holds
 REPORTS = ("report.html", "report.json", "report.md")
 
 
@@ -169,17 +171,29 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
     path = folder / "report.json"
     if not path.exists():
         return {"figures": {}, "missing": []}
+    refusal = FileError(f"{path} already exists and is no report; choose another --out or add --force")
     ours = {"seed": effort.seed, "samples": effort.samples, "quick": effort.quick, "version": VERSION}
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = read_json(path)
         theirs = {name: report[name] for name in ours}
         figures, missing = dict(report["figures"]), list(report["missing"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileError(f"{path} already exists and is no report; choose another --out or add --force") from error
+    except (FileError, ValueError, KeyError, TypeError):
+        raise refusal from None
     if theirs != ours:
         words = [f"{name} {theirs[name]} instead of {ours[name]}" for name in ours if theirs[name] != ours[name]]
         raise FileError(f"{path} already exists and has {', '.join(words)}; choose another --out or add --force")
+    if not set(map(str, missing)) <= FIGURES.keys() or not all(_is_figure(*item) for item in figures.items()):
+        raise refusal
     return {"figures": figures, "missing": missing}
+
+
+def _is_figure(name: str, found: Any) -> bool:
+    """True for what :func:`_computed` makes of the figure of this name."""
+    if name not in FIGURES or not isinstance(found, dict) or not isinstance(claims := found.get("claims"), list):
+        return False
+    texts = all(found.get(key) == getattr(FIGURES[name], key) for key in ("title", "shown"))
+    times = all(isinstance(found.get(key), (int, float)) for key in ("seconds", "seconds_processor"))
+    return texts and times and all(map(is_claim, claims))
 
 
 def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> None:
@@ -187,7 +201,7 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
     write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     write_text(folder / "report.md", table(report))
     pictures = {name: _files(name, folder)[0] for name in done}
-    found = {name: path.read_bytes() for name, path in pictures.items() if path.exists()}
+    found = {name: read_whole(path, MOST_PICTURE) for name, path in pictures.items() if path.exists()}
     write_text(folder / "report.html", page(report, found))
 
 

@@ -128,10 +128,10 @@ def save_small(figure: Figure, stem: Path) -> Path:
 
 
 @in_our_style
-def _vectors(figure: Figure, kind: str) -> memoryview:
+def _vectors(figure: Figure, kind: str) -> bytes:
     drawn = io.BytesIO()
     figure.savefig(drawn, format=kind)
-    return drawn.getbuffer()
+    return drawn.getvalue()
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -16,9 +16,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from taichi_bearings.errors import InputError, WriteError
-from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, replace_file
+from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.run import settings_of
+from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.snapshot import draw_snapshot
 from taichi_bearings.stages import alike, each, stage
@@ -50,10 +51,10 @@ def movie(
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
     if not 0 <= replica < solution.scene.replicas:
         raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
-    refuse_standing([path], force or out is None)
-    frames = _frames(stored, replica)
-    film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
-    replace_file(path, film)
+    with claimed(path, force or out is None):
+        frames = _frames(stored, replica)
+        film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
+        replace_file(path, film)
     number = len(solution.snapshots.time)
     return {"file": str(path), "bytes": path.stat().st_size, "frames": number, "fps": frames_per_second}
 

@@ -4,7 +4,8 @@ What turns in the browser and in ParaView is drawn from these. The structure is 
 left in the run, if it went by the contact states of the run; else it is computed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,10 +16,10 @@ from taichi_bearings.analysis.domains import RigidDomains
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, read_analysis
-from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.lattice.incidence import ends
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import settings_of
+from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.runs.run_file import AXES, CONTACT_SETS, StoredRun, read_run_file
 from taichi_bearings.runs.snapshot import slips_of, snapshot_threshold
 from taichi_bearings.runs.structure_report import findings_of
@@ -72,16 +73,18 @@ class PointsAndLines:
         return _ends(self.scene)
 
 
-def open_to_draw(run: Path, out: Path | None, name: str, force: bool) -> tuple[StoredRun, Path]:
-    """A run directory or its run.h5, and the file to write: `out`, or of this name in the run directory.
+@contextmanager
+def opened_to_draw(run: Path, out: Path | None, name: str, force: bool) -> Iterator[tuple[StoredRun, Path]]:
+    """A run directory or its run.h5, and the file to write, which is ours meanwhile: `out`, or of this name in the run
+    directory.
 
     Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced.
     """
     with stage("reading"):
         stored = read_run_file(run)
     path = stored.path.parent / name if out is None else out
-    refuse_standing([path], force or out is None)
-    return stored, path
+    with claimed(path, force or out is None):
+        yield stored, path
 
 
 def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:

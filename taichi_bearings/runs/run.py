@@ -45,8 +45,10 @@ from taichi_bearings.stages import stage
 def build_scene(settings: RunSettings) -> Scene:
     """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
     given = {key: getattr(settings, key) for key in Scene.PARAMETERS} | {"law": settings.law}
+    has_viscosities = len(law_named(settings.law).quantities) > 1
     if settings.coefficients is None:
-        drawn = {key: getattr(settings, key) for key in ("seed", "distribution", "viscosity", "replicas")}
+        drawn = {key: getattr(settings, key) for key in ("seed", "distribution", "replicas")}
+        drawn |= {"viscosity": settings.viscosity} if has_viscosities else {}
         return Scene.random(settings.shape, **drawn, **given)
     file, lattice = Path(settings.coefficients), Lattice(settings.shape, settings.radius)
     given["seeds"] = tuple(range(settings.seed, settings.seed + settings.replicas))
@@ -55,7 +57,7 @@ def build_scene(settings: RunSettings) -> Scene:
         raise InputError(
             f"replicas is {settings.replicas}, but the coefficients file holds a single sample; it must be 1"
         )
-    if len(law_named(settings.law).quantities) > 1:
+    if has_viscosities:
         given["viscosity"] = read_coefficients(file, lattice.dimension, "viscosity")
     if coefficients[0].shape[-lattice.dimension :] != lattice.contact_shape(0):
         raise InputError(
@@ -537,4 +539,4 @@ def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folde
 def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     whole = io.BytesIO()
     np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
-    replace_file(path, whole.getbuffer())
+    replace_file(path, whole.getvalue())

@@ -14,14 +14,14 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import make_folder, refuse_link_out, write_text
+from taichi_bearings.files.whole_file import make_folder, refuse_link_out, refuse_standing, write_text
+from taichi_bearings.plain_files import locked, read_whole, remove, remove_leftover
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
-"""Hidden names beside the directory `name`: its lock, a new directory on its way, and an old one on its way out."""
+"""Hidden names beside the file or directory `name`: its lock, a new one on its way, an old one on its way out."""
 
 
 @dataclass
@@ -75,7 +75,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
         stack.callback(_remove_empty, made)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            held = stack.enter_context(_locked(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
+            held = stack.enter_context(_lock_of(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
             tidy(path.parent, ours=path.name if held else "")
             if os.path.lexists(path):
                 _refuse_to_replace(path, force)
@@ -95,9 +95,12 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
 def _refuse_to_replace(path: Path, force: bool) -> None:
     if not force:
         raise FileError(f"output directory {path} already exists; choose another --out or add --force")
-    is_run = any((path / name).is_file() for name in ("run.h5", CHECKPOINT))
-    if not is_run and not (path.is_dir() and not any(path.iterdir())):
+    if not _is_run(path) and not (path.is_dir() and not any(path.iterdir())):
         raise FileError(f"{path} is not a run directory; --force replaces only run directories")
+
+
+def _is_run(path: Path) -> bool:
+    return any((path / name).is_file() for name in ("run.h5", CHECKPOINT))
 
 
 def refuse_name(path: Path) -> None:
@@ -115,24 +118,27 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 
 
 def tidy(parent: Path, ours: str = "") -> None:
-    """Remove what killed runs have left beside their directories, and give an old directory its name back if the kill
-    came while it was replaced. What a living process holds stays.
+    """Remove what killed processes have left in a folder, files and directories on their way, and give an old directory
+    its name back if the kill came while it was replaced. What a living process holds stays.
 
     ours : the name that this process holds itself.
     """
     found: dict[str, list[re.Match[str]]] = {}
-    for entry in os.listdir(parent):
-        match = LEFTOVER.fullmatch(entry)
-        if match is not None:
+    for match in filter(None, map(LEFTOVER.fullmatch, os.listdir(parent))):
+        if match["kind"] == "in-use" or (parent / match[0]).is_dir():
             found.setdefault(match["name"], []).append(match)
+        else:
+            with contextlib.suppress(OSError):
+                remove_leftover(parent / match[0])
     for name, leftovers in found.items():
         with contextlib.suppress(OSError, FileError), contextlib.ExitStack() as stack:
-            held = name == ours or stack.enter_context(_locked(parent / f".{name}.in-use", name))
+            held = name == ours or stack.enter_context(_lock_of(parent / f".{name}.in-use", name))
             for match in leftovers if held else ():
-                if match["old"] and not os.path.lexists(parent / name):
-                    (parent / match[0]).rename(parent / name)
+                left = parent / match[0]
+                if match["old"] and not os.path.lexists(parent / name) and not left.is_symlink():
+                    left.rename(parent / name)
                 elif match["kind"] != "in-use":
-                    shutil.rmtree(parent / match[0], ignore_errors=True)
+                    remove(left)
 
 
 def exchange(one: Path, other: Path) -> None:
@@ -175,7 +181,7 @@ def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
     """
     folder = path / PARTIAL
     try:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove(folder)
         folder.mkdir()
         yield folder
         write_text(folder / OUTDATED, "\n".join(outdated))
@@ -184,23 +190,24 @@ def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
     except OSError as error:
         raise WriteError(f"{error.filename or path} cannot be written: {error.strerror or error}") from None
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove(folder)
 
 
 PARTIAL, COMPLETE, OUTDATED = ".partial", ".complete", ".outdated"
+MOST_OUTDATED = 2**16  # bytes of a list of names
 
 
 def _complete(path: Path) -> None:
     """Move the files of a complete folder into its directory, run.h5 last."""
     folder = path / COMPLETE
     if (folder / OUTDATED).exists():
-        for name in (folder / OUTDATED).read_text(encoding="utf-8", errors="replace").splitlines():
+        for name in read_whole(folder / OUTDATED, MOST_OUTDATED).decode(errors="replace").splitlines():
             with contextlib.suppress(OSError, ValueError):
                 (path / Path(name).name).unlink()  # whoever wrote the list, it reaches nothing outside
     for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
         if file.name != OUTDATED:
             file.replace(path / file.name)
-    shutil.rmtree(folder)
+    remove(folder)
 
 
 @contextlib.contextmanager
@@ -210,49 +217,40 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
     What a killed process has left there is removed, or completed if it was whole.
     part : keeps others from that part of the work alone.
     """
-    lock = path / (f".in-use-{part}" if part else ".in-use")
-    with _locked(lock, f"{part} in {path}" if part else f"{path}") as held:
-        if held and not part:
-            try:
+    with _lock_of(
+        path / (f".in-use-{part}" if part else ".in-use"), f"{part} in {path}" if part else f"{path}"
+    ) as held:
+        try:
+            tidy(path)
+            if held and not part:
                 if (path / COMPLETE).is_dir() and not (path / COMPLETE).is_symlink():
                     _complete(path)
-                for left in (CHECKPOINT, "run.h5"):
-                    (path / f"{left}.partial").unlink(missing_ok=True)
-                shutil.rmtree(path / PARTIAL, ignore_errors=True)
-            except OSError as error:
-                raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+                for left in (COMPLETE, PARTIAL):
+                    remove(path / left)
+        except OSError as error:
+            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
         yield
 
 
 @contextlib.contextmanager
-def _locked(lock: Path, what: str) -> Iterator[bool]:
-    """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
+def claimed(path: Path, force: bool = False) -> Iterator[None]:
+    """Keep other processes from writing a file, and from working in the run directory that it lies in; FileError if one
+    does, or if the file stands, unless `force`."""
+    refuse_name(path)
+    with contextlib.ExitStack() as stack:
+        if _is_run(path.parent):
+            stack.enter_context(in_use(path.parent))
+        held = stack.enter_context(_lock_of(path.with_name(f".{path.name}.in-use"), f"{path}"))
+        tidy(path.parent, ours=path.name if held else "")
+        refuse_standing([path], force)
+        yield
+
+
+@contextlib.contextmanager
+def _lock_of(lock: Path, what: str) -> Iterator[bool]:
     refuse_link_out(lock)
-    while True:
-        try:
-            file = lock.open("a")
-        except OSError as error:
-            raise WriteError(f"{lock.parent} cannot be written: {error.strerror or error}") from None
-        with file:
-            held = True
-            try:
-                _lock(file.fileno())
-            except OSError as error:
-                if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
-                    raise FileError(f"{what} is in use by another process; stop that or wait for its end") from None
-                held = False  # this file system has no locks
-            if not _is_at(file, lock):
-                continue  # whoever had it before removed it after we opened it: others would lock a new one
-            try:
-                yield held
-            finally:
-                if _is_at(file, lock) and sys.platform != "win32":  # an exchanged directory takes its lock with it
-                    with contextlib.suppress(OSError):
-                        lock.unlink()
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":  # where an open file cannot be removed
-                lock.unlink()
-        return
+    with locked(lock, what) as held:
+        yield held
 
 
 @contextlib.contextmanager
@@ -269,25 +267,6 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
         except OSError as error:
             name = error.filename2 or error.filename or path
             raise WriteError(f"{name} cannot be written: {error.strerror or error}") from None
-
-
-def _lock(descriptor: int) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _is_at(file: IO[str], path: Path) -> bool:
-    """True if an open file is the one at `path`; Windows lets nobody remove an open file."""
-    try:
-        return sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except OSError:
-        return False
 
 
 def default_run_path(command: str = "run") -> Path:

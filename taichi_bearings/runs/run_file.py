@@ -1,5 +1,6 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,7 @@ CONTACT_SETS = {  # name -> (attribute of Solution, unit, description)
     "force": ("force", "force", "magnitude of the tangential contact force"),
     "state": ("state", "1", "0 slipless, 1 slipping, 2 undecided, 3 between driven spheres or absent"),
 }
+COUNTED = re.compile("/state$|^history/")  # data sets that may hold whole numbers
 HISTORY_UNITS = {
     "iteration": ("1", "iterations done"),
     "seconds": ("s", "wall time of the solve, compilation apart"),
@@ -141,7 +143,6 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
     """What the run came to, with a replica axis. What files from before lack is empty, or counts as not known."""
     axes = AXES[: len(attributes["shape"])]
     one = file["coefficient/x"].ndim == len(axes)
-
     shape = tuple(int(side) for side in attributes["shape"])
     parts = () if len(shape) == 2 else (3,)
     count = 1 if one else len(file["coefficient/x"])
@@ -153,7 +154,8 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         if not fits or stored.dtype.kind not in "fiub":
             words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {whole}"
             raise FileError(f"{name} in {path} is damaged: {words}")
-        return stored[()][None] if one else stored[()]
+        values = stored[()][None] if one else stored[()]
+        return values.astype(np.float64) if stored.dtype.kind != "f" and not COUNTED.search(name) else values
 
     def each_axis(name: str, *parts: int) -> tuple[np.ndarray, ...]:
         names = [name.format(axis) for axis in axes]

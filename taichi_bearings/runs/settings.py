@@ -3,6 +3,7 @@
 What belongs to every run is declared here; the options of a method are those that its row in solvers/table.py declares.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -30,6 +31,7 @@ from taichi_bearings.options import (
     options_of,
     real,
 )
+from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.solvers.table import METHODS, MethodOptions, Springs
 from taichi_bearings.words import meant
@@ -250,8 +252,11 @@ def _escaped(letter: str) -> str:
     return f"\\u{ord(letter):04x}" if is_control else f"\\{letter}" if letter in '"\\' else letter
 
 
-MOST_TEXT = 2**26  # bytes of a scene or scan file
+MOST_TEXT = 2**22  # bytes of a scene or scan file
 MOST_NESTED = 20
+MOST_DOTS = 20_000  # in dotted keys
+PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
+DOTTED = re.compile(rf"(?<![\w-]){PART}(?:[ \t]*\.[ \t]*{PART}){{2,}}")  # no number has two dots
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -266,14 +271,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     try:
-        if path.suffix in (".h5", ".hdf5"):
-            text = _scene_of_run(path)
-        else:
-            with path.open("rb") as file:
-                content = file.read(MOST_TEXT + 1)
-            if len(content) > MOST_TEXT:
-                raise FileError(f"scene file {path} is longer than {MOST_TEXT:,} bytes; that is the most that is read")
-            text = content.decode()
+        text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else read_whole(path, MOST_TEXT).decode()
     except UNREADABLE as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
     return parse_toml(text, path)
@@ -304,8 +302,7 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     else:
         import tomli as tomllib
     try:
-        if _is_deep(text):  # deeper ones would spend Python's stack
-            raise ValueError("its brackets do not close")
+        _refuse_costly(text)
         values = tomllib.loads(text)
         _refuse_unwritable(values)
     except (ValueError, RecursionError) as error:  # too many digits or brackets too
@@ -320,10 +317,16 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     return values
 
 
-def _is_deep(text: str) -> bool:
-    if text.count("[") + text.count("{") <= 5 * MOST_NESTED:
-        return False
-    return max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED
+def _refuse_costly(text: str) -> None:
+    """ValueError for what would take Python's stack, or memory and time out of all proportion."""
+    if len(text) > MOST_TEXT:
+        raise ValueError(f"it is longer than {MOST_TEXT:,} bytes")
+    is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
+    if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
+        raise ValueError("its brackets do not close")
+    dots = [found[0].count(".") for found in DOTTED.finditer(text)]
+    if max(dots, default=0) > MOST_NESTED or sum(dots) > MOST_DOTS:
+        raise ValueError(f"keys have at most {MOST_NESTED} dots, and all together {MOST_DOTS:,}")
 
 
 def _refuse_unwritable(value: Any, depth: int = 0) -> None:

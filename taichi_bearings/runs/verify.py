@@ -13,11 +13,11 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
+from taichi_bearings.verifier.claims import is_drawn
 from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
 from taichi_bearings.verifier.verdict import as_report, verdict_of
 
 Draw = Callable[[Lattice, Distribution, int], tuple[np.ndarray, ...]]
-REDRAWN = 1e-12  # relative difference of coefficients that are drawn again from their seed
 
 
 def verify(path: Path) -> dict[str, Any]:
@@ -40,23 +40,19 @@ def verify(path: Path) -> dict[str, Any]:
         "verified": not report["contradictions"],
         **report,
         "unchanged": None if run.changed is None else not run.changed,
-        "status": run.attributes["status"],
+        "status": np.asarray(run.attributes["status"]).tolist(),
         "law": run.samples.law,
         "shape": list(run.samples.shape),
         "seed": np.asarray(run.attributes.get("seed", -1)).tolist(),
-        "coefficients": "drawn" if _is_drawn(run) else "given",
+        "coefficients": "drawn" if is_drawn(run) else "given",
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
 
 
-def _is_drawn(run: StoredRun) -> bool:
-    return run.settings.get("coefficients") is None and "distribution" in run.settings
-
-
 def _coefficients(run: StoredRun) -> list[str]:
     """Coefficients that the scene says to be drawn from seeds are those of the seeds."""
-    if not _is_drawn(run):
+    if not is_drawn(run):
         return []
     found = _redrawn(run, "coefficients", "distribution", draw_coefficients, run.samples.coefficient)
     if run.samples.viscosity:
@@ -75,6 +71,6 @@ def _redrawn(run: StoredRun, kind: str, key: str, draw: Draw, values: tuple[np.n
     for number, (seed, sample) in enumerate(zip(run.claimed("seed"), samples, strict=True)):
         for axis, drawn in enumerate(sample):
             stored = values[axis][number]
-            if not (np.abs(stored - drawn) <= REDRAWN * drawn).all():
-                found.append(f"{kind} along {'xyz'[axis]} are not those of seed {seed}")
+            if not np.array_equal(stored, drawn):
+                found.append(f"{kind} along {'xyz'[axis]} are not those of seed {seed}, to the bit")
     return found

@@ -25,6 +25,7 @@ from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import ENDINGS, save
 from taichi_bearings.plots.symbols import SYMBOLS, column_label
+from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
 from taichi_bearings.scans.systems import disorder_of, mixture, numbered
 from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
@@ -120,18 +121,19 @@ def plot_scan(
     figure = out or scan.path.parent / f"{request.stem}.pdf"
     refuse_ending(figure, *ENDINGS)
     table = figure.with_suffix(".csv")
-    refuse_standing((figure, table), force or out is None)
-    columns = columns_of(scan, request)
-    points = points_of(columns, request)
-    for line in accounts_of(columns, request):
-        tell(line)
-    curves = curves_of(points, request)
-    save(draw_scan(curves, look_of(scan, columns, points, request), page), figure)
-    for curve in curves:
-        if curve.fit:
-            tell(f"{curve.label}: {_in_words(curve.fit)}" if curve.label else _in_words(curve.fit))
-    names, rows = rows_of(points, request)
-    write_csv(table, names, rows)
+    with claimed(figure, force or out is None):
+        refuse_standing([table], force or out is None)
+        columns = columns_of(scan, request)
+        points = points_of(columns, request)
+        for line in accounts_of(columns, request):
+            tell(line)
+        curves = curves_of(points, request)
+        save(draw_scan(curves, look_of(scan, columns, points, request), page), figure)
+        for curve in curves:
+            if curve.fit:
+                tell(f"{curve.label}: {_in_words(curve.fit)}" if curve.label else _in_words(curve.fit))
+        names, rows = rows_of(points, request)
+        write_csv(table, names, rows)
     return [figure, table]
 
 

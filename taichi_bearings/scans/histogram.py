@@ -23,11 +23,11 @@ from taichi_bearings.analysis.statistics import groups
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
-from taichi_bearings.files.whole_file import make_folder, refuse_standing
+from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import settings_of
-from taichi_bearings.runs.run_directory import default_run_path
+from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
@@ -228,16 +228,16 @@ def histogram(
     refuse_standing((table, arrays, figure), force)
     with stage("counting"):
         found = pooled(sources, bins_per_decade, normalise, by)
-    make_folder(folder)
-    with stage("drawing"):
-        from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
-        from taichi_bearings.plots.style import save
+    with writable_folder(folder):
+        with stage("drawing"):
+            from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
+            from taichi_bearings.plots.style import save
 
-        drawn = draw_histograms(found, by)
-    with stage("writing"), awaited():  # all three or none
-        write_table(table, found, by)
-        write_arrays(arrays, found, by)
-        save(drawn, figure)
+            drawn = draw_histograms(found, by)
+        with stage("writing"), awaited():  # all three or none
+            write_table(table, found, by)
+            write_arrays(arrays, found, by)
+            save(drawn, figure)
     return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
 
 

@@ -1,6 +1,5 @@
 """What the run and scan folders below a folder hold, from their summaries and journals alone: `bearings list`."""
 
-import json
 import math
 import os
 import re
@@ -14,13 +13,13 @@ from typing import Any
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import NAME
+from taichi_bearings.plain_files import read_json, read_lines
 from taichi_bearings.scans.parts import JOURNAL
 from taichi_bearings.scans.plan import count_samples
 from taichi_bearings.words import counted
 
 RUN, SCAN = "run", "scan"
 RESULTS = {"run.h5", "summary.json", "checkpoint.h5", "scan.h5", NAME}
-MOST_SUMMARY = 2**26  # bytes of a summary.json that is read
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
 NEEDED = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
 FURTHER = {"gap": float, "power_normalised": float, "states_proven": bool}  # None where a run has none
@@ -118,12 +117,7 @@ def _of_run(path: Path) -> dict[str, Any]:
         if (path / "run.h5").is_file():
             raise InputError("it has a run.h5 but no summary.json")
         return {"status": "unfinished"}
-    if file.stat().st_size > MOST_SUMMARY:
-        raise InputError(f"its summary.json is longer than {MOST_SUMMARY:,} bytes")
-    try:
-        summary = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"its summary.json is not JSON: {str(error).splitlines()[0]}") from None
+    summary = read_json(file)
     if not isinstance(summary, dict):
         raise InputError("its summary.json is no object")
     for name, kind in (NEEDED | FURTHER).items():
@@ -147,10 +141,8 @@ def _of_scan(path: Path) -> dict[str, Any]:
     asked, scanned, fixed = count_samples(path / "scan.toml")
     last: dict[bytes, bytes] = {}
     for journal in sorted(_journals(path)):
-        with journal.open("rb") as lines:
-            last.update(
-                (found[1], found[2]) for line in lines if line.endswith(b"}}\n") and (found := RECORD.match(line))
-            )
+        lines = (line for line in read_lines(journal) if line.endswith(b"}}\n"))
+        last.update((found[1], found[2]) for line in lines if (found := RECORD.match(line)))
     states = Counter(status.decode(errors="replace") for status in last.values())
     failed = states.pop(FAILED, 0)
     told = {name: _plain(fixed.get(name)) for name in ("shape", "law", "method", "seed")}

@@ -17,7 +17,7 @@ from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import NAME, is_sample, read_journal
 from taichi_bearings.scans.plan import ScanPlan, groups_of
 
-JOURNAL = re.compile(r"part-(\d+)-of-(\d+)\.jsonl")
+JOURNAL = re.compile(r"part-([1-9][0-9]{0,5})-of-([1-9][0-9]{0,5})\.jsonl")
 MOST = 100_000
 
 
@@ -31,7 +31,7 @@ class Part:
     @staticmethod
     def parse(text: str) -> "Part":
         """From ``i/n``; InputError if that is no part."""
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
         if found is None or not 1 <= int(found[1]) <= int(found[2]) <= MOST:
             raise InputError(f"--part is {text!r}; it must be i/n with whole numbers 1 <= i <= n <= {MOST:,}")
         return Part(int(found[2]), int(found[1]))
@@ -76,7 +76,8 @@ def part_of(plan: ScanPlan, part: Part) -> ScanPlan:
 def parts_in(folder: Path) -> list[Part]:
     """The parts that have a journal in a folder."""
     names = [JOURNAL.fullmatch(file.name) for file in folder.iterdir()] if folder.is_dir() else []
-    return sorted(Part(int(found[2]), int(found[1])) for found in names if found is not None)
+    parts = (Part(int(found[2]), int(found[1])) for found in names if found is not None)
+    return sorted(part for part in parts if part.number <= part.of <= MOST)
 
 
 def journal_bytes(folder: Path) -> int | None:

@@ -11,7 +11,14 @@ from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.run import row_of
-from taichi_bearings.runs.settings import RunSettings, parse_assignment, read_toml, settings_table, toml_value
+from taichi_bearings.runs.settings import (
+    MOST_TEXT,
+    RunSettings,
+    parse_assignment,
+    read_toml,
+    settings_table,
+    toml_value,
+)
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.solvers.table import METHODS
 
@@ -183,8 +190,13 @@ def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: 
     for key in ("replicas", "checkpoint_every"):
         if key in document:
             raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
+    text = _text(document, single, tables)
+    if len(text) > MOST_TEXT - 1000:  # which wishes may take
+        raise InputError(
+            f"{path} takes {len(text):,} bytes written in full, and at most {MOST_TEXT:,} are read; use ranges"
+        )
     samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
-    return ScanPlan(scanned, samples, _text(document, single, tables), wishes)
+    return ScanPlan(scanned, samples, text, wishes)
 
 
 def _axes(

@@ -17,7 +17,7 @@ from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 from taichi_bearings.interrupts import awaited
-from taichi_bearings.runs.run_directory import writable_folder
+from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
@@ -222,7 +222,9 @@ def scan(
         journals = journal_bytes(folder) or 0
         missing, records = missing_samples(plan, folder, wanted, part)
         refuse_link_out(folder / STATES)
-        replace_file(folder / "scan.toml", plan.text.encode(), f".{name or 'whole'}.partial")
+        if (folder / STATES).is_dir():
+            tidy(folder / STATES)
+        replace_file(folder / "scan.toml", plan.text.encode())
         if engine is None:
             work = partial(solve_samples, wanted=wanted)
             allowed = partial(_allowed, sample_timeout=plan.wishes.sample_timeout, structure=wanted.structure)

@@ -6,6 +6,8 @@ from pathlib import Path
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import SCHEMA, StoredScan, read_scan
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+from taichi_bearings.plain_files import read_lines, read_whole
+from taichi_bearings.runs.settings import MOST_TEXT
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of, with_missing
@@ -56,7 +58,7 @@ def open_scan(path: Path) -> StoredScan:
 def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
     """True if a table was made of this scan file and of journals of so many bytes."""
     same = stored.attributes.get("journals") == journals
-    return same and scan.is_file() and scan.read_bytes() == str(stored.attributes["scan"]).encode()
+    return same and scan.is_file() and read_whole(scan, MOST_TEXT) == str(stored.attributes["scan"]).encode()
 
 
 def outdated_figures(folder: Path, journals: int) -> list[Path]:
@@ -72,5 +74,5 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
 
 
 def _is_of_a_figure(table: Path) -> bool:
-    with table.open("rb") as file:
-        return file.readline(10_000).rstrip().endswith(",".join(("plot_high", *CENSUS_COLUMNS)).encode())
+    names = next(read_lines(table), b"") if table.is_file() else b""
+    return names.rstrip().endswith(",".join(("plot_high", *CENSUS_COLUMNS)).encode())

@@ -43,7 +43,9 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
                 found = file.attrs["schema_version"]
                 raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
             check(path, file)
-            return {name: file[name][()] for name in names}
+            if empty := [name for name in names if file[name].shape is None]:
+                raise FileError(f"{empty[0]} in {path} is empty")
+            return {name: np.asarray(file[name][()]) for name in names}
     except KeyError:
         raise FileError(f"{path} lacks one of the arrays {', '.join(names)}") from None
     except (FileError, MemoryError):

@@ -8,7 +8,8 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.words import meant
+from taichi_bearings.scene.given import own_array
+from taichi_bearings.words import meant, shown
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class Distribution:
     @classmethod
     def parse(cls, text: str) -> "Distribution":
         """Read ``uniform:0.1,1.0`` and the like; raises InputError with the form that is expected."""
+        if not isinstance(text, str):
+            raise InputError(f"distribution is {shown(text)}; it must be a text or a function")
         name, _, rest = text.partition(":")
         if name not in cls.PARAMETERS:
             raise InputError(
@@ -111,7 +114,7 @@ def draw_viscosities(lattice: Lattice, distribution: Draw, seed: int) -> tuple[n
 def _draw(lattice: Lattice, distribution: Draw, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     found = []
     for shape in map(lattice.contact_shape, range(lattice.dimension)):
-        values = np.asarray(distribution(rng, shape))
+        values = own_array("values of the distribution", distribution(rng, shape))
         if values.shape != shape:
             raise InputError(f"the distribution gave an array of shape {values.shape}; it was asked for {shape}")
         found.append(values)

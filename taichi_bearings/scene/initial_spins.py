@@ -1,11 +1,13 @@
 """Spins to start from. Every start obeys the driving; the stationary power does not depend on the choice."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.minimum_cut import MinimumCut, minimum_cut
+from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.scene import Scene
 from taichi_bearings.words import meant
 
@@ -75,7 +77,7 @@ def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:
         such as run.h5), or such an array; that of a single sample serves all.
     """
     if not isinstance(start, str):
-        return _fitting(scene, np.asarray(start), "start")
+        return _fitting(scene, start, "start")
     if start in STARTS:
         start_of = dict(zip(STARTS, (random_spin, zero_spin, linear_spin, minimum_cut_spin), strict=True))
         return start_of[start](scene)
@@ -87,11 +89,9 @@ def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:
     return _fitting(scene, read_arrays(Path(start), ["spin"])["spin"], start)
 
 
-def _fitting(scene: Scene, given: np.ndarray, source: str) -> np.ndarray:
+def _fitting(scene: Scene, given: Any, source: str) -> np.ndarray:
     """Spins that users bring, checked. source : where they are from, for people."""
-    if given.dtype.kind not in "fiu":
-        raise InputError(f"spin in {source} is of type {given.dtype}; it must be real numbers")
-    spin = given.astype(np.float64)
+    spin = own_array(f"the spins in {source}", given)
     expected = zero_spin(scene).shape
     if spin.shape == expected[1:]:
         spin = np.broadcast_to(spin, expected)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.words import meant
+from taichi_bearings.words import meant, shown
 
 Coefficients = tuple[np.ndarray, ...]
 
@@ -120,6 +120,6 @@ def law_named(law: "str | Law") -> Law:
     """The law of this name, or the law itself; InputError if there is none."""
     if isinstance(law, Law):
         return law
-    if law not in LAWS:
-        raise InputError(f"law is {law!r}; allowed are {', '.join(LAWS)}{meant(law, LAWS)}")
+    if not isinstance(law, str) or law not in LAWS:
+        raise InputError(f"law is {shown(law)}; allowed are {', '.join(LAWS)}{meant(law, LAWS)}")
     return LAWS[law]

@@ -4,8 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import product
-from math import isfinite
-from numbers import Real
 from operator import index
 from typing import Any, ClassVar
 
@@ -25,8 +23,11 @@ from taichi_bearings.numerics.double_double import (
     two_product,
     two_sum,
 )
+from taichi_bearings.options import SEED
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients, draw_viscosities
-from taichi_bearings.scene.law import COULOMB, Coefficients, Law, law_named
+from taichi_bearings.scene.given import finite_number, own_array
+from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
+from taichi_bearings.words import shown
 
 AXIS_NAMES = ("x", "y", "z")
 FAINT = 1e-100  # least part of a direction that counts
@@ -90,18 +91,24 @@ class Scene:
             sides, seed, replicas = tuple(map(index, shape)), index(seed), index(replicas)
         except TypeError:
             raise InputError(
-                f"shape is {shape}, seed is {seed} and replicas is {replicas}; they must be whole numbers, and two or "
-                "three of them the shape"
+                f"shape is {shown(shape)}, seed is {shown(seed)} and replicas is {shown(replicas)}; they must be whole "
+                "numbers, and two or three of them the shape"
             ) from None
+        viscosity = others.pop("viscosity", None)
+        if viscosity is not None and len(law.quantities) == 1:
+            laws = " or ".join(name for name, other in LAWS.items() if len(other.quantities) > 1)
+            raise InputError(f"viscosity is {shown(viscosity)}, but the law {law} does not use it; it needs law {laws}")
         if seed < 0:
             raise InputError(f"seed is {seed}; it must be 0 or more")
-        lattice = Lattice(sides, others.get("radius", cls.radius))
+        lattice = Lattice(sides, finite_number("radius", others.get("radius", cls.radius)))
         if not 1 <= replicas <= MOST_SITES // 8 // lattice.sites:
             most = MOST_SITES // 8 // lattice.sites
-            raise InputError(f"replicas is {replicas}; with this shape at least 1 and at most {most} can be indexed")
+            raise InputError(
+                f"replicas is {shown(replicas)}; with this shape at least 1 and at most {most} can be indexed"
+            )
         others["seeds"] = tuple(range(seed, seed + replicas))
-        sources = dict(zip(cls.DRAWN, (distribution, others.pop("viscosity", "uniform:0.1,1.0")), strict=True))
-        values = [Distribution.parse(source) if isinstance(source, str) else source for source in sources.values()]
+        sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
+        values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
         found = []
         for _, draw, value in zip(law.quantities, (draw_coefficients, draw_viscosities), values, strict=False):
             parts = zip(*(draw(lattice, value, number) for number in others["seeds"]), strict=True)
@@ -120,19 +127,10 @@ class Scene:
     def __post_init__(self) -> None:
         object.__setattr__(self, "law", law_named(self.law))
         for name in ("spin_top", "spin_bottom", "normal_force", "radius"):
-            value = getattr(self, name)
-            if not isinstance(value, Real) or not isfinite(value):
-                raise InputError(f"{name} is {value!r}; it must be a finite number")
+            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
         if self.normal_force <= 0:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
-        if len(self.direction) != 3 or not np.all(np.isfinite(self.direction)) or not np.any(self.direction):
-            raise InputError(f"direction is {list(self.direction)}; it must be three finite numbers, not all zero")
-        sizes = np.abs(self.direction) / np.max(np.abs(self.direction))
-        if ((sizes > 0) & (sizes < FAINT)).any():
-            raise InputError(
-                f"direction is {list(self.direction)}; a part that is not 0 must be {FAINT:g} of the largest or more"
-            )
-        object.__setattr__(self, "direction", tuple(float(part) for part in self.direction))
+        object.__setattr__(self, "direction", _direction(self.direction))
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
         object.__setattr__(self, "viscosity", _arrays("viscosities", self.viscosity))
         if bool(self.viscosity) != (len(self.law.quantities) > 1):
@@ -145,8 +143,13 @@ class Scene:
                 f"coefficients are {len(self.coefficients)} arrays; they must be one an axis, two or three"
             )
         first, dimension = self.coefficients[0].shape, len(self.coefficients)
+        if not dimension <= len(first) <= dimension + 1:
+            raise InputError(
+                f"coefficients along x have shape {first}; in {dimension}D they must have {dimension} axes, or one "
+                "more for several samples"
+            )
         samples = first[0] if len(first) > dimension else 1
-        object.__setattr__(self, "seeds", tuple(self.seeds) or tuple(range(samples)))
+        object.__setattr__(self, "seeds", _seeds(self.seeds) or tuple(range(samples)))
         for kind, coefficients in (("coefficients", self.coefficients), ("viscosities", self.viscosity)):
             self._check(kind, coefficients)
         acting = [~self.idle(axis).reshape(self.replicas, -1) for axis in range(dimension)]
@@ -425,13 +428,36 @@ class Scene:
         return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
 
-def _arrays(kind: str, given: Sequence[Any]) -> tuple[np.ndarray, ...]:
-    """What users give as coefficients, as arrays of float64."""
-    found = tuple(np.asarray(values) for values in given)
-    for axis, values in enumerate(found):
-        if values.dtype.kind not in "fiu":
-            raise InputError(f"{kind} along {AXIS_NAMES[axis]} are of type {values.dtype}; they must be real numbers")
-    return tuple(values.astype(np.float64, copy=False) for values in found)
+def _direction(given: Any) -> tuple[float, float, float]:
+    """Three finite numbers, not all 0."""
+    try:
+        parts = tuple(finite_number("direction", part) for part in given)
+    except (TypeError, InputError):
+        parts = ()
+    sizes = np.abs(parts)
+    if len(parts) != 3 or not sizes.any():
+        given = list(given) if isinstance(given, tuple) else given
+        raise InputError(f"direction is {shown(given)}; it must be three finite numbers, not all zero")
+    if ((sizes > 0) & (sizes / sizes.max() < FAINT)).any():
+        raise InputError(f"direction is {list(parts)}; a part that is not 0 must be {FAINT:g} of the largest or more")
+    return parts
+
+
+def _seeds(given: Any) -> tuple[int, ...]:
+    try:
+        return tuple(SEED.read(seed) for seed in given)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"seeds are {shown(given)}; each must be {SEED.allowed}") from None
+
+
+def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
+    """Coefficients that users give, one array an axis, as read-only copies."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"{kind} are {shown(given)}; they must be one array an axis, two or three")
+    found = tuple(given)
+    if len(found) > len(AXIS_NAMES):
+        raise InputError(f"{kind} are {len(found)} arrays; they must be one an axis, two or three")
+    return tuple(own_array(f"{kind} along {name}", values) for name, values in zip(AXIS_NAMES, found, strict=False))
 
 
 def vector_length(components: np.ndarray) -> np.ndarray:

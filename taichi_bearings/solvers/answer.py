@@ -6,14 +6,14 @@ import numpy as np
 
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap
-from taichi_bearings.proof.contact_state import ContactState, classify, separate, unresolved
+from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap, saturation
+from taichi_bearings.proof.contact_state import SATURATED, ContactState, classify, separate, unresolved
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import LAWS, Samples
-from taichi_bearings.verifier.states import SLIPPING
+from taichi_bearings.verifier.states import UNPROVEN
 
 
 def answered(
@@ -29,18 +29,19 @@ def answered(
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
     judgement = _judged(scene, spin, spin_rounding, friction)
     slip = _slips(scene, final) if judgement is None else judgement.slip
-    state, resolves = _told_apart(scene, slip, final, threshold)
+    state, resolves, of_all = _told_apart(
+        scene, slip, final, threshold, _decided(judgement, is_dynamics(method)), proof
+    )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
     objective, residual = final.objective, final.unbalanced_torque
     power = objective if scene.law.minimises == "power" else scene.total(per_contact)
     if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
         bound = np.zeros_like(bound) if scene.law.name in LAWS else bound
+        gap = relative_gap(scene, objective, bound)
     else:  # what the answer proves is what is reported
-        power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
+        power, objective, bound, gap = judgement.power, judgement.objective, judgement.lower_bound, judgement.gap
         residual = residual if is_dynamics(method) else judgement.largest_torque
-        if scene.law.flows and scene.law.holds and threshold is None:  # unique slips, some of them proven
-            state = _with_proven_slips(state, judgement)
     answer = Solution(
         scene=scene,
         method=method.options.name,
@@ -50,7 +51,7 @@ def answered(
         spin_rounding=spin_rounding,
         slip=slip,
         power_per_contact=per_contact,
-        force=_acting(scene, final, slip) if is_dynamics(method) else _sizes(proof),
+        force=_acting(scene, method, final, slip) if is_dynamics(method) else _sizes(proof),
         friction=friction,
         state=state,
         slip_bound=() if judgement is None else judgement.slip_bound,
@@ -58,8 +59,8 @@ def answered(
         power=power,
         objective=objective,
         lower_bound=bound,
-        gap=relative_gap(scene, objective, bound),
-        slip_threshold=float(resolves.max()),
+        gap=gap,
+        slip_threshold=of_all,
         own=own,
         unbalanced_torque=residual,
         seconds=0.0,
@@ -72,13 +73,13 @@ def answered(
 
 def with_forces_of(answer: Solution, other: Solution) -> Solution:
     """An answer with the friction of another one to its scene in replicas where that proves more of it."""
-    scene, more = answer.scene, other.lower_bound > answer.lower_bound
+    more = other.lower_bound > answer.lower_bound
 
     def picked(new: Forces, old: Forces) -> Forces:
         return tuple(np.where(more.reshape(-1, *(1,) * (b.ndim - 1)), a, b) for a, b in zip(new, old, strict=True))
 
     friction = picked(other.friction, answer.friction)
-    judgement = _judged(scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
+    judgement = _judged(answer.scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
     if judgement is None:
         return answer
     return replace(
@@ -89,21 +90,53 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         slip_bound=judgement.slip_bound,
         unbalanced_torque=judgement.largest_torque,
         lower_bound=judgement.lower_bound,
-        gap=relative_gap(scene, answer.objective, judgement.lower_bound),
+        gap=judgement.gap,
     )
 
 
 def _told_apart(
-    scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float | None
-) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """Contact states, and slips (R,) up to which contacts count as slipless: as asked for, or what can be resolved."""
+    scene: Scene,
+    slip: tuple[np.ndarray, ...],
+    final: Progress,
+    threshold: float | None,
+    decided: tuple[np.ndarray, ...] | None,
+    proof: Forces,
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, float]:
+    """Contact states, and slips up to which contacts count as slipless, (R,) and of all: as asked for, or else what can
+    be resolved. Where more than the slip tells them apart, that is the largest slip of a slipless contact: others may
+    slip slower.
+
+    decided : states that are proven contact by contact; of the others none slips by Coulomb's law whose friction in
+    `proof` is off its limit.
+    """
     if threshold is not None:
-        return _states(scene, slip, final, threshold, asked=True), np.full(scene.replicas, threshold)
+        state = _states(scene, slip, final, threshold, asked=True)
+        return state, np.full(scene.replicas, threshold), threshold
     rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
     resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
     state = _states(scene, slip, final, float(resolves.max()), asked=False)
-    # a method that establishes the states has rounded its slips in another way
-    return state, np.fmax(resolves, separate(scene, slip, state).largest_slipless)
+    if decided is not None:
+        both = []
+        for said, known, share in zip(state, decided, saturation(scene, proof), strict=True):
+            off = (said == ContactState.SLIPPING) & (share < SATURATED) & (not scene.law.flows)
+            said = np.where(off, ContactState.UNDECIDED, said)
+            both.append(np.where((said == ContactState.DRIVEN) | (known == UNPROVEN), said, known).astype(np.uint8))
+        state = tuple(both)
+    found = separate(scene, slip, state)
+    largest, smallest = np.fmax(found.largest_slipless, 0.0), np.fmin(found.smallest_slipping, np.inf)
+    each = np.where(smallest <= resolves, largest, np.maximum(resolves, largest))
+    of_all = float(largest.max() if smallest.min() <= each.max() else each.max())
+    return state, each, of_all
+
+
+def _decided(judgement: Judgement | None, is_dynamics: bool) -> tuple[np.ndarray, ...] | None:
+    """What is proven of the states at every minimum, (R, *contacts) an axis, where it is contact by contact.
+
+    A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
+    """
+    if judgement is None or not (judgement.samples.flows or (len(judgement.samples.needed) < 2 and not is_dynamics)):
+        return None
+    return tuple(np.stack(of_axis) for of_axis in zip(*(found.proven for found in judgement.states), strict=True))
 
 
 def _states(
@@ -131,22 +164,16 @@ def _sizes(force: Forces) -> tuple[np.ndarray, ...]:
     return tuple(vector_length(values) for values in force)
 
 
-def _acting(scene: Scene, final: Progress, slip: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """Sizes of the forces in a dynamics at this moment: where contacts hold its own, else those of the law."""
-    if scene.law.holds:
-        return tuple(
-            np.where(of == 0, 0.0, size) for of, size in zip(scene.coefficient, _sizes(final.force), strict=True)
-        )
-    return tuple(scene.law.force(of, speed) for of, speed in zip(scene.contact, slip, strict=True))
-
-
-def _with_proven_slips(state: tuple[np.ndarray, ...], judgement: Judgement) -> tuple[np.ndarray, ...]:
-    """States (R, *contacts) an axis, with all contacts slipping that are proven to slip at the minimum."""
-    proven = [np.stack(of_axis) for of_axis in zip(*(found.proven for found in judgement.states), strict=True)]
-    return tuple(
-        np.where(slips == SLIPPING, ContactState.SLIPPING, values).astype(np.uint8)
-        for slips, values in zip(proven, state, strict=True)
-    )
+def _acting(scene: Scene, method: Method, final: Progress, slip: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Sizes of the forces in a dynamics at this moment: where contacts hold its own, else those of the law. Friction
+    alone is at its limit where the rounding of far stronger contacts says more."""
+    if not scene.law.holds:
+        return tuple(scene.law.force(of, speed) for of, speed in zip(scene.contact, slip, strict=True))
+    most = np.inf if scene.law.flows else scene.strength * max(getattr(method.options, "static_ratio", 1.0), 1.0)
+    found = []
+    for of, size in zip(scene.coefficient, _sizes(final.force), strict=True):
+        found.append(np.where(of == 0, 0.0, np.minimum(size, most * np.where(of == 0, 1.0, of))))
+    return tuple(found)
 
 
 def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:

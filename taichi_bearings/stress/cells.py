@@ -1,6 +1,8 @@
 """One cell of stress: solved in a worker process, and judged by a truth that shares nothing with what solved it."""
 
+import base64
 import os
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -13,10 +15,12 @@ from taichi_bearings import api
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Scene, Status
 from taichi_bearings.stress.axes import AXES, ROWS, Cell
 from taichi_bearings.stress.truth import SLIPLESS, SLIPPING, Truth, layered, least
+from taichi_bearings.version import VERSION
 
 RIGHT, NOT_REACHED, REFUSED, WRONG, CRASH = OUTCOMES = ("right", "not reached", "refused", "wrong", "crash")
 TOLERANCE = 1e-8
@@ -87,6 +91,53 @@ def _solve(task: Task) -> Answer:
                   found.state, found.seconds)  # fmt: skip
 
 
+NUMBERS = ("objective", "lower_bound", "gap", "seconds")
+
+
+def stored(cell: Cell, record: dict[str, Any]) -> dict[str, Any]:
+    """A record of :func:`solve_tasks` as a journal keeps it: what was claimed, with the version, and no verdict."""
+    kept = {"key": cell.key, "version": VERSION}
+    kept |= {name: record[name] for name in ("refusal", "crash") if name in record}
+    answer = record.get("answer")
+    if answer is None:
+        return kept
+    told = {"status": str(answer.status), "reached": bool(answer.reached), "states_proven": bool(answer.states_proven)}
+    told |= {name: float(getattr(answer, name)).hex() for name in NUMBERS}
+    if not cell.case.is_layered:  # whose truth has no states
+        state = b"".join(np.asarray(part, dtype=np.uint8).tobytes() for part in answer.state)
+        told["state"] = base64.b64encode(zlib.compress(state)).decode()
+    return kept | {"answer": told}
+
+
+def restored(cell: Cell, kept: dict[str, Any]) -> dict[str, Any] | None:
+    """The record that was kept of a cell, to be judged anew; None if it is of another version or is no such record."""
+    if kept.get("version") != VERSION:
+        return None
+    if "answer" not in kept:
+        words = [kept[name] for name in ("refusal", "crash") if name in kept]
+        return kept if words and all(isinstance(text, str) and text.isprintable() for text in words) else None
+    try:
+        told = kept["answer"]
+        numbers = {name: float.fromhex(told[name]) for name in NUMBERS}
+        reached, proven = ({True: True, False: False}[told[name]] for name in ("reached", "states_proven"))
+        state = () if cell.case.is_layered else _states_of(cell.case.scene, told["state"])
+        status = Status(told["status"]).value
+        return {"answer": Answer(status, reached, states_proven=proven, state=state, **numbers)}
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, zlib.error):
+        return None
+
+
+def _states_of(scene: Scene, packed: str) -> tuple[np.ndarray, ...]:
+    """The states of all contacts, an array an axis; ValueError if these are none."""
+    sizes = [part.size for part in scene.coefficients]
+    content = zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), sum(sizes) + 1)
+    state = np.frombuffer(content, dtype=np.uint8)
+    if (state > max(ContactState)).any():
+        raise ValueError
+    parts = np.split(state, np.cumsum(sizes)[:-1])
+    return tuple(one.reshape(part.shape) for one, part in zip(parts, scene.coefficients, strict=True))
+
+
 def bytes_of(cell: Cell) -> float:
     """Memory of a solve and of its proof, roughly."""
     sites = prod(cell.case.scene.lattice.shape)
@@ -143,7 +194,7 @@ def _error(truth: Truth, objective: float) -> float | None:
     if not isfinite(objective):
         return None
     value = Decimal(objective)
-    return float(max((value - truth.upper) / max(value, truth.unit), Decimal(0))) if value else 0.0
+    return float(max((value - truth.upper) / max(abs(value), truth.unit), Decimal(0))) if value else 0.0
 
 
 def _states(truth: Truth, answer: Answer) -> tuple[int | None, int | None]:

@@ -1,34 +1,59 @@
 """The sweep over all cells, and its report: a journal that loses nothing, CSV, a table, maps, and numbers."""
 
 import json
+import logging
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_journal import Journal, read_journal
-from taichi_bearings.files.whole_file import make_folder, write_csv, write_text
+from taichi_bearings.files.whole_file import write_csv, write_text
 from taichi_bearings.plots.outcomes import draw_outcomes
 from taichi_bearings.plots.style import save
+from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.scans.engine import LocalEngine, Outcome
 from taichi_bearings.stages import alike, each
 from taichi_bearings.stress.axes import AXES, Cell
-from taichi_bearings.stress.cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, solve_tasks
+from taichi_bearings.stress.cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, restored, solve_tasks, stored
 from taichi_bearings.version import VERSION
+from taichi_bearings.words import counted
 
 Line = dict[str, Any]
 START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
 
 
+JOURNAL = "cells.jsonl"
+
+
+@contextmanager
+def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
+    """A sweep in its folder, which is ours meanwhile; FileError if another process works there, or it holds something
+    else."""
+    names = {file.name for file in folder.iterdir() if file.name[0] != "."} if folder.is_dir() else set()
+    if names and JOURNAL not in names:
+        raise FileError(f"{folder} is not the folder of a stress report and not empty; choose another --out")
+    with writable_folder(folder):
+        yield Sweep(folder, cells)
+
+
 class Sweep:
-    """The cells of a folder: those that its journal has, and the others as they are done."""
+    """The cells of a folder: those that its journal has, judged anew, and the others as they are done."""
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
-        make_folder(folder)
         self.folder, self.cells, self.judge = folder, list(cells), Judge()
-        known = read_journal(folder / "cells.jsonl")
-        self.lines: dict[str, Line] = {cell.key: known[cell.key]["scalars"] for cell in cells if cell.key in known}
+        known, self.lines = read_journal(folder / JOURNAL), dict[str, Line]()
+        asked = [cell for cell in cells if cell.key in known]
+        for cell in each(asked, "judging cell", alike):
+            record = restored(cell, known[cell.key])
+            if record is not None:
+                self.lines[cell.key] = self.judge.row(cell, record)
+        if left := len(asked) - len(self.lines):
+            logging.getLogger(__name__).warning(
+                "bearings: %s in %s of another version or damaged; solved again", counted(left, "cell"), folder
+            )
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
@@ -40,7 +65,7 @@ class Sweep:
                 key = outcome.unit[0].key
                 record = outcome.records[0] if outcome.records else {"crash": outcome.reason}
                 line = self.judge.row(by_key[key], record)
-                journal.append([{"key": key, "scalars": line, "bins": {}}])
+                journal.append([stored(by_key[key], record)])
                 self.lines[key] = line
                 if line["outcome"] in (WRONG, CRASH):
                     say(f"{line['outcome']}: {key}: {line['reason']}")
@@ -49,7 +74,7 @@ class Sweep:
             return START_UP + 2 * unit[0].cell.most_seconds
 
         with (
-            Journal(self.folder / "cells.jsonl") as journal,
+            Journal(self.folder / JOURNAL) as journal,
             closing(LocalEngine(solve_tasks, workers, allowed)) as engine,
         ):
             try:

@@ -1,1 +1,1 @@
-"""What is rigorously true of a run, from its numbers alone; shares no code with solvers and certificate."""
+"""What is rigorously true of a run, from its numbers alone; borrows an order of elimination, and nothing else."""

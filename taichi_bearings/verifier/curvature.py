@@ -239,7 +239,8 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     low, high = np.minimum(first, second)[apart][order], np.maximum(first, second)[apart][order]
     last = np.unique((low * source + high)[::-1], return_index=True)[1]
     low, high, slip = low[::-1][last], high[::-1][last], slip[apart][order][::-1][last]
-    graph = sparse.csr_array((slip, (low, high)), shape=(source + 1, source + 1))
+    places = (low.astype(np.int32), high.astype(np.int32))  # which SciPy before 1.17 asks for
+    graph = sparse.csr_array((slip, places), shape=(source + 1, source + 1))
     trees = minimum_spanning_tree(graph).tocoo()
     label = connected_components(trees, directed=False)[1]
     heads = np.unique(label[:source], return_index=True)[1]

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-from taichi_bearings.verifier.dissection import dissected
+from taichi_bearings.dissection import dissected
 from taichi_bearings.verifier.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
@@ -62,6 +62,7 @@ class Elimination:
             border = end + np.flatnonzero(touched[end:])
             touched[border] = touched[first:end] = False
             fronts.append(Front(first, end - first, border, part.children))
+        _refuse_disorder(order, fronts)
         return cls(order, lower, fronts)
 
     @property
@@ -129,6 +130,19 @@ class Elimination:
                 return None
             found.append((front, columns))
         return Factor(self.order, found)
+
+
+def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
+    """RuntimeError unless each unknown is eliminated once, and what a front leaves goes into one later front that has
+    room for it. Then the order proves nothing, whoever has found it: any other would do."""
+    parent = np.full(len(fronts), -1)
+    for number, front in enumerate(fronts):
+        if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
+            raise RuntimeError("a part of the order of elimination goes into two others, or into an earlier one")
+        parent[front.children] = number
+    lost = any(len(f.border) and (p < 0 or f.border[0] < fronts[p].first) for f, p in zip(fronts, parent, strict=True))
+    if lost or not (np.bincount(order, minlength=len(order)) == 1).all():
+        raise RuntimeError("the order of elimination leaves something out")
 
 
 def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:

@@ -100,15 +100,17 @@ class Enclosure:
         return Enclosure(high, low, missed.most / other.least * UP)
 
     def sqrt(self) -> Enclosure:
-        """Square root of positive numbers; 0 is allowed where it is exact."""
-        zero = (self.high == 0) & (self.error == 0)
+        """Square root of numbers that are not negative, as all that a value of 0 encloses are taken to be."""
+        zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
         left = self - Enclosure.exact(root).squared()
         high, low = _fast_two_sum(root, left.high / (2 * root))
         made = Enclosure(high, low, np.zeros_like(high))
         # |sqrt(a) - b| <= |a - b^2| / b for positive b
         missed = (self - made.squared()).most / made.least * UP
-        return Enclosure(np.where(zero, 0.0, high), np.where(zero, 0.0, low), np.where(zero, 0.0, missed))
+        return Enclosure(
+            np.where(zero, 0.0, high), np.where(zero, 0.0, low), np.where(zero, np.sqrt(self.error) * UP, missed)
+        )
 
     def __abs__(self) -> Enclosure:
         return Enclosure(np.abs(self.high), np.where(self.high < 0, -self.low, self.low), self.error)

@@ -69,7 +69,7 @@ class Judgement:
     @property
     def largest_torque(self) -> np.ndarray:
         """(R,), that the friction leaves on a free sphere, force * length, rounded up."""
-        return _outwards(self.work.largest_torque * self.samples.force_unit * self.samples.radius, np.inf)
+        return _in_units(self.work.largest_torque, self.samples.force_unit * self.samples.radius, np.inf)
 
     @property
     def power(self) -> np.ndarray:
@@ -85,12 +85,25 @@ class Judgement:
     @property
     def upper_bound(self) -> np.ndarray:
         """(R,), not below that, and so not below the least one."""
-        return _outwards(self._objective.upper() * self._unit, np.inf)
+        return _in_units(self._objective.upper(), self._unit, np.inf)
 
     @property
     def lower_bound(self) -> np.ndarray:
         """(R,), not above the least objective."""
-        return np.maximum(_outwards(self._lower_bound * self._unit, -np.inf), 0.0)
+        return np.maximum(_in_units(self._lower_bound, self._unit, -np.inf), 0.0)
+
+    @cached_property
+    def gap(self) -> np.ndarray:
+        """(R,), (upper bound - lower bound) / upper bound, rounded up; NaN without an upper bound.
+
+        Where the least objective is 0, of no jump or of planes that nothing joins, a part of nothing says nothing: then
+        it is a part of the natural power, if that is larger.
+        """
+        upper, lower = self.upper_bound, self.lower_bound
+        unit = np.maximum(upper, natural_power(self.samples))
+        with np.errstate(invalid="ignore"):
+            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
+        return np.where(np.isfinite(upper), _outwards(gap, np.inf), np.nan)
 
     @property
     def price(self) -> np.ndarray:
@@ -107,8 +120,48 @@ class Judgement:
         return proven_states(self.motion, (self._objective.upper() - proven) * (1 + 2.0**-50))
 
 
+def _in_units(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
+    """Values times a unit, rounded that way: nothing is lost by a power of two."""
+    return values * unit if np.frexp(unit)[0] == 0.5 else _outwards(values * unit, towards)
+
+
 def _outwards(values: np.ndarray, towards: float) -> np.ndarray:
-    """By two roundings, which the unit of power has at most; 0 stays as it is."""
+    """By two roundings, which a unit and the product with it have at most; 0 stays as it is."""
     for _ in range(2):
         values = np.where(values != 0, np.nextafter(values, towards), values)
     return values
+
+
+def natural_power(samples: Samples) -> np.ndarray:
+    """(R,), of all contacts with the imposed jump for slip, where nothing joins bottom and top; with the imposed spin
+    where there is no jump; else 0."""
+    speed = samples.radius * (samples.jump_size or abs(samples.spin_top))
+    unit = samples.normal_force * speed if samples.holds else speed**2
+    total = np.zeros(samples.count)
+    for coefficients, weight in ((samples.coefficient, unit), (samples.viscosity, speed**2 / 2)):
+        for axis, values in enumerate(coefficients):
+            acting = np.where(samples.between_driven(axis), 0.0, values)
+            total += weight * acting.reshape(samples.count, -1).sum(axis=1)
+    return np.where(_cut_off(samples) | (samples.jump_size == 0), total, 0.0)
+
+
+def _cut_off(samples: Samples) -> np.ndarray:
+    """(R,), True where absent contacts leave bottom and top unconnected in every component in which they differ."""
+    if all((values > 0).all() for values in samples.coefficient):
+        return np.zeros(samples.count, dtype=bool)
+    return np.array([not any(_joined(samples, number, k) for k in samples.needed) for number in range(samples.count)])
+
+
+def _joined(samples: Samples, number: int, component: int) -> bool:
+    """True if contacts that feel a component lead from the bottom of a sample to its top."""
+    reached, before = np.zeros(samples.shape, dtype=bool), -1
+    reached[..., 0] = True
+    while int(reached.sum()) > before:
+        before = int(reached.sum())
+        for axis in range(samples.dimension):
+            if component in samples.felt(axis):
+                low, high = (end[1:] for end in samples.ends(axis))
+                there = samples.coefficient[axis][number] > 0
+                reached[low] |= there & reached[high]
+                reached[high] |= there & reached[low]
+    return bool(reached[..., -1].any())

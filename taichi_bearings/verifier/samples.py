@@ -82,6 +82,7 @@ class Samples:
             all(LEAST < scale < MOST for scale in scales)
             and all(size < MOST for size in sizes)  # False for what is no number
             and all(bool(((values > LEAST) | (values == 0)).all()) for values in strengths)
+            and all(((c == 0) == (v == 0)).all() for c, v in zip(self.coefficient, self.viscosity, strict=False))
             and all(value == 0 or abs(value) > SMALLEST for value in self.exact_jump.values())
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ NEEDED = (
     "lower_bound",
     "status",
 )
-TEXTS = ("status", "coefficients")  # attributes that are no numbers
+TEXTS = ("status", "coefficients", "method", "arch", "precision")  # attributes that are no numbers
+WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "iterations", "tied_contacts")
+TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique")  # in a list with gaps they are numbers
 REPORTED = ("slip", "power", "force", "state")
 
 
@@ -36,8 +39,9 @@ REPORTED = ("slip", "power", "force", "state")
 class StoredRun:
     """attributes : of the file. settings : its scene. reported : by name, one array (R, *contacts) an axis.
 
-    history : columns (checks,) or (R, checks). changed : names of what is not as it was written, by the checksums in
-    the file (taichi_bearings.checksums says how they are made); None where it has none.
+    history : columns (checks,) or (R, checks). others : names of what else is in the file. changed : names of what is
+    not as it was written, by the checksums in the file (taichi_bearings.checksums says how they are made); None where
+    it has none.
     """
 
     path: Path
@@ -46,23 +50,34 @@ class StoredRun:
     settings: dict[str, Any]
     reported: dict[str, tuple[np.ndarray, ...]]
     history: dict[str, np.ndarray]
+    others: list[str]
     changed: tuple[str, ...] | None
 
     def claimed(self, name: str) -> list[Any]:
         """An attribute, sample by sample; None where the file leaves it open."""
-        value = np.asarray(self.attributes.get(name, "")).reshape(-1)
-        if len(value) not in (1, self.samples.count):
-            raise FileError(f"{self.path} has {len(value)} values of {name!r} for {self.samples.count} samples")
+        value = np.asarray(self.attributes.get(name, ""))
+        if value.shape not in ((), *([(self.samples.count,)] if self.samples.count > 1 else [])):
+            raise FileError(f"{self.path} has {value.size} values of {name!r} for {self.samples.count} samples")
+        value = value.reshape(-1)
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
         found = [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
-        if name not in TEXTS and any(isinstance(v, str) for v in found):
-            raise FileError(f"{self.path} has {found[0]!r} for {name!r}; it must be a number")
+        words, kinds = "a number", {int, float}
+        if name in TEXTS:
+            words, kinds = "a text", {str}
+        elif name in WHOLE:
+            words, kinds = "a whole number", {int}
+        elif name in TRUTHS:
+            words, kinds = "true or false", {bool}
+            found = [bool(v) if self.samples.count > 1 and v in (0.0, 1.0) else v for v in found]
+        for v in found:
+            if v is not None and type(v) not in kinds:
+                raise FileError(f"{self.path} has {v!r} for {name!r}; it must be {words}")
         return found
 
     def setting(self, name: str, default: float) -> float:
         """A number of the scene."""
         value = self.settings.get(name, default)
-        if not isinstance(value, (int, float)):
+        if type(value) not in (int, float):
             raise FileError(f"the scene in {self.path} has {value!r} for {name!r}; it must be a number")
         return float(value)
 
@@ -85,16 +100,13 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
     if attributes.get("schema") != "taichi_bearings.run":
         raise FileError(f"{path} was not written by taichi_bearings")
-    if attributes.get("schema_version", LAYOUT) != LAYOUT:
-        raise FileError(
-            f"{path} has layout version {attributes['schema_version']}; this program reads version {LAYOUT}"
-        )
+    version = attributes.get("schema_version", LAYOUT)
+    if type(version) is not int or version != LAYOUT:
+        raise FileError(f"{path} has layout version {version!r}; this program reads version {LAYOUT}")
     for name in NEEDED:
         if name not in attributes:
             raise FileError(f"{path} lacks the attribute {name!r}; it is damaged or was changed")
-    shape = tuple(int(n) for n in attributes["shape"])
-    if len(shape) not in (2, 3) or min(shape) < 2 or shape[-1] < 3:
-        raise FileError(f"{path} has the shape {list(shape)}; a lattice has two or three sides of 2 or more, height 3")
+    shape = _shape(path, attributes["shape"])
     axes = AXES[: len(shape)]
     count = 1 if file["coefficient/x"].ndim == len(shape) else len(file["coefficient/x"])
     if count < 1:
@@ -102,32 +114,26 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     parts = () if len(shape) == 2 else (3,)
     contacts = [tuple(n - (a == axis) for a, n in enumerate(shape)) for axis in range(len(shape))]
 
-    def get(name: str, expected: tuple[int, ...]) -> np.ndarray:
-        if name not in file:
-            raise FileError(f"{path} lacks the data set {name}, without which nothing can be verified")
-        stored, whole = file[name], (count, *expected)
-        if stored.shape != whole and (count > 1 or stored.shape != expected):
-            raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice needs {expected}")
-        return np.asarray(stored[()], dtype=np.float64).reshape(whole)
+    get = partial(_array, path, file, count)
+    number = partial(_number, path, attributes)
 
     def by_axis(name: str, parts: tuple[int, ...] = ()) -> tuple[np.ndarray, ...]:
         return tuple(get(name.format(axis), (*n, *parts)) for axis, n in zip(axes, contacts, strict=True))
 
     settings = _settings(path, str(attributes["scene"]))
-    direction = [float(d) for d in settings.get("direction", (1.0, 1.0, 0.0))]
     spin = get("spin", (*shape, *parts))
-    law = str(attributes["law"])
-    if law not in LAWS:
+    law = attributes["law"]
+    if not isinstance(law, str) or law not in LAWS:
         raise FileError(f"{path} has the law {law!r}; {', '.join(LAWS)} can be verified")
     samples = Samples(
         shape=shape,
         law=law,
         coefficient=by_axis("coefficient/{}"),
-        spin_top=float(attributes["spin_top"]),
-        spin_bottom=float(attributes["spin_bottom"]),
-        direction=(direction[0], direction[1], direction[2]),
-        normal_force=float(attributes["normal_force"]),
-        radius=float(attributes["radius"]),
+        spin_top=number("spin_top"),
+        spin_bottom=number("spin_bottom"),
+        direction=_direction(path, settings.get("direction", [1.0, 1.0, 0.0])),
+        normal_force=number("normal_force"),
+        radius=number("radius"),
         spin=spin,
         spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
         friction=by_axis("contact/{}/friction", parts),
@@ -136,7 +142,46 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     names = [*REPORTED, *(["slip_bound"] if "contact/z/slip_bound" in file or "contact/y/slip_bound" in file else [])]
     reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
     history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
-    return StoredRun(path, samples, attributes, settings, reported, history, _changed(file))
+    known = {"coefficient", "contact", "spin", *(["viscosity"] if samples.viscosity else [])}
+    others = [name for name in file if name not in known]
+    for axis in axes:
+        others += [f"contact/{axis}/{name}" for name in file[f"contact/{axis}"] if name not in (*names, "friction")]
+    return StoredRun(path, samples, attributes, settings, reported, history, others, _changed(file))
+
+
+def _shape(path: Path, stored: Any) -> tuple[int, ...]:
+    sides = np.asarray(stored)
+    if sides.dtype.kind not in "iu" or sides.ndim != 1:
+        raise FileError(f"{path} has the shape {sides.tolist()!r}; it must be a list of whole numbers")
+    shape = tuple(sides.tolist())
+    if len(shape) not in (2, 3) or min(shape) < 2 or shape[-1] < 3:
+        raise FileError(f"{path} has the shape {list(shape)}; a lattice has two or three sides of 2 or more, height 3")
+    return shape
+
+
+def _number(path: Path, attributes: dict[str, Any], name: str) -> float:
+    if type(attributes[name]) not in (int, float):
+        raise FileError(f"{path} has {attributes[name]!r} for {name!r}; it must be a number")
+    return float(attributes[name])
+
+
+def _array(path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...]) -> np.ndarray:
+    """A data set (count, *expected), in which a single sample has no axis of samples; of what it must be."""
+    if name not in file:
+        raise FileError(f"{path} lacks the data set {name}, without which nothing can be verified")
+    stored, whole = file[name], (count, *expected)
+    if stored.shape != whole and (count > 1 or stored.shape != expected):
+        raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice needs {expected}")
+    kinds, words = ("ui", "whole numbers") if name.endswith("/state") else ("f", "real numbers")
+    if stored.dtype.kind not in kinds:
+        raise FileError(f"{path} has {name} of {stored.dtype}; it must hold {words}")
+    return np.asarray(stored[()], dtype=np.float64).reshape(whole)
+
+
+def _direction(path: Path, stored: Any) -> tuple[float, float, float]:
+    if isinstance(stored, list) and [type(part) in (int, float) for part in stored] == [True] * 3:
+        return float(stored[0]), float(stored[1]), float(stored[2])
+    raise FileError(f"the scene in {path} has the direction {stored!r}; it must be three numbers")
 
 
 def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarray:

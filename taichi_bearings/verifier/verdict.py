@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_bearings.verifier.claims import agree, ended, not_checked, of_sample
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.states import SATURATED, SLIPLESS, SLIPPING, UNPROVEN, States
@@ -19,7 +20,7 @@ ARITHMETIC = (
 )
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 EPS = np.finfo(np.float64).eps
-CLAIMS = ("power", "potential", "lower_bound", "gap", "states_proven", "minimum_is_unique")
+CLAIMS = ("lower_bound", "states_proven", "minimum_is_unique")
 BALANCED = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
 DRIVEN = 3  # state of a contact between driven spheres, in the file
 LOST = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
@@ -28,7 +29,8 @@ LOST = 1e-150  # of the largest friction: sizes of vectors below it may be lost 
 @dataclass(frozen=True)
 class Verdict:
     """Sample by sample: power, rigorous bounds of what is least at rest, their relative gap, and how many contacts are
-    proven to be in which state. contradictions : sentences, empty if the file proves what it claims."""
+    proven to be in which state. contradictions : sentences, empty if the file proves what it claims. not_checked :
+    names of what is in the file beside that."""
 
     power: list[float | None]
     upper_bound: list[float | None]
@@ -41,6 +43,7 @@ class Verdict:
     unique: list[bool | None]
     reasons: list[str]
     contradictions: list[str]
+    not_checked: list[str]
 
 
 def verdict_of(run: StoredRun) -> Verdict:
@@ -54,7 +57,8 @@ def verdict_of(run: StoredRun) -> Verdict:
         text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
         false = [False] * count
         said = [run.claimed(name)[r] for name in CLAIMS for r in range(count)]
-        is_claim = any(said) or "certified" in run.claimed("status")
+        finite = all(np.isfinite(v).all() for v in (samples.spin, samples.spin_rounding, *samples.friction))
+        is_claim = any(said) or (set(run.claimed("status")) != {"not-finite"} and not finite)
         return Verdict(
             nothing,
             nothing,
@@ -66,15 +70,22 @@ def verdict_of(run: StoredRun) -> Verdict:
             unproven,
             nothing,
             [text] * count,
-            [f"{text}: what is said of it is not proven"] if is_claim else [],
+            [*([f"{text}: what is said of it is not proven"] if is_claim else []), *ended(run, np.full(count, np.inf))],
+            not_checked(run, judged=False),
         )
     judgement = Judgement(samples)
     power, bound, states = judgement.power, judgement.lower_bound, judgement.states
     upper = judgement.upper_bound
-    gap = [_gap(p, b, unit) for p, b, unit in zip(upper, bound, _natural_power(samples), strict=True)]
-    found = [*_scene(run), *_driving(samples), *_numbers(run, judgement), *_forces(run, judgement)]
-    found += [*_threshold(run, judgement)]
-    found += [*_states(run, states), *_summary(run, judgement, gap), *_counts(run), *_history(run, upper, bound)]
+    gap = [_finite(value) for value in judgement.gap]
+    found = [
+        *agree(run),
+        *ended(run, judgement.gap),
+        *_driving(samples),
+        *_numbers(run, judgement),
+        *_forces(run, judgement),
+    ]
+    found += [*_threshold(run)]
+    found += [*_states(run, states), *_summary(run, judgement), *_counts(run, judgement), *_history(run, upper, bound)]
     return Verdict(
         power=[_finite(value) for value in power],
         upper_bound=[_finite(value) for value in upper],
@@ -87,52 +98,12 @@ def verdict_of(run: StoredRun) -> Verdict:
         unique=[s.unique for s in states],
         reasons=[s.reason for s in states],
         contradictions=found,
+        not_checked=not_checked(run, judged=True),
     )
 
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _gap(power: float, bound: float, natural: float) -> float | None:
-    """Relative, without a jump to the natural power if that is larger; None without an upper bound."""
-    unit = max(power, natural)
-    return None if not np.isfinite(power) else float((power - bound) / unit) if unit > 0 else 0.0
-
-
-def _natural_power(samples: Samples) -> np.ndarray:
-    """(R,), of all contacts with the imposed jump for slip, where nothing joins bottom and top; with the imposed spin
-    where there is no jump; else 0."""
-    speed = samples.radius * (samples.jump_size or abs(samples.spin_top))
-    unit = samples.normal_force * speed if samples.holds else speed**2
-    total = np.zeros(samples.count)
-    for coefficients, weight in ((samples.coefficient, unit), (samples.viscosity, speed**2 / 2)):
-        for axis, values in enumerate(coefficients):
-            acting = np.where(samples.between_driven(axis), 0.0, values)
-            total += weight * acting.reshape(samples.count, -1).sum(axis=1)
-    return np.where(_cut_off(samples) | (samples.jump_size == 0), total, 0.0)
-
-
-def _cut_off(samples: Samples) -> np.ndarray:
-    """(R,), True where absent contacts leave bottom and top unconnected in every component in which they differ."""
-    if all((values > 0).all() for values in samples.coefficient):
-        return np.zeros(samples.count, dtype=bool)
-    return np.array([not any(_joined(samples, number, k) for k in samples.needed) for number in range(samples.count)])
-
-
-def _joined(samples: Samples, number: int, component: int) -> bool:
-    """True if contacts that feel a component lead from the bottom of a sample to its top."""
-    reached, before = np.zeros(samples.shape, dtype=bool), -1
-    reached[..., 0] = True
-    while int(reached.sum()) > before:
-        before = int(reached.sum())
-        for axis in range(samples.dimension):
-            if component in samples.felt(axis):
-                low, high = (end[1:] for end in samples.ends(axis))
-                there = samples.coefficient[axis][number] > 0
-                reached[low] |= there & reached[high]
-                reached[high] |= there & reached[low]
-    return bool(reached[..., -1].any())
 
 
 def _counted(samples: Samples, number: int, states: States) -> dict[str, int]:
@@ -159,26 +130,6 @@ def _driving(samples: Samples) -> Iterator[str]:
                          for part in (high, low))  # fmt: skip
             if uneven or np.abs(high - expected).max() > 4 * EPS * abs(imposed) + lost:
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
-
-
-def _scene(run: StoredRun) -> Iterator[str]:
-    """The scene in the file, from which it can be run again, is the one whose numbers these are."""
-    settings, samples = run.settings, run.samples
-    expected = {
-        "law": samples.law,
-        "shape": list(samples.shape),
-        "spin_top": samples.spin_top,
-        "spin_bottom": samples.spin_bottom,
-        "normal_force": samples.normal_force,
-        "radius": samples.radius,
-        "seed": run.claimed("seed")[0],
-        "replicas": samples.count,
-    }
-    for name, value in expected.items():
-        if settings.get(name) != value:
-            yield f"the scene has {name} = {settings.get(name)!r}, and the file {value!r}"
-    if (settings.get("coefficients") is None) != (run.claimed("coefficients")[0] is None):
-        yield "scene and summary do not agree whether coefficients are given or drawn"
 
 
 def _along(samples: Samples, component: int) -> float:
@@ -209,22 +160,22 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
 
 
-def _threshold(run: StoredRun, judgement: Judgement) -> Iterator[str]:
+def _threshold(run: StoredRun) -> Iterator[str]:
     """No contact that is said not to slip is faster than the threshold, none that is said to slip slower.
 
     But a method that knows more than the slip may say so; then the threshold is the largest slip of a slipless contact.
-    Beside viscosity slips may be proven, and they count whatever the threshold.
     """
-    samples, threshold, asked = run.samples, run.claimed("slip_threshold")[0] or 0.0, run.settings.get("slip_threshold")
+    threshold, asked = run.claimed("slip_threshold")[0], run.settings.get("slip_threshold")
+    if threshold is None or not 0 <= threshold < np.inf:
+        yield f"the slip threshold is said to be {threshold!r}; it must be a speed"
+        return
     if asked is not None and asked != threshold:
         yield f"the slip threshold is said to be {threshold!r}; the scene asks for {asked!r}"
     slips, states = (_all(run.reported[name]) for name in ("slip", "state"))
-    proven = np.stack([np.concatenate([s.ravel() for s in found.proven]) for found in judgement.states])
     largest = float(slips[states == SLIPLESS].max(initial=0.0))
     if largest > threshold * (1 + ROUNDED):
         yield f"contacts that are said not to slip are faster ({largest!r}) than the threshold {threshold!r}"
-    slipping = (states == SLIPPING) & ~((proven == SLIPPING) & samples.holds & samples.flows)
-    least = float(slips[slipping].min(initial=np.inf))
+    least = float(slips[states == SLIPPING].min(initial=np.inf))
     if least <= threshold * (1 - ROUNDED) and not (asked is None and _close(threshold, largest)):
         yield f"contacts that are said to slip are slower ({least!r}) than the threshold {threshold!r}"
 
@@ -251,6 +202,8 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         size = np.sqrt(sum(part**2 for part in samples.turning[axis].values())) * samples.force_unit
         if size[~acts].any():
             yield f"friction along {name} acts between driven spheres"
+        if samples.dimension == 3 and samples.friction[axis][..., axis].any():
+            yield f"friction along {name} acts along the contacts themselves"
         if not (np.isfinite(force) & (force >= 0)).all():
             yield f"forces of contacts along {name} are not finite or negative"
         if not is_dynamics and not (np.abs(force - size) <= ROUNDED * size + LOST * samples.force_unit).all():
@@ -265,9 +218,9 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             yield f"contacts along {name} that are said to slip do not bear all their friction"
         if (
             "slip_bound" in run.reported
-            and not (run.reported["slip_bound"][axis] >= judgement.slip_bound[axis] * (1 - ROUNDED)).all()
+            and not np.isclose(run.reported["slip_bound"][axis], judgement.slip_bound[axis], ROUNDED, 0.0).all()
         ):
-            yield f"bounds of the slip along {name} are below what the friction proves"
+            yield f"bounds of the slip along {name} are not those that the friction proves"
 
 
 def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
@@ -275,13 +228,13 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
     proven = run.claimed("states_proven")
     tied, unique = run.claimed("tied_contacts"), run.claimed("minimum_is_unique")
     for number, found in enumerate(states):
-        which = f" of sample {number}" if len(states) > 1 else ""
+        which = of_sample(run, number)
         given = [run.reported["state"][axis][number] for axis in range(run.samples.dimension)]
         wrong = sum(
             int(((p == SLIPLESS) & (g == SLIPPING)).sum() + ((p == SLIPPING) & (g == SLIPLESS)).sum())
             for p, g in zip(found.proven, given, strict=True)
         )
-        if wrong and run.samples.holds and _is_minimum(run, number):
+        if wrong and _is_minimum(run, number):
             yield f"{wrong} contact states{which} are not those of any minimum"
         if proven[number] and not found.agree(given):
             reason = f": {found.reason}" if found.reason else ""
@@ -290,46 +243,36 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"{tied[number]} contacts{which} are said to differ between minima, and there is only one minimum"
         if unique[number] and not found.unique:
             yield f"the minimum{which} is said to be unique, and that is not proven"
+        if bool(unique[number]) != bool(proven[number]) or (unique[number] is None and tied[number]):
+            yield f"it is said whether the minimum{which} is unique, and other words say something else"
+        if run.claimed("cut_is_unique")[number] not in (None, not tied[number]):
+            yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
         if unique[number] is not None and not unique[number] and (found.unique or len(run.samples.needed) != 1):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
 
 
 def _is_minimum(run: StoredRun, number: int) -> bool:
-    """A dynamics on its way gives the states of its own motion, and a threshold those of slower contacts, too."""
-    return run.claimed("status")[number] == "certified" and "slip_threshold" not in run.settings
+    """A dynamics on its way gives the states of its own motion, and a threshold those of slower contacts, too. Where
+    the force grows with the slip, a contact that is proven to slip at the minimum does so now."""
+    return (run.samples.flows or run.claimed("status")[number] == "certified") and "slip_threshold" not in run.settings
 
 
-def _summary(run: StoredRun, judgement: Judgement, gap: list[float | None]) -> Iterator[str]:
-    """Power, potential, bound, gap and status of the summary."""
-    power, objective, bound = judgement.power, judgement.objective, judgement.lower_bound
-    tolerance, natural = run.setting("tolerance", 1e-8), _natural_power(run.samples)
-    claimed = {name: run.claimed(name) for name in ("power", "lower_bound", "gap", "status")}
+def _summary(run: StoredRun, judgement: Judgement) -> Iterator[str]:
+    """Power, potential, bound and gap of the summary are those computed anew; None where these are no numbers."""
+    found = {"power": judgement.power, "lower_bound": judgement.lower_bound}
+    if run.samples.holds and run.samples.flows:
+        found["potential"] = judgement.objective
     for number in range(run.samples.count):
-        which = f" of sample {number}" if run.samples.count > 1 else ""
-        p, b, g, status = (claimed[name][number] for name in ("power", "lower_bound", "gap", "status"))
-        if p is not None and not abs(p - power[number]) <= ROUNDED * abs(p):
-            yield f"the power{which} is said to be {p!r}; the spins dissipate {power[number]!r}"
-        potential = run.claimed("potential")[number]
-        if potential is None and run.samples.holds and run.samples.flows:
-            yield f"the potential{which}, of which the lower bound is, is missing"
-        if potential is not None and not abs(potential - objective[number]) <= ROUNDED * abs(potential):
-            yield f"the potential{which} is said to be {potential!r}; that of the spins is {objective[number]!r}"
-        if b is not None and not b <= bound[number] * (1 + ROUNDED / 100):
-            yield f"the lower bound{which} is said to be {b!r}; the friction proves {bound[number]!r}"
-        proven = gap[number]
-        own = float("inf") if proven is None else proven
-        if g is not None and not own <= g * (1 + 1e-9) + 4 * EPS:
-            yield f"the gap{which} is said to be {g!r}; what is proven leaves {own!r}"
-        if None not in (g, b, p):
-            follows = _gap(p if potential is None else potential, b, natural[number])
-            if follows is None or not abs(g - follows) <= ROUNDED * abs(follows):
-                yield f"the gap{which} is said to be {g!r}; power or potential and lower bound leave {follows!r}"
-        if g is not None and g < -ROUNDED / 100:
-            yield f"the gap{which} is negative: {g!r}"
-        if status == "certified" and (not own <= tolerance * (1 + 1e-9) or None in (p, b, g)):
-            yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {own!r}"
+        which = of_sample(run, number)
+        for name, values in found.items():
+            said, value = run.claimed(name)[number], _finite(values[number])
+            if not (said == value or _close(said, value)):
+                yield f"the {name.replace('_', ' ')}{which} is said to be {said!r}; it is {value!r}"
+        said, own = run.claimed("gap")[number], _finite(judgement.gap[number])
+        if said is not own and (said is None or own is None or not abs(said - own) <= ROUNDED * own + 4 * EPS):
+            yield f"the gap{which} is said to be {said!r}; what is proven leaves {own!r}"
         yield from _residual(run, judgement, number)
-        if bound[number] > objective[number] * (1 + 2 * EPS):
+        if judgement.lower_bound[number] > judgement.objective[number] * (1 + 2 * EPS):
             yield f"the lower bound{which} is above the power or potential: the numbers contradict themselves"
 
 
@@ -337,17 +280,18 @@ def _residual(run: StoredRun, judgement: Judgement, number: int) -> Iterator[str
     """What is left over is the torque of the friction; of a dynamics, what its history ends with."""
     said, is_dynamics = run.claimed("largest_balance_residual")[number], "time" in run.history
     rows = _row(run.history.get("unbalanced_torque"), number) if is_dynamics else judgement.largest_torque[[number]]
-    if said is not None and rows is not None and len(rows) and not _close(said, float(rows[-1])):
-        yield f"the largest torque left over is said to be {said!r}; it is {float(rows[-1])!r}"
+    value = None if rows is None or not len(rows) else _finite(rows[-1])
+    if rows is not None and said is not value and not _close(said, value):
+        yield f"the largest torque left over is said to be {said!r}; it is {value!r}"
 
 
-def _counts(run: StoredRun) -> Iterator[str]:
+def _counts(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     """What the summary counts and measures is what the arrays hold."""
     samples = run.samples
     unit = samples.normal_force * samples.radius * abs(samples.spin_top)
     contacts = sum(int((~samples.between_driven(axis))[0].sum()) for axis in range(samples.dimension))
     for number in range(samples.count):
-        which = f" of sample {number}" if samples.count > 1 else ""
+        which = of_sample(run, number)
         states, slips = ([parts[number] for parts in run.reported[name]] for name in ("state", "slip"))
         kinds = [np.concatenate([s[k == value] for s, k in zip(slips, states, strict=True)]) for value in range(3)]
         held: dict[str, float | None] = {"contacts": contacts}
@@ -355,17 +299,28 @@ def _counts(run: StoredRun) -> Iterator[str]:
             held[name] = len(kind)
         held["largest_slipless_slip"] = float(kinds[0].max()) if len(kinds[0]) else None
         held["smallest_slipping_slip"] = float(kinds[1].min()) if len(kinds[1]) else None
-        power = run.claimed("power")[number]
-        if not samples.flows and unit > 0 and power is not None:
-            held["power_normalised"] = power / unit
+        if not samples.flows and unit > 0:
+            held["power_normalised"] = _finite(judgement.power[number] / unit)
+        held["separation_decades"] = _decades(run, kinds, judgement.gap[number])
         for name, value in held.items():
             said = run.claimed(name)[number]
             if name in run.attributes and not (said == value or _close(said, value)):
                 yield f"{name.replace('_', ' ')}{which}: the summary says {said!r}, the arrays {value!r}"
 
 
+def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | None:
+    """Between the slips of the two kinds of contacts, where the gap is within the tolerance; one that rests slips by
+    the rounding of the spins at least."""
+    samples, slipless, slipping = run.samples, *kinds[:2]
+    rounding = EPS * samples.radius * max(abs(samples.spin_top), abs(samples.spin_bottom))
+    if not (gap <= run.setting("tolerance", 1e-8) and len(slipless) and len(slipping)):
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return _finite(np.log10(slipping.min() / max(slipless.max(), rounding)))
+
+
 def _close(said: Any, value: float | None) -> bool:
-    return said is not None and value is not None and abs(said - value) <= ROUNDED * abs(value)
+    return said is not None and value is not None and bool(abs(said - value) <= ROUNDED * abs(value))
 
 
 ENDS = {"time": "time", "energy_residual": "energy_residual", "iterations": "iteration"}
@@ -379,7 +334,7 @@ def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[s
         bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
         for name, column in ENDS.items():
             said, rows = run.claimed(name)[number], _row(run.history.get(column), number)
-            if said is not None and rows is not None and len(rows) and said != rows[-1]:
+            if name in run.attributes and rows is not None and len(rows) and said != _finite(rows[-1]):
                 yield f"{name.replace('_', ' ')}: the summary says {said!r}, the history {float(rows[-1])!r}"
         if bounds is not None and (bounds > power[number] * (1 + ROUNDED)).any():
             yield f"a lower bound of the history is above the least {least}"
@@ -409,5 +364,6 @@ def as_report(verdict: Verdict, count: int) -> dict[str, Any]:
         "minimum_is_unique": per_sample(verdict.unique),
         "unproven_because": per_sample(verdict.reasons),
         "contradictions": verdict.contradictions,
+        "not_checked": verdict.not_checked,
         "arithmetic": ARITHMETIC,
     }

@@ -4,6 +4,7 @@ import base64
 import gzip
 import html
 import json
+import re
 from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
@@ -30,11 +31,7 @@ def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         "FACTS": words,
         "ARRAYS": _packed(packed),
     }
-    page = _text("index.html")
-    for name, text in parts.items():
-        before, after = page.split(f"@@{name}@@")
-        page = before + text + after
-    return page
+    return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], _text("index.html"))  # once: texts may look like that
 
 
 def _text(name: str) -> str:

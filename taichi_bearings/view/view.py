@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.files.whole_file import refuse_ending, write_text
-from taichi_bearings.runs.points_and_lines import open_to_draw, points_and_lines
+from taichi_bearings.runs.points_and_lines import opened_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 from taichi_bearings.view.contents import arrays_of, facts_of
 from taichi_bearings.view.page import page_of
@@ -19,10 +19,10 @@ def view(run: Path, out: Path | None = None, force: bool = False, replica: int =
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".html", ".htm")
-    stored, path = open_to_draw(run, out, NAME, force)
-    drawn = points_and_lines(stored, replica)
-    with stage("writing"):
-        write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
+    with opened_to_draw(run, out, NAME, force) as (stored, path):
+        drawn = points_and_lines(stored, replica)
+        with stage("writing"):
+            write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
     return {
         "file": str(path),
         "bytes": path.stat().st_size,

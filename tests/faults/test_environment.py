@@ -42,6 +42,13 @@ def said(done, code):
     return sentence
 
 
+@pytest.mark.parametrize("name", ["module://absent_from_here.backend", "nonsense"])
+def test_figures_are_drawn_whatever_backend_the_environment_names(tmp_path, name):
+    done = bearings("run", "--shape", "4,5", "--out", "a", cwd=tmp_path, env=os.environ | {"MPLBACKEND": name})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "a" / "power_histogram.png").exists()
+
+
 @pytest.mark.parametrize("version", [0, 2])
 def test_a_file_of_another_layout_is_refused_by_its_number(stored, tmp_path, version):
     run = tmp_path / "run"

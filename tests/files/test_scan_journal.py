@@ -93,7 +93,7 @@ def test_a_full_disk_is_told_and_leaves_the_journal_whole(path):
 
 
 def test_a_folder_in_its_place_is_named(tmp_path):
-    with pytest.raises(FileError, match="cannot be written"):
+    with pytest.raises(FileError, match="is not a regular file"):
         Journal(tmp_path)
-    with pytest.raises(FileError, match="cannot be read"):
+    with pytest.raises(FileError, match="is not a regular file"):
         read_journal(tmp_path)

@@ -4,7 +4,9 @@ import io
 import json
 import os
 import pickle
+import shutil
 import sys
+import time
 import zipfile
 import zlib
 
@@ -13,8 +15,16 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings import hdf5
+from taichi_bearings import compiler, hdf5
 from taichi_bearings.errors import BearingsError, FileError
+from taichi_bearings.files.scan_journal import read_journal
+from taichi_bearings.files.whole_file import write_csv
+from taichi_bearings.paper.claims import Claim
+from taichi_bearings.paper.reproduce import FIGURES
+from taichi_bearings.plain_files import read_lines
+from taichi_bearings.runs.run_directory import claimed, in_use
+from taichi_bearings.runs.settings import parse_toml
+from taichi_bearings.scans.listing import entries
 from tests.fuzz.answers import answer_to
 from tests.fuzz.damage import claiming
 
@@ -245,3 +255,260 @@ def test_a_message_does_nothing_to_a_terminal():
     text = str(BearingsError("\x1b[2J\x07 in\n" + "x" * 10**6))
     assert text.startswith(r"\x1b[2J\x07 in\nxx")
     assert len(text) < 1100
+
+
+WRITERS = {
+    "view": ("view", "{}", "--out", "{}/a.html"),
+    "export": ("export", "{}", "--out", "{}/a.vtkhdf"),
+    "plot": ("plot", "power", "{}", "--out", "{}/a.png"),
+    "histogram": ("histogram", "{}", "--out", "{}"),
+    "analyse": ("analyse", "{}", "--no-figures"),
+    "run": ("run", "--shape", "4,5", "--figures", "none", "--out", "{}/a"),
+}
+
+
+@pytest.mark.parametrize("command", WRITERS)
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_what_waits_under_a_temporary_name_is_neither_followed_nor_waited_for(stranger, tmp_path, command, kind):
+    """Also under the names that this program once gave to files that it was writing."""
+    (tmp_path / "mine").write_text("mine")
+    written = (
+        "a.html",
+        "a.vtkhdf",
+        "a.png",
+        "power_histogram.csv",
+        "power_histogram.h5",
+        "power_histogram.png",
+        "run.h5",
+    )
+    planted = [f"{name}.partial" for name in written] + [f".{name}.partial-7-00ff00" for name in (*written, "a")]
+    for name in [*planted, ".partial", ".complete", ".b.in-use"]:
+        os.symlink(tmp_path / "mine", stranger / name) if kind == "link" else os.mkfifo(stranger / name)
+    answer = answer_to(*(word.format(stranger) for word in WRITERS[command]))
+    assert (answer.code, answer.fault) == (0, ""), answer
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not any((stranger / name).exists() for name in planted if name.startswith(".a."))
+
+
+@pytest.mark.parametrize("command", WRITERS)
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_a_lock_is_a_regular_file(stranger, tmp_path, command, kind):
+    for name in (".in-use", ".a.in-use"):
+        place = stranger / name
+        if kind == "folder":
+            place.mkdir()
+        else:
+            place.symlink_to("/dev/null") if kind == "link" else os.mkfifo(place)
+    said = refused(*(word.format(stranger) for word in WRITERS[command]))
+    assert "is a link out of its folder" in said or "is not a regular file" in said or "Is a directory" in said
+
+
+@pytest.mark.parametrize("command", ["view", "export", "plot"])
+def test_of_two_writers_of_one_file_the_second_is_refused(stranger, tmp_path, command):
+    words = [word.format(stranger) for word in WRITERS[command][:-1]]
+    file = tmp_path / WRITERS[command][-1].removeprefix("{}/")
+    with claimed(file):
+        assert f"{file} is in use" in refused(*words, file)
+    with in_use(stranger):
+        assert f"{stranger} is in use" in refused(*words[:-1])
+    assert answer_to(*words, file).code == 0
+
+
+def zeros(file, shape):
+    """A file of a lattice of this shape in which nothing is but zeros, packed."""
+    for name in list(file):
+        del file[name]
+    contacts = [tuple(n - (a == axis) for a, n in enumerate(shape)) for axis in range(len(shape))]
+    sets = {
+        f"contact/{'xyz'[a]}/{name}": sides
+        for a, sides in enumerate(contacts)
+        for name in ("slip", "power", "force", "friction")
+    }
+    sets |= {f"coefficient/{'xyz'[a]}": sides for a, sides in enumerate(contacts)} | {"spin": shape}
+    for name, sides in sets.items():
+        file.create_dataset(
+            name, sides, "f8", chunks=(min(sides[0], 4096), sides[1]), compression="gzip", fillvalue=1.0
+        )
+        file[name][:1] = 0.5
+
+
+@pytest.mark.parametrize("command", [*WRITERS, "verify", "histogram", "as coefficients"])
+def test_a_lattice_of_nothing_takes_little_memory(stranger, tmp_path, command):
+    with h5py.File(stranger / "run.h5", "r+") as file:
+        zeros(file, (2**17, 32))
+        file.attrs["shape"] = (2**17, 32)
+    given = {
+        "verify": ["verify", stranger],
+        "as coefficients": ["run", "--shape", "131072,32", "--coefficients", stranger],
+    }
+    words = given.get(command) or [word.format(stranger) for word in WRITERS[command]]
+    assert "claims to hold" in refused(*words) if command != "run" else True
+
+
+BOMBS = {
+    "dots": "a." * 30_000 + "a = 1",
+    "dots between": "[" + " . ".join(["a", '"b"', "'c'"] * 20_000) + "]",
+    "many dots": "\n".join(f"a{n}.b.c.d.e.f.g.h = 1" for n in range(10_000)),
+    "length": "a = 1 #" + 2**23 * "x",
+    "brackets": "a = " + "[" * 5000 + "]" * 5000,
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_scene_costs_no_more_than_it_is_long(tmp_path, bomb):
+    (tmp_path / "scan").mkdir()
+    (tmp_path / "scan" / "scan.toml").write_text(BOMBS[bomb])
+    (tmp_path / "scan" / "samples.jsonl").touch()
+    began = time.process_time()
+    for words in (["run", tmp_path / "scan" / "scan.toml"], ["scan", tmp_path / "scan", "--dry-run"]):
+        assert "scan.toml" in refused(*words)
+    assert "cannot be read" in next(iter(entries(tmp_path))).words()
+    assert time.process_time() - began < 3
+
+
+@pytest.mark.parametrize(
+    "text", ["1.5", "[0.1, 0.2,\n 0.3]", '"../some/file.v1.2.npz"', "{ start = 0.0, stop = 1.5, step = 0.25 }"]
+)
+def test_numbers_and_names_of_files_are_no_dotted_keys(text):
+    parse_toml(f"a = {text}\n" * 0 + "\n".join(f"a{n} = {text}" for n in range(3000)))
+
+
+@pytest.mark.parametrize("name", ["samples.jsonl", "part-1-of-2.jsonl", "scan.toml", "x_against_y.csv"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_a_scan_holds_is_neither_waited_for_nor_endless(scanned, tmp_path, name, kind):
+    shutil.copytree(scanned, tmp_path / "scan")
+    place = tmp_path / "scan" / name
+    place.unlink(missing_ok=True)
+    os.mkfifo(place) if kind == "pipe" else place.symlink_to("/dev/zero")
+    (tmp_path / "scan" / "scan.h5").unlink()
+    for words in (
+        ["list", tmp_path],
+        ["scan", tmp_path / "scan", "--workers", "1"],
+        ["scan", tmp_path / "scan", "--merge"],
+        ["plot", "scan", tmp_path / "scan", "--y", "power", "--x", "seed", "--out", tmp_path / "a.png", "--force"],
+    ):
+        answer = answer_to(*words)
+        assert not answer.fault, answer
+
+
+def test_a_part_of_no_parts_is_none(scanned, tmp_path):
+    shutil.copytree(scanned, tmp_path / "scan")
+    for name in ("part-1-of-0.jsonl", "part-3-of-2.jsonl", "part-1-of-999999.jsonl"):
+        (tmp_path / "scan" / name).touch()
+    answer = answer_to("scan", tmp_path / "scan", "--merge")
+    assert (answer.code, answer.fault) == (0, ""), answer
+
+
+def test_a_line_of_a_journal_has_an_end(scanned, tmp_path, caplog):
+    journal = tmp_path / "samples.jsonl"
+    journal.write_bytes(b"x" * 2**25 + b"\n" + (scanned / "samples.jsonl").read_bytes())
+    assert len(read_journal(journal)) == 2
+    assert "line 1 of" in caplog.text
+    assert max(map(len, read_lines(journal))) < 2**20
+
+
+@pytest.mark.parametrize("changes", [{"lower_bound": 1e3}, {"gap": -1e-3}, {f"a{n}": n for n in range(500)}])
+def test_no_sample_has_a_bound_above_its_power(scanned, tmp_path, changes):
+    shutil.copytree(scanned, tmp_path / "scan")
+    journal = tmp_path / "scan" / "samples.jsonl"
+    record = json.loads(journal.read_bytes().splitlines()[0])["sample"]
+    record["scalars"] |= changes
+    text = json.dumps(record).encode()
+    journal.write_bytes(b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n")
+    answer = answer_to("scan", tmp_path / "scan", "--merge")
+    assert answer.code == 2
+    assert "holds no samples" in answer.errors
+
+
+def test_texts_in_tables_are_no_formulas(tmp_path):
+    texts = ["=1+1", "@sum", "+cmd", "-x", "\t=1", "plain", "-1.5", "+inf"]
+    write_csv(tmp_path / "a.csv", ["number", "text"], [[-1.5, text] for text in texts])
+    cells = [line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines()[1:]]
+    assert {number for number, _ in cells} == {"-1.5"}
+    assert [text for _, text in cells] == ["'=1+1", "'@sum", "'+cmd", "'-x", "'\t=1", "plain", "-1.5", "+inf"]
+
+
+def test_friction_in_whole_numbers_and_spins_of_nothing(stranger, tmp_path):
+    with h5py.File(stranger / "run.h5", "r+") as file:
+        del file.attrs["sha256"]
+        for axis in "xy":
+            values = file[f"contact/{axis}/friction"][()].astype(np.int64)
+            del file[f"contact/{axis}/friction"]
+            file[f"contact/{axis}/friction"] = values
+        file["empty/spin"] = h5py.Empty("f8")
+    assert answer_to("analyse", stranger, "--no-figures", "--out", tmp_path / "out").code == 0
+    with h5py.File(stranger / "run.h5", "r+") as file:
+        del file["spin"]
+        file["spin"] = h5py.Empty("f8")
+    assert "spin in" in refused("run", "--shape", "4,5", "--initial", stranger / "run.h5", "--out", tmp_path / "new")
+
+
+SCRIPT = "<script>alert(1)</script>@@ARRAYS@@"
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda claim: claim.update(verdict=SCRIPT),
+        lambda claim: claim.update(kind="x"),
+        lambda claim: claim.update(samples="many"),
+        lambda claim: claim.pop("finding"),
+        lambda claim: claim.update(finding=SCRIPT, claim=SCRIPT, paper=SCRIPT),
+    ],
+)
+def test_a_report_of_a_stranger_is_refused_or_made_harmless(tmp_path, spoil):
+    claim = Claim("it holds", "so", True).as_dict()
+    spoil(claim)
+    figure = {"title": FIGURES["fig4"].title, "shown": FIGURES["fig4"].shown, "claims": [claim]}
+    report = {"figures": {"fig4": figure | {"seconds": 1, "seconds_processor": 1}}, "missing": []}
+    report |= {"seed": 0, "samples": 20, "quick": True, "version": tb.__version__}
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    for ending in ("png", "pdf"):
+        (tmp_path / f"fig4.{ending}").touch()
+    answer = answer_to("reproduce", "fig4", "--quick", "--out", tmp_path)
+    assert not answer.fault, answer
+    if claim.get("finding") == SCRIPT:
+        assert answer.code == 0
+        assert "<script" not in (tmp_path / "report.html").read_text()
+    else:
+        assert "is no report" in answer.errors
+
+
+def test_texts_of_a_run_do_nothing_to_its_page(stranger):
+    with h5py.File(stranger / "run.h5", "r+") as file:
+        del file.attrs["sha256"]
+        file.attrs["method"] = SCRIPT
+        file.attrs["version"] = SCRIPT
+    assert answer_to("view", stranger).code == 0
+    assert "alert(1)</script>" not in (stranger / "view.html").read_text()
+
+
+@pytest.mark.parametrize("spoil", [lambda folder: folder.chmod(0o777), lambda folder: os.chown(folder, 12345, 12345)])
+def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch, spoil):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    ours = compiler.cache_folder()
+    assert ours.is_relative_to(tmp_path / "home")
+    try:
+        spoil(ours.parent)
+    except PermissionError:
+        pytest.skip("only root gives folders away")
+    second = compiler.cache_folder()
+    assert second.parent.parent.name == f"taichi_bearings-cache-{os.getuid()}"
+    spoil(second.parent.parent)
+    third = compiler.cache_folder()
+    assert third.parent.parent not in (second.parent.parent, ours.parent.parent)
+    assert third.parent.parent.stat().st_mode & 0o077 == 0
+    compiler._fresh_home.cache_clear()
+
+
+def test_a_lock_that_a_killed_compiler_has_left_goes(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = compiler.cache_folder()
+    folder.mkdir()
+    old, new = folder / "ticache.lock", folder / "other.lock"
+    old.touch()
+    new.touch()
+    os.utime(old, (1e9, 1e9))
+    assert compiler.cache_folder() == folder
+    assert (old.exists(), new.exists()) == (False, True)

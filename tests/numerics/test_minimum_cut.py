@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from itertools import product
 
+import networkx as nx
 import numpy as np
 import pytest
 from scipy.ndimage import label
@@ -260,3 +261,27 @@ def test_weights_of_a_jump():
     flat = make_scene((3, 4))
     for ours, theirs in zip(cut_weights(flat), flat.coefficient, strict=True):
         assert (ours == theirs).all()
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)], ids=str)
+def test_with_absent_contacts_the_cut_is_that_of_networkx(shape, flows):
+    """Weights are powers of two over forty binary decades, which Python's whole numbers hold exactly."""
+    rng, replicas = np.random.default_rng(77), 60
+    absent = rng.uniform(0.05, 0.9, replicas).reshape(-1, *(1,) * len(shape))
+    weight = tuple(
+        np.where(rng.random(values.shape) < absent, 0.0, 2.0 ** rng.integers(-40, 1, values.shape))
+        for values in random_weights(shape, 1, replicas)
+    )
+    weight[-1][::4, ..., 1] = 0.0  # an empty level
+    cut = minimum_cut(weight)
+    for replica in range(replicas):
+        graph = nx.Graph()
+        for low, high, size in contacts_of(weight, replica):
+            ends = ["bottom" if s[-1] == 0 else "top" if s[-1] == shape[-1] - 1 else s for s in (low, high)]
+            if ends[0] != ends[1]:
+                graph.add_edge(*ends, capacity=int(size * 2**40))
+        least = nx.maximum_flow_value(graph, "bottom", "top") / 2**40
+        assert cut.weight[replica] == pytest.approx(least, rel=1e-13, abs=0.0)
+        assert least * (1 - 1e-13) <= cut.lower_bound[replica] <= least
+        assert least > 0 or not cut.lower_bound[replica]
+    assert 10 < np.count_nonzero(cut.weight) < replicas - 10

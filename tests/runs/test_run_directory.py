@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
+from taichi_bearings import plain_files
 from taichi_bearings.errors import FileError
-from taichi_bearings.runs import run_directory
 from taichi_bearings.runs.run_directory import completed, in_use
 from taichi_bearings.runs.run_directory import run_directory as directory_at
 
@@ -18,14 +18,14 @@ def between_opening_and_locking(monkeypatch):
     """A function that has something happen after the next process has opened the lock file and before it locks it."""
 
     def meanwhile(happen):
-        lock = run_directory._lock
+        lock = plain_files.lock
 
-        def happen_first(descriptor):
-            monkeypatch.setattr(run_directory, "_lock", lock)
+        def happen_first(file):
+            monkeypatch.setattr(plain_files, "lock", lock)
             happen()
-            lock(descriptor)
+            return lock(file)
 
-        monkeypatch.setattr(run_directory, "_lock", happen_first)
+        monkeypatch.setattr(plain_files, "lock", happen_first)
 
     return meanwhile
 
@@ -148,7 +148,7 @@ def test_leftovers_of_the_living_and_files_of_others_stay(tmp_path):
     left = ".a.partial-7-00ff00"
     for name in (left, ".b.partial-7-00ff00", ".c.partial-7-00ff00-replaced", ".own.partial", "d.partial-7-00ff00"):
         (tmp_path / name).mkdir()
-    with run_directory._locked(tmp_path / ".a.in-use", "a"), directory_at(tmp_path / "y"):
+    with plain_files.locked(tmp_path / ".a.in-use", "a"), directory_at(tmp_path / "y"):
         assert (tmp_path / left).is_dir()
         assert not (tmp_path / ".b.partial-7-00ff00").exists()
     with directory_at(tmp_path / "x"):

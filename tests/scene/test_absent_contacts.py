@@ -58,9 +58,10 @@ def test_absent_contacts_bear_nothing_and_cost_nothing(method, law, shape, needs
 @pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
 def test_nothing_slips_where_nothing_joins_bottom_and_top(law, needs_f64):
     scene = draw((3, 2, 4), law, 0.0)
-    for values in (scene.coefficients[2], *scene.viscosity[2:]):
+    parts = [[values.copy() for values in given] for given in (scene.coefficients, scene.viscosity)]
+    for values in (parts[0][2], *parts[1][2:]):
         values[..., 1] = 0.0
-    found = tb.solve(tb.Scene(scene.coefficients, law, viscosity=scene.viscosity), threads=1)
+    found = tb.solve(tb.Scene(parts[0], law, viscosity=parts[1]), threads=1)
     assert found.status == "certified"
     assert found.potential < 1e-9 * scene.normal_force
 

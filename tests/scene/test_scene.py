@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+import taichi_bearings as tb
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
@@ -78,3 +79,40 @@ def test_missing_files_and_arrays_are_named(tmp_path):
     np.save(tmp_path / "spin.npy", np.ones((5, 5)))
     with pytest.raises(InputError, match="has shape"):
         initial_spin(make_scene((3, 4)), str(tmp_path / "spin.npy"))
+
+
+def test_a_scene_owns_what_it_is_given():
+    """A buffer that is filled anew, or its last value made impossible, changes no scene; nor can a scene be changed."""
+    given = [np.full((3, 5), 0.4), np.full((4, 4), 0.4)]
+    scenes = [Scene(given), Scene(given, law="coulomb-viscous", viscosity=given)]
+    start = np.zeros((4, 5))
+    spin = initial_spin(scenes[0], start)
+    for values in (*given, start):
+        values[:] = -1.0
+    for values in (*scenes[0].coefficients, *scenes[1].viscosity, scenes[0].coefficient[1]):
+        assert (values == 0.4).all()
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1.0
+    assert not spin.any()
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.float32, np.longdouble, np.array])
+def test_numbers_of_numpy_are_numbers(kind):
+    scene = make_scene((3, 4), spin_top=kind(2), normal_force=kind(3), direction=(kind(1), kind(0), kind(0)))
+    assert repr((scene.spin_top, scene.normal_force, scene.direction)) == "(2.0, 3.0, (1.0, 0.0, 0.0))"
+    assert scene.axis_vector.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_radius_in_single_precision_is_kept_as_it_is(tmp_path):
+    best = tb.solve(Scene.random((3, 4), radius=np.float32(0.1)), threads=1)
+    assert tb.load(best.save(tmp_path / "run")).scene.radius == float(np.float32(0.1))
+
+
+def test_a_faint_part_of_the_direction_has_a_finite_power(needs_f64):
+    """Slips of 1e-80 of the largest at contacts of 1e-15 to 1e15, whose squares no float holds."""
+    extreme = lambda rng, shape: 10.0 ** rng.uniform(-15, 15, shape)  # noqa: E731
+    scene = Scene.random((3, 3, 4), 3, extreme, law="coulomb-viscous", viscosity=extreme, direction=(1, 1e-80, 0))
+    best = tb.solve(scene, threads=1)
+    assert best.lower_bound <= best.potential < np.inf
+    assert 0 < best.power < np.inf
+    assert 0 <= best.gap <= 1

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
+from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.stress import cells
 from taichi_bearings.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
@@ -137,14 +138,33 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     assert summary["outcomes"]["wrong"] == summary["outcomes"]["crash"] == 0
     assert {path.name for path in tmp_path.iterdir()} >= {"stress.csv", "stress.md", "summary.json", "cells.jsonl"}
     assert any(path.suffix == ".png" for path in tmp_path.iterdir())
-    lines = list(read_journal(tmp_path / "cells.jsonl").values())
+    kept = read_journal(tmp_path / "cells.jsonl")
+    key, record = next((key, record) for key, record in kept.items() if "answer" in record)
+    too_low = record | {"answer": record["answer"] | {"objective": (-1.0).hex()}, "outcome": RIGHT}
     with Journal(tmp_path / "cells.jsonl") as journal:
-        changed = lines[0]["scalars"] | {"outcome": WRONG, "reason": "it was changed"}
-        journal.append([lines[0] | {"scalars": changed}])
+        journal.append([too_low])
     again = sweep(tmp_path)
-    assert again.exit_code == 1
-    assert f"RED {lines[0]['key']}: it was changed" in again.stdout
-    assert len(read_journal(tmp_path / "cells.jsonl")) == len(lines)
+    assert again.exit_code == 1  # it is judged anew, whatever the journal says
+    assert f"RED {key}: the value -1.0 is below the least one" in again.stdout
+    assert len(read_journal(tmp_path / "cells.jsonl")) == len(kept)
+    strange = [record | changes for changes in ({"version": "0.1"}, {"answer": 3}, {"answer": {}})]
+    for changed in strange:
+        with Journal(tmp_path / "cells.jsonl") as journal:
+            journal.append([changed])
+        again = sweep(tmp_path)
+        assert again.exit_code == 0, again.output  # solved anew
+    assert len((tmp_path / "cells.jsonl").read_bytes().splitlines()) == len(kept) + 1 + 2 * len(strange)
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "summary.json").write_text("{}")
+    assert "is not the folder of a stress report" in str(sweep(tmp_path).exception)
+    assert (tmp_path / "summary.json").read_text() == "{}"
+
+
+def test_two_sweeps_in_one_folder_are_one_too_many(tmp_path):
+    with writable_folder(tmp_path / "out"):
+        assert "is in use" in str(sweep(tmp_path / "out").exception)
 
 
 def test_bad_options_are_one_sentence(tmp_path):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from taichi_bearings.verifier import dissection, elimination
-from taichi_bearings.verifier.dissection import dissected
+from taichi_bearings import dissection
+from taichi_bearings.dissection import dissected
+from taichi_bearings.verifier import elimination
 from taichi_bearings.verifier.elimination import Elimination
 
 
@@ -120,3 +121,22 @@ def test_parts_that_nothing_joins_need_no_separator():
     elimination = Elimination.of(sparse.csc_array(star), np.random.default_rng(0).random((3, 40)))
     assert 0 in [front.own for front in elimination.fronts]
     np.testing.assert_allclose(elimination.factorised().solve(star @ np.arange(40.0)), np.arange(40.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("fault", ["twice", "lost", "in two"])
+def test_an_order_that_leaves_something_out_is_refused(monkeypatch, fault):
+    """So that nothing depends on who has found it."""
+
+    def spoiled(*arguments):
+        parts = dissected(*arguments)
+        if fault == "twice":
+            parts[0] = dissection.Part(np.append(parts[0].nodes[1:], parts[-1].nodes[0]), parts[0].children)
+        elif fault == "lost":
+            parts[-1] = dissection.Part(parts[-1].nodes, [])
+        else:
+            parts[-1] = dissection.Part(parts[-1].nodes, [*parts[-1].children, 0])
+        return parts
+
+    monkeypatch.setattr(elimination, "dissected", spoiled)
+    with pytest.raises(RuntimeError, match="order of elimination"):
+        Elimination.of(*neighbours((4, 4, 4)))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum
+from taichi_bearings.verifier.motion import length
 
 CASES = 400
 
@@ -95,3 +96,14 @@ def test_sums_by_owner_are_enclosed():
     total = grouped_sum(values, owner, 8)
     for k in range(8):
         contains(total, k, sum((corners(values[[i]])[1] for i in np.flatnonzero(owner == k)), Fraction(0)))
+
+
+def test_lengths_of_faint_vectors_are_enclosed_to_many_digits():
+    rng = np.random.default_rng(11)
+    parts = [Enclosure.exact(numbers(s).high * 10.0 ** -rng.integers(0, 250, CASES).astype(float)) for s in (12, 13)]
+    found = length(parts)
+    for i in range(CASES):
+        exact = sum(Fraction(part.high[i]) ** 2 for part in parts)
+        contains(found, i, Fraction((Decimal(exact.numerator) / Decimal(exact.denominator)).sqrt()))
+    assert (found.error <= 1e-25 * found.high).all()
+    assert length([Enclosure.exact([0.0]), Enclosure(np.zeros(1), np.zeros(1), np.array([1e-40]))]).error < 1e-38

@@ -1,13 +1,14 @@
 """Files that prove what they claim are verified; with one number changed where it matters, they are not."""
 
 import shutil
+from contextlib import suppress
 
 import h5py
 import numpy as np
 import pytest
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.runs.run import run
+from taichi_bearings.runs.run import build_scene, run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 
@@ -243,5 +244,68 @@ def test_a_text_where_a_number_belongs_is_one_sentence(folder, tmp_path, what):
             file.attrs["scene"] = "\n".join([*lines, f'{what} = "little"'])
         else:
             file.attrs[what] = "little"
-    with pytest.raises(FileError, match=r"'little' for .*must be a number"):
+    with pytest.raises(FileError, match=r"'little' for .*must be a( whole)? number"):
         verify(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("status", "certified (gap 1e-16)"), ("status", "stalled"), ("status", "finished"), ("status", b"certified"),
+        ("power", np.inf), ("power", -np.inf), ("power", np.nan), ("lower_bound", np.inf), ("gap", ""),
+        ("shape", [4.9, 3.0, 5.0]), ("shape", ["4", "3", "5"]), ("spin_top", "1.0"), ("slip_threshold", np.nan),
+        ("seed", 12.0), ("contacts", True), ("schema_version", 1.0), ("power", [404.0]), ("power", 1j),
+        ("law", b"coulomb"),
+    ],
+)  # fmt: skip
+def test_words_and_types_that_no_run_has_are_found(folder, tmp_path, name, value):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "spheres" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = np.bytes_(value) if isinstance(value, bytes) else value
+    with suppress(FileError):
+        assert not verify(path)["verified"]
+
+
+@pytest.mark.parametrize("tolerance", ["inf", "1e9", "1.0", "0.0", "nan", "true", '"small"'])
+def test_a_tolerance_that_certifies_anything_is_none(folder, tmp_path, tolerance):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "descent" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["scene"] = file.attrs["scene"].replace("tolerance = 0.001", f"tolerance = {tolerance}")
+    with suppress(FileError):
+        assert not verify(path)["verified"]
+
+
+def test_a_sample_beside_that_of_its_seed_is_not_the_seeds(tmp_path):
+    """Both runs prove what they say of their coefficients; these are those of the seed to the bit, or are not."""
+    run(RunSettings(shape=(4, 5), seed=3, threads=1), tmp_path / "run")
+    scene = build_scene(RunSettings(shape=(4, 5), seed=3))
+    moved = tuple(values * (1 + 2.0**-52) for values in scene.coefficient)
+    np.savez(tmp_path / "moved.npz", x=moved[0][0], y=moved[1][0])
+    other = run(
+        RunSettings(shape=(4, 5), seed=3, coefficients=str(tmp_path / "moved.npz"), threads=1), tmp_path / "moved"
+    )
+    assert verify(tmp_path / "moved")["verified"]
+    with h5py.File(tmp_path / "moved" / "run.h5", "r+") as file:
+        del file.attrs["sha256"]
+        file.attrs["coefficients"] = ""
+        file.attrs["scene"] = file.attrs["scene"].replace('coefficients = "run.h5"\n', "")
+    assert verify(tmp_path / "moved")["contradictions"] == [
+        f"coefficients along {axis} are not those of seed 3, to the bit" for axis in "xy"
+    ]
+    assert other.solution.power[0] == pytest.approx(verify(tmp_path / "run")["power"], rel=1e-15)
+
+
+def test_viscous_contacts_that_are_proven_to_slip_are_not_said_to_rest(folder, tmp_path):
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / "dampers" / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        slips = file["contact/z/state"][()] == 1
+        file["contact/z/state"][...] = np.where(slips, 0, file["contact/z/state"][()])
+        for name in ("slipping", "slipless"):
+            file.attrs[name] += (1 if name == "slipless" else -1) * int(slips.sum())
+        slip = {axis: file[f"contact/{axis}/slip"][()] for axis in "xyz"}
+        file.attrs["slip_threshold"] = file.attrs["largest_slipless_slip"] = slip["z"].max()
+        file.attrs["separation_decades"] = ""
+    assert any("contact states are not those of any minimum" in found for found in verify(path)["contradictions"])

@@ -1,0 +1,172 @@
+"""Regular files and nothing else: read within a limit, made new, locked. No link, pipe or device stands in for one.
+
+Whoever reads or writes a file that others may have put there goes through here (HDF5: :mod:`taichi_bearings.hdf5`).
+"""
+
+import contextlib
+import errno
+import json
+import os
+import secrets
+import shutil
+import stat
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from taichi_bearings.errors import FileError, WriteError
+
+AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)  # waits for no pipe
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+MOST_JSON = 2**24  # bytes of a summary or report
+MOST_PARTS = 200_000  # lists and tables in it
+MOST_LINE = 2**20  # bytes of a line of a journal
+
+
+def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
+    """A regular file, unbuffered where it is written; OSError if there is none, FileError if it is something else."""
+    try:
+        descriptor = os.open(path, flags | AT_ONCE, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ENXIO, errno.ELOOP):  # a pipe that nobody reads, a link
+            raise _no_file(path) from None
+        raise
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise _no_file(path)
+    reads = flags & (os.O_WRONLY | os.O_RDWR) == 0
+    return os.fdopen(descriptor, "rb") if reads else os.fdopen(descriptor, "wb", buffering=0)
+
+
+def _no_file(path: Path) -> FileError:
+    return FileError(f"{path} is not a regular file")
+
+
+def read_whole(path: Path, most: int) -> bytes:
+    """The content of a regular file; FileError if it is longer than that or cannot be read."""
+    try:
+        with opened(path) as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+    if len(content) > most:
+        raise FileError(f"{path} is longer than {most:,} bytes; that is the most that is read")
+    return content
+
+
+def read_lines(path: Path) -> Iterator[bytes]:
+    """The lines of a regular file with their ends; of one that is too long nothing but an end. None without a file."""
+    try:
+        with opened(path) as file:
+            while line := file.readline(MOST_LINE):
+                if len(line) == MOST_LINE and not line.endswith(b"\n"):
+                    while line and not line.endswith(b"\n"):
+                        line = file.readline(MOST_LINE)
+                    line = b"\n"
+                yield line
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+
+
+def read_json(path: Path) -> Any:
+    """What a file of JSON holds; FileError if it is none, or takes much memory."""
+    content = read_whole(path, MOST_JSON)
+    try:
+        if content.count(b"[") + content.count(b"{") > MOST_PARTS:
+            raise ValueError("it has too many lists and tables")
+        return json.loads(content.decode())
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not JSON: {str(error).splitlines()[0]}") from None
+
+
+def new_file(path: Path) -> tuple[IO[bytes], Path]:
+    """An empty file beside `path`, made new and locked, and its name; :func:`remove_leftovers` knows what it is."""
+    while True:
+        name = path.with_name(f".{path.name[:40]}.partial-{os.getpid()}-{secrets.token_hex(3)}")
+        file = opened(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK)
+        if lock(file) is not False and is_at(file, name):
+            return file, name
+        file.close()  # it was taken for a leftover before it was locked
+
+
+def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
+    """Write to an unbuffered file, for good."""
+    written = 0
+    while written < len(content):
+        written += file.write(content[written:])
+    os.fsync(file.fileno())
+
+
+def remove(path: Path) -> None:
+    """Whatever is there under this name goes, and nothing that a link leads to."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def remove_leftover(path: Path) -> None:
+    """Remove a new file that a killed process has left; one that is being written stays."""
+    try:
+        with opened(path, os.O_WRONLY | NO_LINK) as file:
+            is_left = lock(file) is True
+            if is_left and sys.platform != "win32":
+                path.unlink()
+        if is_left and sys.platform == "win32":  # where an open file cannot be removed
+            path.unlink()
+    except FileError:  # a link, a pipe
+        path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def locked(path: Path, what: str) -> Iterator[bool]:
+    """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
+    while True:
+        try:
+            file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)
+        except OSError as error:
+            raise WriteError(f"{path.parent} cannot be written: {error.strerror or error}") from None
+        with file:
+            held = lock(file)
+            if held is False:
+                raise FileError(f"{what} is in use by another process; stop that or wait for its end")
+            if not is_at(file, path):
+                continue  # whoever had it before removed it after we opened it: others would lock a new one
+            try:
+                yield bool(held)
+            finally:
+                if is_at(file, path) and sys.platform != "win32":  # an exchanged directory takes its lock with it
+                    with contextlib.suppress(OSError):
+                        path.unlink()
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":  # where an open file cannot be removed
+                path.unlink()
+        return
+
+
+def lock(file: IO[bytes]) -> bool | None:
+    """Take the system's lock of a file, which ends with the process: False if another one has it, None where this file
+    system has no locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return False if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK) else None
+    return True
+
+
+def is_at(file: IO[bytes], path: Path) -> bool:
+    """True if an open file is the one at `path`; Windows lets nobody remove an open file."""
+    try:
+        return sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.lstat())
+    except OSError:
+        return False

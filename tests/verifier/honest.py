@@ -1,0 +1,116 @@
+"""Honest runs of every method and law, of scenes that hurt and with any end; none of them may be refuted.
+
+    python -m tests.verifier.honest --runs 2000 --seed 0
+
+A run is drawn from the seed and its number alone, solved, written and verified in this process. Prints a line for each
+one that is refuted, with its settings, and how many there were of each method and law; the exit code is 1 if any is.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.runs.run import Run, prepare, resume, run, solve_job, write_state
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.verify import verify
+
+LAWS = ("coulomb", "viscous", "coulomb-viscous")
+METHODS = (
+    "auto", "interior-point", "operator-splitting", "gradient-descent", "cundall-strack", "implicit-cundall-strack",
+    "rigid-limit", "planar-cut", "linear-solver",
+)  # fmt: skip
+SHAPES = ((2, 3), (3, 4), (4, 5), (3, 9), (6, 7), (2, 2, 3), (3, 3, 4), (4, 4, 4))
+SCENES = (
+    {}, {}, {"spin_bottom": 0.1}, {"spin_top": 1e15}, {"spin_top": 1e-12}, {"spin_bottom": 1 - 1e-10},
+    {"spin_top": 1e8, "spin_bottom": 1e8 - 1}, {"spin_top": 0.5, "spin_bottom": 0.5}, {"spin_top": 0.0,
+    "spin_bottom": 0.5}, {"spin_top": -1.0, "spin_bottom": 0.7}, {"normal_force": 1e-12}, {"normal_force": 1e12},
+    {"radius": 1e-12}, {"radius": 1e12}, {"direction": (1, 0, 0)}, {"direction": (1, 1e-9, 0)}, {"direction": (1, 1,
+    1)}, {"direction": (0, 0, 1)}, {"slip_threshold": 1e-3}, {"replicas": 3}, {"initial": "random"}, {"initial":
+    "zero"}, {"initial": "minimum-cut"},
+)  # fmt: skip
+DISTRIBUTIONS = (
+    "uniform:0.1,1.0", "uniform:0.1,1.0", "lognormal:1,5", "lognormal:1,12", "constant:1", "bimodal:0.1,1,0.5",
+    "bimodal:1,2,0.5", "bimodal:1e-12,1,0.5", "bimodal:1e-15,1e15,0.5", "power-law:1e-15,1e15,-1",
+    "power-law:1e-8,1e8,-1", "bimodal:1e-4,1e4,0.3",
+)  # fmt: skip
+VISCOSITIES = (
+    "uniform:0.1,1.0", "constant:1e13", "constant:1e-13", "lognormal:1,8", "constant:1e3", "power-law:1e-15,1e15,-1",
+)  # fmt: skip
+TOLERANCES = (1e-3, 1e-6, 1e-8, 1e-8, 1e-10, 1e-12, 1e-13, 1e-14, 1e-15)
+ENDS = (None, None, None, None, 1, 7, 60, 1000)
+COURSES = (
+    {"duration": 0.01}, {"duration": 0.1, "snapshots": "0.03,0.1"}, {"duration": 0.1, "record": "linear:0.01,0.1,7"},
+    {"iterations": 3}, {"iterations": 300}, {"duration": 0.02, "checkpoint_every": 1e-3},
+)  # fmt: skip
+LIMIT = {"iterations": 3000, "time_limit": 2.0}  # unless a run has others: an end that is cut short is honest, too
+
+
+def drawn(seed: int, number: int = 0) -> dict:
+    """Settings of one run."""
+    rng = np.random.default_rng([seed, number])
+
+    def one_of(choices):
+        return choices[rng.integers(len(choices))]
+
+    law, method = one_of(LAWS), one_of(METHODS)
+    given = {"shape": one_of(SHAPES), "seed": int(rng.integers(10**6)), "law": law, "method": method}
+    given |= {"distribution": one_of(DISTRIBUTIONS), "tolerance": one_of(TOLERANCES)} | one_of(SCENES)
+    if law == "coulomb-viscous":
+        given["viscosity"] = one_of(VISCOSITIES)
+    if "cundall" in method or method == "rigid-limit":
+        given |= one_of(COURSES)
+    elif (end := one_of(ENDS)) is not None:
+        given["iterations"] = end
+    if method == "planar-cut" and len(given["shape"]) == 3:
+        given["direction"] = one_of(((1, 0, 0), (0, 1, 0), (1, 0, 3)))
+    return given
+
+
+def contradictions(given: dict, folder: Path) -> list[str] | None:
+    """What the verifier holds against a run in `folder`; None for a scene or option that the method does not take."""
+    try:
+        settings = RunSettings(threads=1, figures="none", **LIMIT | given)
+        if "checkpoint_every" in given:
+            run(settings, folder)
+            assert verify(folder)["contradictions"] == []
+            resume(folder, {"duration": 2 * given["duration"]})
+            return verify(folder)["contradictions"]
+        job = prepare(settings)
+        folder.mkdir(exist_ok=True)
+        write_state(folder / "run.h5", Run(job.settings, solve_job(job), job.spin), job.settings)
+        return verify(folder)["contradictions"]
+    except InputError:
+        return None
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=2000, help="that are verified; refused scenes do not count")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    asked, done, refuted = parser.parse_args(), Counter(), 0
+    began, number = time.perf_counter(), asked.first
+    while done.total() < asked.runs:
+        given = drawn(asked.seed, number)
+        with tempfile.TemporaryDirectory() as folder:
+            found = contradictions(given, Path(folder) / "run")
+        if found is not None:
+            done[given["law"], given["method"]] += 1
+        if found:
+            refuted += 1
+            print(f"{number}: {given}\n    " + "\n    ".join(found), flush=True)
+        number += 1
+    for (law, method), count in sorted(done.items()):
+        print(f"{law:16} {method:24} {count:5}")
+    print(f"{done.total()} honest runs verified in {time.perf_counter() - began:.0f} s, {refuted} refuted")
+    return refuted > 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
