@@ -30,7 +30,7 @@ NEEDED = (
     "status",
 )
 TEXTS = ("status", "coefficients", "method", "arch", "precision")  # attributes that are no numbers
-WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "iterations", "tied_contacts")
+WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "critical", "iterations", "tied_contacts")
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique")  # in a list with gaps they are numbers
 REPORTED = ("slip", "power", "force", "state")
 

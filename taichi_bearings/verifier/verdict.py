@@ -297,6 +297,9 @@ def _counts(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         held: dict[str, float | None] = {"contacts": contacts}
         for kind, name in zip(kinds, ("slipless", "slipping", "undecided"), strict=True):
             held[name] = len(kind)
+        held["critical"] = min(
+            _at_limit(run, judgement, number), len(kinds[2]) - (run.claimed("tied_contacts")[number] or 0)
+        )
         held["largest_slipless_slip"] = float(kinds[0].max()) if len(kinds[0]) else None
         held["smallest_slipping_slip"] = float(kinds[1].min()) if len(kinds[1]) else None
         if not samples.flows and unit > 0:
@@ -306,6 +309,16 @@ def _counts(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             said = run.claimed(name)[number]
             if name in run.attributes and not (said == value or _close(said, value)):
                 yield f"{name.replace('_', ' ')}{which}: the summary says {said!r}, the arrays {value!r}"
+
+
+def _at_limit(run: StoredRun, judgement: Judgement, number: int) -> int:
+    """Undecided contacts with all their friction, whose share of the power is no more than what the bounds leave open."""
+    samples, left, found = run.samples, judgement.objective[number] - judgement.lower_bound[number], 0
+    for axis in range(samples.dimension if samples.holds else 0):
+        force, slip, state = (run.reported[name][axis][number] for name in ("force", "slip", "state"))
+        friction = samples.normal_force * samples.coefficient[axis][number]
+        found += int(((state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - SATURATED) * friction)).sum())
+    return found
 
 
 def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | None:
