@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import ContactState, count, critical, separate
+from taichi_bearings.proof.contact_state import ContactState, count, critical, separate, unresolved
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE
@@ -52,15 +52,19 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Contacts of which slip and friction do not tell whether they slip; critical and tied ones are known for what
-    they are."""
+    """Contacts whose slip and friction disagree; critical and tied ones are known for what they are."""
     known = critical(solution) + solution.findings.get("tied_contacts", 0)
     number = int((count(solution.state, ContactState.UNDECIDED) - known).sum())
     if number > 0:
-        all_contacts = solution.scene.lattice.contacts * solution.scene.replicas
+        fast = sum(
+            int(((state == ContactState.UNDECIDED) & (slip > solution.slip_threshold) & ~faint).sum())
+            for state, slip, faint in zip(solution.state, solution.slip, unresolved(solution), strict=True)
+        )
+        all_contacts, fast = solution.scene.lattice.contacts * solution.scene.replicas, min(fast, number)
         yield (
-            f"{number:,} of {counted(all_contacts, 'contact')} undecided: their slip and their friction do not agree "
-            "whether they slip at the minimum"
+            f"{number:,} of {counted(all_contacts, 'contact')} undecided: {fast:,} slip faster than "
+            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - fast:,} slip slower, or by less "
+            "than the gap resolves, and bear it"
         )
 
 

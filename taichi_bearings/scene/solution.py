@@ -202,9 +202,14 @@ class Solution:
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:
-        """(R,), True where it is proven that no other slips have the least power, False that others do, else None."""
+        """(R,), True where it is proven that no other slips have the least power, False that others do, else None.
+
+        Ties are exact where cuts are counted in whole numbers, with one component; else they rest on rounded slips.
+        """
         tied = self.findings.get("tied_contacts", np.zeros(len(self.resolved)))
-        return [True if proven else False if ties else None for proven, ties in zip(self.resolved, tied, strict=True)]
+        exact = len(self.scene.minimum_spin_axes) == 1
+        pairs = zip(self.resolved, tied, strict=True)
+        return [True if proven else False if ties and exact else None for proven, ties in pairs]
 
     def sample(self, number: int) -> "Solution":
         """One replica of it as if it had been solved alone; its seconds are its share."""

@@ -186,17 +186,15 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
     return Judgement(samples) if samples.can_be_judged else None
 
 
-def above_noise(answer: Solution) -> tuple[np.ndarray, ...]:
-    """Its contact states, those undecided that seem to slip by less than the gap resolves, where nothing is proven."""
-    open_ = ~answer.resolved
-    return tuple(
-        np.where(
-            (state == ContactState.SLIPPING) & faint & open_.reshape(-1, *(1,) * (state.ndim - 1)),
-            ContactState.UNDECIDED,
-            state,
-        ).astype(np.uint8)
-        for state, faint in zip(answer.state, unresolved(answer), strict=True)
-    )
+def above_noise(answer: Solution, judgement: Judgement | None) -> tuple[np.ndarray, ...]:
+    """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap resolves."""
+    known = _decided(judgement, is_dynamics=False) or (np.array(UNPROVEN),) * len(answer.state)
+    found = []
+    for state, faint, sure in zip(answer.state, unresolved(answer), known, strict=True):
+        doubtful = (state == ContactState.SLIPPING) & faint & (sure == UNPROVEN)
+        doubtful &= ~answer.resolved.reshape(-1, *(1,) * (state.ndim - 1))
+        found.append(np.where(doubtful, ContactState.UNDECIDED, state).astype(np.uint8))
+    return tuple(found)
 
 
 def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tuple[np.ndarray, ...]) -> np.ndarray:

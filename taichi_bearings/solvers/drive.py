@@ -215,7 +215,7 @@ class _Course:
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
             found = replace(found, resolved=proven(scene, final, judgement, found.state))
         if final.state is not None and scene.law.is_rate_independent:
-            found = replace(found, state=above_noise(found))
+            found = replace(found, state=above_noise(found, judgement))
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
 

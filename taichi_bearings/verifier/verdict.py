@@ -243,11 +243,12 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"{tied[number]} contacts{which} are said to differ between minima, and there is only one minimum"
         if unique[number] and not found.unique:
             yield f"the minimum{which} is said to be unique, and that is not proven"
-        if bool(unique[number]) != bool(proven[number]) or (unique[number] is None and tied[number]):
+        exact = len(run.samples.needed) == 1  # then the method knows ties exactly
+        if bool(unique[number]) != bool(proven[number]) or (exact and unique[number] is None and tied[number]):
             yield f"it is said whether the minimum{which} is unique, and other words say something else"
         if run.claimed("cut_is_unique")[number] not in (None, not tied[number]):
             yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
-        if unique[number] is not None and not unique[number] and (found.unique or len(run.samples.needed) != 1):
+        if unique[number] is not None and not unique[number] and (found.unique or not exact):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
 
 
@@ -312,7 +313,7 @@ def _counts(run: StoredRun, judgement: Judgement) -> Iterator[str]:
 
 
 def _at_limit(run: StoredRun, judgement: Judgement, number: int) -> int:
-    """Undecided contacts with all their friction, whose share of the power is no more than what the bounds leave open."""
+    """Undecided contacts with all their friction and no more of the power than what the bounds leave open."""
     samples, left, found = run.samples, judgement.objective[number] - judgement.lower_bound[number], 0
     for axis in range(samples.dimension if samples.holds else 0):
         force, slip, state = (run.reported[name][axis][number] for name in ("force", "slip", "state"))

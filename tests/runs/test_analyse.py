@@ -274,9 +274,10 @@ def test_no_figure_outlives_its_analysis(solved, tmp_path):
 
 
 def contents(path, without):
-    """Every data set and attribute of a file as bytes."""
+    """Every data set and attribute of a file as bytes, lists of texts as they are."""
     with h5py.File(path) as file:
-        found = {key: np.asarray(value).tobytes() for key, value in file.attrs.items()}
+        found = {key: np.asarray(value) for key, value in file.attrs.items()}
+        found = {key: value.tolist() if value.dtype == object else value.tobytes() for key, value in found.items()}
         for key in file:
             if key != without:
                 found |= {i.name: i[()].tobytes() for i in every(file[key]) if isinstance(i, h5py.Dataset)}

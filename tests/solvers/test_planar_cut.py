@@ -1,5 +1,7 @@
 """The planar cut: stored minima, linear programmes, states, contrasts, drivings, batches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -131,8 +133,10 @@ def test_what_slips_at_every_minimum_is_told_from_what_slips_at_some():
 
 def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
     scene = make_scene((3, 4, 5), direction=(1, 0, 0), seeds=(1, 2))
+    coefficients = [values.copy() for values in scene.coefficient]
     for axis in (1, 2):
-        scene.coefficient[axis][1, 1] = 0.3
+        coefficients[axis][1, 1] = 0.3
+    scene = replace(scene, coefficients=tuple(coefficients))
     solution = solved(scene)
     assert solution.resolved.tolist() == [True, False]
     assert solution.findings["tied_contacts"].tolist() == [0, 4 * 4]
