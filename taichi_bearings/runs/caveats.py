@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import ContactState, count, critical, separate, unresolved
+from taichi_bearings.proof.contact_state import SATURATED, ContactState, count, critical, separate
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE
@@ -56,15 +56,18 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     known = critical(solution) + solution.findings.get("tied_contacts", 0)
     number = int((count(solution.state, ContactState.UNDECIDED) - known).sum())
     if number > 0:
+        scene, full = solution.scene, SATURATED * solution.scene.strength
         fast = sum(
-            int(((state == ContactState.UNDECIDED) & (slip > solution.slip_threshold) & ~faint).sum())
-            for state, slip, faint in zip(solution.state, solution.slip, unresolved(solution), strict=True)
+            int(((state == ContactState.UNDECIDED) & (slip > solution.slip_threshold) & (force < full * of)).sum())
+            for state, slip, force, of in zip(
+                solution.state, solution.slip, solution.force, scene.coefficient, strict=True
+            )
         )
-        all_contacts, fast = solution.scene.lattice.contacts * solution.scene.replicas, min(fast, number)
+        all_contacts = scene.lattice.contacts * scene.replicas
         yield (
             f"{number:,} of {counted(all_contacts, 'contact')} undecided: {fast:,} slip faster than "
-            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - fast:,} slip slower, or by less "
-            "than the gap resolves, and bear it"
+            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - fast:,} slip slower, "
+            "or by less than the gap resolves, and bear it"
         )
 
 
