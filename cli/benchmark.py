@@ -96,9 +96,9 @@ def _measure_speed(
     **asked: Any,
 ) -> None:
     from taichi_bearings_cli.progress import Display
+    from taichi_bearings_studies.benchmarks import speed_report
+    from taichi_bearings_studies.benchmarks.speed import BUDGETS, chosen_parts, chosen_threads, measure, only
 
-    from taichi_bearings.benchmarks import speed_report
-    from taichi_bearings.benchmarks.speed import BUDGETS, chosen_parts, chosen_threads, measure, only
     from taichi_bearings.runs.run_directory import default_run_path
 
     chosen, usual = chosen_parts(parts), BUDGETS[budget or "usual"]
@@ -160,10 +160,10 @@ def accuracy(
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
     from taichi_bearings_cli.progress import Display
+    from taichi_bearings_studies.benchmarks.accuracy import choose_methods, choose_scenes, measure_all
+    from taichi_bearings_studies.benchmarks.accuracy_report import ReportFiles, summarise, table
+    from taichi_bearings_studies.benchmarks.peers import find_peers
 
-    from taichi_bearings.benchmarks.accuracy import choose_methods, choose_scenes, measure_all
-    from taichi_bearings.benchmarks.accuracy_report import ReportFiles, summarise, table
-    from taichi_bearings.benchmarks.peers import find_peers
     from taichi_bearings.runs.run_directory import default_run_path
 
     scenes = choose_scenes(shape, law, **of_runs)

@@ -70,9 +70,9 @@ def command(
     """
     from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
+    from taichi_bearings_studies.paper.claims import QUICK_SAMPLES, SAMPLES, Effort
+    from taichi_bearings_studies.paper.reproduce import reproduce
 
-    from taichi_bearings.paper.claims import QUICK_SAMPLES, SAMPLES, Effort
-    from taichi_bearings.paper.reproduce import reproduce
     from taichi_bearings.runs.run_directory import default_run_path
 
     folder = Path(out) if out else default_run_path("reproduce")

@@ -44,13 +44,13 @@ def command(
       bearings stress --only contrast,zeros --method interior-point,gradient-descent --out outputs/stress
     """
     from taichi_bearings_cli.progress import Display
+    from taichi_bearings_studies.stress.axes import AXES, ROWS, cells_of, rows_of
+    from taichi_bearings_studies.stress.report import by_axis, lines_of, open_sweep, table
 
     from taichi_bearings.options import chosen
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.runtime import available_threads
     from taichi_bearings.scene.law import LAWS
-    from taichi_bearings.stress.axes import AXES, ROWS, cells_of, rows_of
-    from taichi_bearings.stress.report import by_axis, lines_of, open_sweep, table
 
     quick = bool(of_cells["quick"])
     rows = rows_of(chosen("method", method, ROWS), chosen("law", law, LAWS))

@@ -11,10 +11,11 @@ FLOOR = {
     "compiler": 1, "checksums": 1, "hdf5": 1, "plain_files": 1, "options": 1, "lattice": 1, "runtime": 2,
     "verifier": 2, "fields": 3,
     "launch": 3, "kernels": 4, "numerics": 5, "scene": 6, "proof": 7, "conic": 8, "solvers": 9, "analysis": 10,
-    "files": 11, "plots": 12, "runs": 13, "export": 14, "view": 14, "scans": 14, "paper": 15, "benchmarks": 15,
-    "api": 15, "stress": 16,
+    "files": 11, "plots": 12, "runs": 13, "export": 14, "view": 14, "scans": 14, "api": 15,
 }  # fmt: skip
 FILES = sorted((ROOT / "taichi_bearings").rglob("*.py"))
+STUDIES = sorted((ROOT / "studies").rglob("*.py"))
+SHARED = {"plots"}  # by all studies, which otherwise do not know each other
 
 
 def floor_name(path: Path) -> str:
@@ -25,8 +26,8 @@ def floor_name(path: Path) -> str:
 def imported_modules(path: Path):
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path} uses a relative import"
-            yield node.module
+            assert node.level == 0 or path in STUDIES, f"{path} uses a relative import"
+            yield "." * node.level + (node.module or "")
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
 
@@ -38,10 +39,20 @@ def test_imports_only_go_down(path):
     here = floor_name(path)
     for module in imported_modules(path):
         if not module.startswith("taichi_bearings."):
-            assert not module.startswith("taichi_bearings_cli"), f"{path} must not know the command line"
+            beside = module.startswith(("taichi_bearings_cli", "taichi_bearings_studies"))
+            assert not beside, f"{path} must not know the command line and the studies"
             continue
         there = module.split(".")[1]
         assert there == here or FLOOR[there] < FLOOR[here], f"{path}: {here} must not import {there}"
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=str)
+def test_studies_know_the_package_and_what_they_share(path):
+    """By relative imports: as a folder beside the package they have another name than installed."""
+    for module in imported_modules(path):
+        assert not module.startswith(("taichi_bearings_", "studies")), f"{path} must import {module} by a relative name"
+        beyond = module.startswith("..") and module.lstrip(".").split(".")[0] not in SHARED
+        assert not beyond, f"{path} must not import {module}"
 
 
 @pytest.mark.parametrize("floor", ["lattice", "scene", "proof", "analysis", "files", "plots"])
@@ -51,18 +62,20 @@ def test_taichi_stays_out_of(floor):
 
 
 def test_taichi_is_imported_in_one_place():
-    for path in FILES:
+    for path in FILES + STUDIES:
         assert not {"taichi", "quadrants"} & {module.split(".")[0] for module in imported_modules(path)}, path
 
 
 LENT = {"errors", "dissection"}  # what the verifier takes from the package: an order of elimination proves nothing
 ASKED = {"judgement", "samples", "states", "stored_run", "verdict", "claims"}  # parts by which others ask for a verdict
-ASKING = {"solvers/answer.py": ASKED, "runs/verify.py": ASKED, "paper/supplement.py": ASKED | {"curvature", "motion"}}
+ASKING = {
+    "solvers/answer.py": ASKED, "runs/verify.py": ASKED, "studies/paper/supplement.py": ASKED | {"curvature", "motion"}
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("path", FILES, ids=str)
+@pytest.mark.parametrize("path", FILES + STUDIES, ids=str)
 def test_the_verifier_borrows_nothing_and_lends_nothing(path):
-    here = path.relative_to(ROOT / "taichi_bearings").as_posix()
+    here = path.relative_to(ROOT).as_posix().removeprefix("taichi_bearings/")
     for module in imported_modules(path):
         package, *parts = module.split(".")
         if here.startswith("verifier/"):

@@ -6,6 +6,7 @@ import click
 import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import COMMANDS, bearings
+from taichi_bearings_studies.paper.reproduce import FIGURES, reproduce
 
 import taichi_bearings as tb
 from taichi_bearings import runtime, words
@@ -13,7 +14,6 @@ from taichi_bearings.analysis.fit import read_fit
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.options import chosen
-from taichi_bearings.paper.reproduce import FIGURES, reproduce
 from taichi_bearings.plots.page import read_width
 from taichi_bearings.runs.figures import KINDS, draw_figure
 from taichi_bearings.runs.settings import RunSettings, settings_table

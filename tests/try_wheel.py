@@ -11,7 +11,9 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = {"taichi_bearings": "taichi_bearings", "cli": "taichi_bearings_cli"}  # in the tree -> in the wheel
+FOLDERS = {  # in the tree -> in the wheel
+    "taichi_bearings": "taichi_bearings", "cli": "taichi_bearings_cli", "studies": "taichi_bearings_studies"
+}  # fmt: skip
 
 
 def missing(wheel: Path) -> list[str]:

@@ -4,13 +4,13 @@ import csv
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.benchmarks import accuracy
+from taichi_bearings_studies.benchmarks.accuracy import Entry, SceneResult, choose_methods, choose_scenes, measure_all
+from taichi_bearings_studies.benchmarks.accuracy_report import COLUMNS, ReportFiles, fastest, panel, summarise, table
+from taichi_bearings_studies.benchmarks.peers import find_peers
+from taichi_bearings_studies.plots.accuracy import PEERS, Curve, Panel, draw_accuracy, style_of
 
-from taichi_bearings.benchmarks import accuracy
-from taichi_bearings.benchmarks.accuracy import Entry, SceneResult, choose_methods, choose_scenes, measure_all
-from taichi_bearings.benchmarks.accuracy_report import COLUMNS, ReportFiles, fastest, panel, summarise, table
-from taichi_bearings.benchmarks.peers import find_peers
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.plots.accuracy import PEERS, Curve, Panel, draw_accuracy, style_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS, PlanarCut
 from tests.scenes import make_scene, minima

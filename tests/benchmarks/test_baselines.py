@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.benchmarks.baselines import SHARPNESS, Arrays, CSweep, NumpySweep, find_compiler
 
-from taichi_bearings.benchmarks.baselines import SHARPNESS, Arrays, CSweep, NumpySweep, find_compiler
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from taichi_bearings_studies.benchmarks.conic import build_differences, conic_programme, with_coefficients
+from taichi_bearings_studies.benchmarks.peers import Peer, find_peers
 
-from taichi_bearings.benchmarks.conic import build_differences, conic_programme, with_coefficients
-from taichi_bearings.benchmarks.peers import Peer, find_peers
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.incidence import contact_differences
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -135,7 +135,7 @@ def test_a_peer_says_when_the_time_is_up():
 
 
 def test_peers_that_do_not_work_here_are_named(monkeypatch):
-    monkeypatch.setattr("taichi_bearings.benchmarks.peers.find_spec", lambda name: None)
+    monkeypatch.setattr("taichi_bearings_studies.benchmarks.peers.find_spec", lambda name: None)
     here, missing = find_peers()
     assert here == []
     assert set(missing) == {"clarabel", "scs", "moreau"}
@@ -143,7 +143,7 @@ def test_peers_that_do_not_work_here_are_named(monkeypatch):
 
 def test_a_linear_solver_without_its_library_is_left_out(monkeypatch):
     pytest.importorskip("clarabel")
-    monkeypatch.setattr("taichi_bearings.benchmarks.peers.LINEAR_SOLVERS", {"clarabel": ("qdldl", "abacus")})
+    monkeypatch.setattr("taichi_bearings_studies.benchmarks.peers.LINEAR_SOLVERS", {"clarabel": ("qdldl", "abacus")})
     here, missing = find_peers()
     assert here == [Peer("clarabel", "qdldl")]
     assert "abacus" in missing["clarabel abacus"] or "direct_solve_method" in missing["clarabel abacus"]

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.benchmarks import counts
 
-from taichi_bearings.benchmarks import counts
 from taichi_bearings.compiler import name as compiler_name
 from taichi_bearings.fields import Fields
 from taichi_bearings.lattice.layout import Layout

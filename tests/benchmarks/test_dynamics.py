@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.benchmarks import dynamics
+from taichi_bearings_studies.benchmarks.dynamics import FRICTION, PEER_STEP, Lammps, Yade, codes, missing, request_of
 
-from taichi_bearings.benchmarks import dynamics
-from taichi_bearings.benchmarks.dynamics import FRICTION, PEER_STEP, Lammps, Yade, codes, missing, request_of
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint

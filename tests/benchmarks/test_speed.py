@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.benchmarks import kernels, methods, scans, speed
+from taichi_bearings_studies.benchmarks.machine import describe
+from taichi_bearings_studies.benchmarks.rows import COLUMNS, PARTS, Row
+from taichi_bearings_studies.benchmarks.speed import QUICK, Report, chosen_threads, measure, only
+from taichi_bearings_studies.benchmarks.speed_report import SpeedFiles, as_json, size, table
+from taichi_bearings_studies.benchmarks.timing import timed
+from taichi_bearings_studies.plots.roofline import Ceilings
 
-from taichi_bearings.benchmarks import kernels, methods, scans, speed
-from taichi_bearings.benchmarks.machine import describe
-from taichi_bearings.benchmarks.rows import COLUMNS, PARTS, Row
-from taichi_bearings.benchmarks.speed import QUICK, Report, chosen_threads, measure, only
-from taichi_bearings.benchmarks.speed_report import SpeedFiles, as_json, size, table
-from taichi_bearings.benchmarks.timing import timed
 from taichi_bearings.errors import BearingsError, FileError, InputError
-from taichi_bearings.plots.roofline import Ceilings
 from tests.scenes import make_scene
 
 SOME = ("linear-solver", "gradient-descent", "interior-point")
@@ -44,7 +44,7 @@ def test_things_are_timed_in_turns_after_a_warm_up():
 
 def test_lattices_that_do_not_fit_are_left_out_before_they_are_made(monkeypatch, needs_f64):
     monkeypatch.setattr(kernels, "free_bytes", lambda: 1e9)
-    monkeypatch.setattr("taichi_bearings.benchmarks.kernels.Scene", None)  # nothing is made
+    monkeypatch.setattr("taichi_bearings_studies.benchmarks.kernels.Scene", None)  # nothing is made
     task = kernels.Task(((512, 512, 512),), "f64", 1, 1, 1e-3, largest_stream=0)
     assert list(kernels.measure(task)) == ["512x512x512 is left out: it needs 241.6 GB, 0.8 GB may be taken"]
 
@@ -122,7 +122,7 @@ def test_what_is_missing_is_named_for_the_parts_that_want_it(monkeypatch):
 
 
 def test_without_a_c_compiler_the_others_are_timed(monkeypatch, tmp_path, needs_f64):
-    monkeypatch.setattr("taichi_bearings.benchmarks.baselines.find_compiler", lambda: None)
+    monkeypatch.setattr("taichi_bearings_studies.benchmarks.baselines.find_compiler", lambda: None)
     monkeypatch.setattr(kernels, "_candidate", lambda name, *_: kernels.Candidate(name, None, 1))  # none is begun
     task = kernels.Task(((3, 4),), "f64", 1, 1, 1e-4, largest_stream=0)
     names = [one.name for one in kernels._candidates(make_scene((3, 4)), task, tmp_path)]

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.benchmarks import counts
 
-from taichi_bearings.benchmarks import counts
 from taichi_bearings.compiler import name as compiler_name
 from taichi_bearings.compiler import ti
 from taichi_bearings.conic import central_path

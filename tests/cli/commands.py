@@ -65,7 +65,7 @@ def _serve():
 
 
 def import_everything():
-    for package in ("taichi_bearings", "taichi_bearings_cli"):
+    for package in ("taichi_bearings", "taichi_bearings_studies", "taichi_bearings_cli"):
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             if not module.name.endswith("__main__"):
                 importlib.import_module(module.name)

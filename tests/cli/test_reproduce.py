@@ -9,9 +9,9 @@ import sys
 import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.reproduce import command
+from taichi_bearings_studies.paper import reproduce
+from taichi_bearings_studies.paper.claims import Claim, Effort
 
-from taichi_bearings.paper import reproduce
-from taichi_bearings.paper.claims import Claim, Effort
 from tests.cli.commands import bearings
 
 ALL = ["fig1", "fig2", "fig3", "fig4", "supplement", "network", "distributions", "drivings", "parameters"]

@@ -13,14 +13,14 @@ import zlib
 import h5py
 import numpy as np
 import pytest
+from taichi_bearings_studies.paper.claims import Claim
+from taichi_bearings_studies.paper.reproduce import FIGURES
 
 import taichi_bearings as tb
 from taichi_bearings import compiler, hdf5
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.files.whole_file import write_csv
-from taichi_bearings.paper.claims import Claim
-from taichi_bearings.paper.reproduce import FIGURES
 from taichi_bearings.plain_files import read_lines
 from taichi_bearings.runs.run_directory import claimed, in_use
 from taichi_bearings.runs.settings import parse_toml

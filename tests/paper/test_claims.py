@@ -2,8 +2,7 @@
 
 import pytest
 from scipy import stats
-
-from taichi_bearings.paper.claims import FEWEST, Claim, Share
+from taichi_bearings_studies.paper.claims import FEWEST, Claim, Share
 
 
 def test_too_few_samples_give_no_verdict_whatever_they_show():

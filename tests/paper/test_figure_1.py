@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib import colormaps
+from taichi_bearings_studies.paper import figure_1
+from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper.figure_1 import Descent, Minimum, Settled
+from taichi_bearings_studies.paper.relaxation import TIMES, Run
+from taichi_bearings_studies.paper.samples import solved
+from taichi_bearings_studies.plots.configurations import draw_configurations
 
-from taichi_bearings.paper import figure_1
-from taichi_bearings.paper.claims import Effort
-from taichi_bearings.paper.figure_1 import Descent, Minimum, Settled
-from taichi_bearings.paper.relaxation import TIMES, Run
-from taichi_bearings.paper.samples import solved
-from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.plots.lattice import COLOURS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin

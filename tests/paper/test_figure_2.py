@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from taichi_bearings.paper import figure_2
-from taichi_bearings.paper.relaxation import (
+from taichi_bearings_studies.paper import figure_2
+from taichi_bearings_studies.paper.relaxation import (
     Minima,
     Run,
     intermediate_spheres,
@@ -15,7 +14,8 @@ from taichi_bearings.paper.relaxation import (
     relax_rigidly,
     without_idle_spin,
 )
-from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
+from taichi_bearings_studies.plots.relaxation import Relaxation, draw_relaxation
+
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 

@@ -5,12 +5,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.paper import figure_3, figure_4, network
+from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper.network import Sample
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.paper import figure_3, figure_4, network
-from taichi_bearings.paper.claims import Effort
-from taichi_bearings.paper.network import Sample
 
 GOOD = Sample(
     side=24, seed=0, power=1.0, gap=1e-12, power_over_cut=0.97, below_cut=True, slipless_fraction=0.6,

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.paper import distributions, drivings, parameters
+from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper.distributions import EQUAL, SPREAD, TIED, Sample
+from taichi_bearings_studies.paper.drivings import OTHER, REFERENCE, SAME, Driven, axis_name
+from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Courses
+from taichi_bearings_studies.paper.relaxation import Run
 
-from taichi_bearings.paper import distributions, drivings, parameters
-from taichi_bearings.paper.claims import Effort
-from taichi_bearings.paper.distributions import EQUAL, SPREAD, TIED, Sample
-from taichi_bearings.paper.drivings import OTHER, REFERENCE, SAME, Driven, axis_name
-from taichi_bearings.paper.parameters import PAPER, VARIANTS, Courses
-from taichi_bearings.paper.relaxation import Run
 from taichi_bearings.scene import Scene
 
 LOW = Sample(

@@ -3,10 +3,9 @@
 from html.parser import HTMLParser
 
 import pytest
-
-from taichi_bearings.paper import reproduce
-from taichi_bearings.paper.claims import VERDICTS, Claim, Effort
-from taichi_bearings.paper.page import page, typeset
+from taichi_bearings_studies.paper import reproduce
+from taichi_bearings_studies.paper.claims import VERDICTS, Claim, Effort
+from taichi_bearings_studies.paper.page import page, typeset
 
 EMPTY = {"meta", "img", "br"}
 LOADS = {"src", "href", "srcset", "data", "poster", "action"}

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.paper import supplement
+from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper.samples import solved
+from taichi_bearings_studies.paper.supplement import Decade, Ending
 
-from taichi_bearings.paper import supplement
-from taichi_bearings.paper.claims import Effort
-from taichi_bearings.paper.samples import solved
-from taichi_bearings.paper.supplement import Decade, Ending
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
+from taichi_bearings_studies.plots.accuracy import Curve as MethodCurve
+from taichi_bearings_studies.plots.accuracy import Panel, draw_accuracy
+from taichi_bearings_studies.plots.configurations import draw_configurations
+from taichi_bearings_studies.plots.relaxation import Relaxation, draw_relaxation
+from taichi_bearings_studies.plots.sizes import Column, draw_sizes
 
 import taichi_bearings as tb
 from taichi_bearings.analysis.fit import Fit, fit, read_fit
 from taichi_bearings.analysis.thresholds import THRESHOLDS
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.accuracy import Curve as MethodCurve
-from taichi_bearings.plots.accuracy import Panel, draw_accuracy
-from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
 from taichi_bearings.plots.network import behind, draw_network
 from taichi_bearings.plots.page import Page, View, read_dpi, read_plane, read_view, read_width
 from taichi_bearings.plots.power import draw_power
-from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
 from taichi_bearings.plots.scan import Curve, Look, draw_scan, formula
-from taichi_bearings.plots.sizes import Column, draw_sizes
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
 from taichi_bearings.plots.symbols import column_label

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
+from taichi_bearings_studies.stress.truth import least
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.solvers import METHODS
-from taichi_bearings.stress.truth import least
 
 
 def draw(shape, law, absent, seed=3):

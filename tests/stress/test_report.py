@@ -8,14 +8,24 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
+from taichi_bearings_studies.stress import cells
+from taichi_bearings_studies.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
+from taichi_bearings_studies.stress.cells import (
+    CRASH,
+    NOT_REACHED,
+    REFUSED,
+    RIGHT,
+    WRONG,
+    Answer,
+    Judge,
+    Task,
+    solve_tasks,
+)
+from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.solvers import METHODS
-from taichi_bearings.stress import cells
-from taichi_bearings.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
-from taichi_bearings.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Answer, Judge, Task, solve_tasks
-from taichi_bearings.stress.truth import least
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 CELL = Cell("friction-scale", 1.0, Row("planar-cut", "coulomb", 2), 0, True, 1.0)

@@ -5,9 +5,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.stress.truth import SLIPLESS, SLIPPING, layered, least
 
 import taichi_bearings as tb
-from taichi_bearings.stress.truth import SLIPLESS, SLIPPING, layered, least
 from tests.truth import oracle_or_skip
 from tests.truth.cuts import all_cuts
 

@@ -11,15 +11,16 @@ from typing import Any
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.files.whole_file import write_csv, write_text
-from taichi_bearings.plots.outcomes import draw_outcomes
 from taichi_bearings.plots.style import save
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.scans.engine import LocalEngine, Outcome
 from taichi_bearings.stages import alike, each
-from taichi_bearings.stress.axes import AXES, Cell
-from taichi_bearings.stress.cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, restored, solve_tasks, stored
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted
+
+from ..plots.outcomes import draw_outcomes
+from .axes import AXES, Cell
+from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, restored, solve_tasks, stored
 
 Line = dict[str, Any]
 START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit

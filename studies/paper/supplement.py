@@ -16,9 +16,6 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import read_hdf5, write_csv, write_hdf5
-from taichi_bearings.paper.claims import FEWEST, Claim, Effort, Share, interval_of_mean
-from taichi_bearings.paper.samples import save_both, solved
-from taichi_bearings.plots.decades import draw_decades
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
@@ -28,6 +25,10 @@ from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.motion import Motion
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.words import counted
+
+from ..plots.decades import draw_decades
+from .claims import FEWEST, Claim, Effort, Share, interval_of_mean
+from .samples import save_both, solved
 
 SHAPE, SPIN_BOTTOM = (32, 32, 32), 0.1
 SHARE_OF_SAMPLES = 0.04

@@ -14,11 +14,6 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.benchmarks import counts
-from taichi_bearings.benchmarks.baselines import Arrays, CSweep, NumpySweep
-from taichi_bearings.benchmarks.machine import chains, sizes_below, streams
-from taichi_bearings.benchmarks.rows import Row, timing
-from taichi_bearings.benchmarks.timing import Times, timed
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.memory import free_bytes
@@ -27,6 +22,12 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.method import Method
+
+from . import counts
+from .baselines import Arrays, CSweep, NumpySweep
+from .machine import chains, sizes_below, streams
+from .rows import Row, timing
+from .timing import Times, timed
 
 SIZES = {"f64": 8, "f32": 4}  # bytes of a number
 PLAIN, NUMPY, C = "sweep", "NumPy sweep", "C sweep"

@@ -11,15 +11,16 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from taichi_bearings import runtime
-from taichi_bearings.benchmarks import dynamics, kernels, machine, methods, scans
-from taichi_bearings.benchmarks.baselines import find_compiler
-from taichi_bearings.benchmarks.peers import find_peers
-from taichi_bearings.benchmarks.rows import PARTS, Row
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.options import chosen
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import each, stage
+
+from . import dynamics, kernels, machine, methods, scans
+from .baselines import find_compiler
+from .peers import find_peers
+from .rows import PARTS, Row
 
 Shape = tuple[int, ...]
 LARGE = 2.0**18  # bytes: the largest stream beside small lattices

@@ -25,14 +25,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.benchmarks import counts
-from taichi_bearings.benchmarks.rows import Row
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
+
+from . import counts
+from .rows import Row
 
 FRICTION = 0.55  # of the peers' contacts: the mean of ours
 PEER_STEP = 5e-5  # half of what these leapfrog codes can take

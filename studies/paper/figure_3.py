@@ -13,14 +13,15 @@ from taichi_bearings import runtime
 from taichi_bearings.analysis.network import planes_crossed
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
-from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
-from taichi_bearings.paper.network import MOST, PRACTICALLY_ALL, certified, mean
-from taichi_bearings.paper.samples import save_both
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import counted
 from taichi_bearings.words import share as in_percent
+
+from .claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
+from .network import MOST, PRACTICALLY_ALL, certified, mean
+from .samples import save_both
 
 SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
 MOST_SAMPLES = 40

@@ -15,13 +15,14 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import write_csv
-from taichi_bearings.paper.claims import FEWEST, Claim, Effort, Share, interval_of_mean
-from taichi_bearings.paper.network import BULK, certified
-from taichi_bearings.paper.samples import save_both
-from taichi_bearings.plots.drivings import draw_drivings
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import counted
+
+from ..plots.drivings import draw_drivings
+from .claims import FEWEST, Claim, Effort, Share, interval_of_mean
+from .network import BULK, certified
+from .samples import save_both
 
 MOST_SAMPLES = 10
 ROUND_OFF = 1e-9  # relative difference of powers that are the same

@@ -18,9 +18,6 @@ from taichi_bearings.analysis.thresholds import THRESHOLDS, View
 from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
-from taichi_bearings.paper.samples import save_both, solved
-from taichi_bearings.plots.sizes import Column, draw_sizes
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.estimate import seconds_of
@@ -28,6 +25,10 @@ from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted, with_error
+
+from ..plots.sizes import Column, draw_sizes
+from .claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
+from .samples import save_both, solved
 
 SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025, 32: 0.025}
 """Side of the cube -> samples of it, as a share of those that a claim may take."""

@@ -11,10 +11,11 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.fields import CPU_BLOCK
 from taichi_bearings.fields.fields import number_type
-from taichi_bearings.kernels import probe
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.memory import aligned_zeros, free_bytes
 from taichi_bearings.version import VERSION
+
+from . import probe
 
 CACHES = Path("/sys/devices/system/cpu/cpu0/cache")
 SIZES = tuple(2**k for k in (14, 16, 18, 19, 20, 21, 22, 23, 24, 25, 26, 28, 30))  # bytes of working sets

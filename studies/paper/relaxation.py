@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.paper.samples import solved
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers import CundallStrack, InteriorPoint, RigidLimit
@@ -17,6 +16,8 @@ from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
+
+from .samples import solved
 
 STEPS = 1_000_000  # limit; most samples of 3x3x3 are certified within 100 000
 END = 1e-8  # proven gap at which a relaxation has ended

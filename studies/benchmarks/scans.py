@@ -17,9 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.benchmarks.conic import ConicProgramme, conic_programme, with_coefficients
-from taichi_bearings.benchmarks.peers import Peer, find_peers, moreau_solver
-from taichi_bearings.benchmarks.rows import Row
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
@@ -29,6 +26,10 @@ from taichi_bearings.scans.plan import Sample, read_plan
 from taichi_bearings.scans.sample import Wanted, failure, solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
+
+from .conic import ConicProgramme, conic_programme, with_coefficients
+from .peers import Peer, find_peers, moreau_solver
+from .rows import Row
 
 TOLERANCE = 1e-8
 BATCH = 24  # samples that moreau is given at a time

@@ -16,10 +16,6 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.benchmarks import counts
-from taichi_bearings.benchmarks.conic import ConicProgramme, conic_programme
-from taichi_bearings.benchmarks.peers import Peer, find_peers
-from taichi_bearings.benchmarks.rows import Row
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.errors import InputError
 from taichi_bearings.kernels.stencil import Stencil
@@ -32,6 +28,11 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, InteriorPoint, MethodOptions
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import StopRule
+
+from . import counts
+from .conic import ConicProgramme, conic_programme
+from .peers import Peer, find_peers
+from .rows import Row
 
 TOLERANCE = 1e-8
 BRIEF = 3.0  # seconds of a solve from which it is not made again and again

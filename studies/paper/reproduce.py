@@ -11,14 +11,15 @@ from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.whole_file import refuse_standing, write_text
-from taichi_bearings.paper.claims import KINDS, VERDICTS, Claim, Effort, is_claim
-from taichi_bearings.paper.environment import environment
-from taichi_bearings.paper.page import page
 from taichi_bearings.plain_files import read_json, read_whole
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted, meant
+
+from .claims import KINDS, VERDICTS, Claim, Effort, is_claim
+from .environment import environment
+from .page import page
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class PaperFigure:
     seconds: tuple[float, float]
 
     def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
-        module = importlib.import_module(f"taichi_bearings.paper.{self.module}")
+        module = importlib.import_module(f".{self.module}", __package__)
         claims: list[Claim] = module.reproduce(folder, effort)
         return claims
 

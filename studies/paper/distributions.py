@@ -12,13 +12,14 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import write_csv
-from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
-from taichi_bearings.paper.network import BULK, PRACTICALLY_ALL, SAME, certified
-from taichi_bearings.paper.samples import save_both
-from taichi_bearings.plots.distributions import Case, draw_distributions
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import alike, each, stage
+
+from ..plots.distributions import Case, draw_distributions
+from .claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
+from .network import BULK, PRACTICALLY_ALL, SAME, certified
+from .samples import save_both
 
 SPREAD = (
     "uniform:0.1,1",

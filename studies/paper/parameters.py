@@ -15,10 +15,6 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import write_csv
-from taichi_bearings.paper.claims import FEWEST, Claim, Effort, interval_of_mean
-from taichi_bearings.paper.relaxation import SAME, TIMES, Run, relax
-from taichi_bearings.paper.samples import save_both, solved
-from taichi_bearings.plots.parameters import Course, draw_parameters
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import CundallStrack, InteriorPoint
@@ -26,6 +22,11 @@ from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted
 from taichi_bearings.words import share as in_percent
+
+from ..plots.parameters import Course, draw_parameters
+from .claims import FEWEST, Claim, Effort, interval_of_mean
+from .relaxation import SAME, TIMES, Run, relax
+from .samples import save_both, solved
 
 SHAPE, START = (3, 3, 3), "random"
 RUNS = 8

@@ -18,9 +18,10 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
-from taichi_bearings.stress.axes import AXES, ROWS, Cell
-from taichi_bearings.stress.truth import SLIPLESS, SLIPPING, Truth, layered, least
 from taichi_bearings.version import VERSION
+
+from .axes import AXES, ROWS, Cell
+from .truth import SLIPLESS, SLIPPING, Truth, layered, least
 
 RIGHT, NOT_REACHED, REFUSED, WRONG, CRASH = OUTCOMES = ("right", "not reached", "refused", "wrong", "crash")
 TOLERANCE = 1e-8

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.benchmarks.accuracy import Entry, SceneResult
 from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_csv, write_text
-from taichi_bearings.plots.accuracy import Curve, Panel, draw_accuracy
 from taichi_bearings.plots.style import save
+
+from ..plots.accuracy import Curve, Panel, draw_accuracy
+from .accuracy import Entry, SceneResult
 
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
 COLUMNS = (

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_bearings.paper.claims import Claim, Effort
-from taichi_bearings.paper.figure_3 import spanning_samples
-from taichi_bearings.paper.samples import save_both
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, planes_of
 from taichi_bearings.stages import stage
+
+from .claims import Claim, Effort
+from .figure_3 import spanning_samples
+from .samples import save_both
 
 
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
-from taichi_bearings.paper.claims import KINDS
 from taichi_bearings.plots.style import SUPERSCRIPTS
 from taichi_bearings.words import counted
+
+from .claims import KINDS
 
 STYLE = """
 body { font: 16px/1.5 Georgia, 'Times New Roman', serif; color: #1a1a1a; }

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from taichi_bearings.benchmarks.timing import Times
+from .timing import Times
 
 PARTS = {
     "memory": "bandwidth by working set",

@@ -23,10 +23,6 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.numerics.minimum_cut import MinimumCut, flow_cut, next_cut
-from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share, every
-from taichi_bearings.paper.relaxation import relax
-from taichi_bearings.paper.samples import save_both, solved
-from taichi_bearings.plots.configurations import draw_configurations
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
@@ -34,6 +30,11 @@ from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted, share
+
+from ..plots.configurations import draw_configurations
+from .claims import FEWEST, HALF, Claim, Effort, Share, every
+from .relaxation import relax
+from .samples import save_both, solved
 
 SHAPE, CUBE = (10, 10), (10, 10, 10)
 PAPER_SAMPLES, PAPER_OTHERS = 1000, 17  # the paper's, and how many of them did not end at the minimum cut

@@ -10,8 +10,14 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import write_csv
-from taichi_bearings.paper.claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
-from taichi_bearings.paper.relaxation import (
+from taichi_bearings.scene import Scene
+from taichi_bearings.solvers import CundallStrack
+from taichi_bearings.stages import each, stage
+from taichi_bearings.words import counted
+
+from ..plots.relaxation import Relaxation, draw_relaxation
+from .claims import FEWEST, HALF, Claim, Effort, Share, every, interval_of_mean
+from .relaxation import (
     SAME,
     Minima,
     Run,
@@ -21,12 +27,7 @@ from taichi_bearings.paper.relaxation import (
     relax_rigidly,
     without_idle_spin,
 )
-from taichi_bearings.paper.samples import save_both
-from taichi_bearings.plots.relaxation import Relaxation, draw_relaxation
-from taichi_bearings.scene import Scene
-from taichi_bearings.solvers import CundallStrack
-from taichi_bearings.stages import each, stage
-from taichi_bearings.words import counted
+from .samples import save_both
 
 SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
 STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}

@@ -18,8 +18,6 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.benchmarks.conic import conic_programme
-from taichi_bearings.benchmarks.peers import TOLERANCES, Peer
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import chosen
 from taichi_bearings.proof.certificate import relative_gap
@@ -31,6 +29,9 @@ from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 from taichi_bearings.stages import each, stage
+
+from .conic import conic_programme
+from .peers import TOLERANCES, Peer
 
 TIGHTEST = 1e-14  # asked of every method; rounding ends it earlier
 SLACK = 1e-13  # relative rounding of a power; a bound that is higher than a power by more is wrong

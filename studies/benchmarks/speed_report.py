@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.benchmarks.rows import COLUMNS, PARTS, Row
-from taichi_bearings.benchmarks.speed import Report
 from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_csv
-from taichi_bearings.plots.roofline import Ceilings, Measured, draw_roofline
 from taichi_bearings.plots.style import save
+
+from ..plots.roofline import Ceilings, Measured, draw_roofline
+from .rows import COLUMNS, PARTS, Row
+from .speed import Report
 
 Cell = Callable[[Row], str]
 TIMES: dict[str, Cell] = {

@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.benchmarks.conic import ConicProgramme, conic_programme
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene
+
+from .conic import ConicProgramme, conic_programme
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # asked for, one after another
 
