@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
 from taichi_bearings.proof.contact_state import ContactState, count
 from taichi_bearings.runs import run as runs
@@ -25,7 +26,7 @@ from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.many import SceneTask, solve_all
-from taichi_bearings.scene import Scene, Snapshots
+from taichi_bearings.scene import Scene, Snapshots, Solution
 from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
@@ -58,6 +59,18 @@ class Check:
 def _field(doc: str, find: Callable[[runs.Run], Any]) -> Any:
     """A field of :class:`Result`; arrays lose the axis of replicas where there is a single sample."""
     return property(lambda result: result._of_samples(find(result._run)), doc=doc)
+
+
+def _of_contacts(doc: str, find: Callable[[Solution], np.ndarray | None]) -> Any:
+    """A field with an array an axis; an empty tuple where nothing is known."""
+
+    def found(result: "Result") -> tuple[np.ndarray, ...]:
+        values, lattice = find(result._run.solution), result.scene.lattice
+        if values is None:
+            return ()
+        return lattice.by_axis(values if result.scene.replicas > 1 else values[0])
+
+    return property(found, doc=doc)
 
 
 def _states(which: ContactState) -> Any:
@@ -114,26 +127,21 @@ class Result:
         "What rounding leaves out of `spin`, the same shape and unit: the spins are the sums of both.",
         lambda run: run.solution.spin_rounding,
     )
-    slip = _field("Slip speed of each contact, length/time; an array an axis.", lambda run: run.solution.slip)
-    power_per_contact = _field(
-        "Power dissipated at each contact, energy/time; an array an axis.", lambda run: run.solution.power_per_contact
+    slip = _of_contacts("Slip speed of each contact, length/time; an array an axis.", lambda found: found.slip)
+    power_per_contact = _of_contacts(
+        "Power dissipated at each contact, energy/time; an array an axis.", lambda found: found.power_per_contact
     )
-    force = _field(
-        "Magnitude of the tangential force of each contact, force; an array an axis.", lambda run: run.solution.force
+    force = _of_contacts(
+        "Magnitude of the tangential force of each contact, force; an array an axis.", lambda found: found.force
     )
-    friction = _field(
-        "Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D "
-        "(*contacts), its component along z x n. The lower bound follows from it. Empty if the file has none.",
-        lambda run: run.solution.friction,
-    )
-    state = _field(
+    state = _of_contacts(
         "State of each contact: 0 slipless, 1 slipping, 2 undecided, 3 between driven spheres, or absent; an array "
         "an axis.",
-        lambda run: run.solution.state,
+        lambda found: found.state,
     )
-    slip_bound = _field(
+    slip_bound = _of_contacts(
         "Proven: no minimum slips faster at a contact, length/time; an array an axis. Empty where nothing is known.",
-        lambda run: run.solution.slip_bound,
+        lambda found: found.slip_bound,
     )
     slipping, slipless, undecided = map(_states, (ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED))
     states_proven = _field(
@@ -160,6 +168,12 @@ class Result:
     summary = property(lambda self: self._run.summary, doc="All numbers by name, as `bearings run --json` prints them.")
 
     @property
+    def friction(self) -> tuple[np.ndarray, ...]:
+        """Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D
+        (*contacts), its component along z x n. The lower bound follows from it."""
+        return friction_by_axis(self._of_samples(self._run.solution.friction), self.scene.lattice)
+
+    @property
     def history(self) -> dict[str, np.ndarray]:
         """The way to the answer: columns (checks,); of several samples (R, checks), but for these three.
 
@@ -178,11 +192,9 @@ class Result:
         return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
     def _of_samples(self, values: Any) -> Any:
-        """The values of all samples, (R, ...) or tuples of such, as users meet them."""
+        """The values of all samples, (R, ...), as users meet them."""
         if self._run.solution.scene.replicas > 1:
             return values
-        if isinstance(values, tuple):
-            return tuple(part[0] for part in values)
         return values[0].item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
 
     def __len__(self) -> int:

@@ -69,32 +69,31 @@ class PowerHistogram:
 
 
 def power_histogram(
-    power: Sequence[np.ndarray], state: Sequence[np.ndarray], slip_threshold: float, bins_per_decade: int = 5
+    power: np.ndarray, state: np.ndarray, slip_threshold: float, bins_per_decade: int = 5
 ) -> PowerHistogram:
-    """Histogram of the power of slipping contacts. power, state : (R, *contacts), one array an axis."""
+    """Histogram of the power of slipping contacts. power, state : (R, E)."""
     return pool(count_powers(power, state, bins_per_decade), slip_threshold)
 
 
 def count_powers(
-    power: Sequence[np.ndarray],
-    state: Sequence[np.ndarray],
+    power: np.ndarray,
+    state: np.ndarray,
     bins_per_decade: int = 5,
     unit: np.ndarray | None = None,
     anchor: float = 1.0,
 ) -> SampleCounts:
-    """Contacts of R replicas in bins. power, state : (R, *contacts), one array an axis.
+    """Contacts of R replicas in bins. power, state : (R, E).
 
     unit : (R,) power that counts as 1 in each replica, default 1. anchor : as in SampleCounts.
     """
-    powers, states = (np.concatenate([v.reshape(len(v), -1) for v in sets], axis=1) for sets in (power, state))
-    replica, contact = np.nonzero((states == ContactState.SLIPPING) & (powers > 0))
-    scale = np.ones(len(powers)) if unit is None else unit
+    replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
+    scale = np.ones(len(power)) if unit is None else unit
     number = np.floor(
-        bins_per_decade * np.log10(powers[replica, contact] / scale[replica] * anchor)  # 1/1*x is x to the last bit
+        bins_per_decade * np.log10(power[replica, contact] / scale[replica] * anchor)  # 1/1*x is x to the last bit
     ).astype(int)
     first, bins = (int(number.min()), int(np.ptp(number)) + 1) if len(number) else (0, 0)
-    count = np.bincount(replica * bins + number - first, minlength=len(powers) * bins).reshape(len(powers), bins)
-    outside = ((states == which).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.UNDECIDED))
+    count = np.bincount(replica * bins + number - first, minlength=len(power) * bins).reshape(len(power), bins)
+    outside = ((state == which).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.UNDECIDED))
     return SampleCounts(first, bins_per_decade, anchor, count, *outside)
 
 

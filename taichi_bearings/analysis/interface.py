@@ -5,7 +5,6 @@ lightest one would dissipate least. In 2D with Coulomb friction that is the mini
 law, states between the two dissipate less (equations.md, 5).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +21,7 @@ class Interface:
 
     above : N, True for the spheres that turn with the top. between : N, True for those that another cut, as light (in
         3D: to 1e-12), may put on the other side.
-    contacts : True for those that slip, one array a lattice axis, of the shape of its contacts.
+    contacts : (E,) True for those that slip.
     power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less, or have less
         of what the stationary state minimises if that is not the power; proven.
     next_power : the same of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is
@@ -31,7 +30,7 @@ class Interface:
 
     above: np.ndarray
     between: np.ndarray
-    contacts: tuple[np.ndarray, ...]
+    contacts: np.ndarray
     power: float
     lower_bound: float
     next_power: float
@@ -44,7 +43,7 @@ class Interface:
     @property
     def size(self) -> int:
         """Number of its contacts."""
-        return sum(int(values.sum()) for values in self.contacts)
+        return int(self.contacts.sum())
 
     @cached_property
     def crossings(self) -> np.ndarray:
@@ -65,10 +64,11 @@ class Interface:
 def find_interface(scene: Scene, replica: int = 0) -> Interface:
     """The cheapest interface of one sample: of the least power, or what else the stationary state minimises."""
     slips = scene.jump > 0  # else no contact of any interface slips
-    weight = tuple(values[[replica]] for values in cut_weights(scene))
-    cut, unit = minimum_cut(weight), cut_unit(scene)
+    weight = cut_weights(scene)[[replica]]
+    cut, unit = minimum_cut(scene.lattice.by_axis(weight)), cut_unit(scene)
     above = cut.above[0]
-    contacts = tuple(np.diff(above, axis=axis) & (values[0] > 0) & slips for axis, values in enumerate(weight))
+    low, high = above.ravel()[scene.lattice.ends]
+    contacts = (low != high) & (weight[0] > 0) & slips
     power = unit * float(cut.weight[0])
     if scene.law.minimises != "power":
         spin, axes = minimum_cut_spin(scene.sample(replica)), scene.lattice.all_spin_axes
@@ -95,13 +95,9 @@ class Difference:
         return self.only_slipping == self.only_interface == 0
 
 
-def compare(slipping: Sequence[np.ndarray], interface: Sequence[np.ndarray]) -> Difference:
-    """What tells the slipping contacts of a state from those of an interface; one mask an axis each."""
-    pairs = list(zip(slipping, interface, strict=True))
-    return Difference(
-        only_slipping=sum(int((slips & ~cut).sum()) for slips, cut in pairs),
-        only_interface=sum(int((cut & ~slips).sum()) for slips, cut in pairs),
-    )
+def compare(slipping: np.ndarray, interface: np.ndarray) -> Difference:
+    """What tells the slipping contacts of a state from those of an interface; masks (E,)."""
+    return Difference(int((slipping & ~interface).sum()), int((interface & ~slipping).sum()))
 
 
 __all__ = ["Difference", "Interface", "compare", "find_interface"]

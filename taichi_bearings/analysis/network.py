@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.incidence import ends, number_bodies
+from taichi_bearings.lattice.incidence import number_bodies
 from taichi_bearings.proof.contact_state import ContactState
 
 
@@ -34,29 +34,26 @@ class DisjointPaths:
 class SliplessNetwork:
     """Spheres of one sample and the slipless contacts that join them.
 
-    slipless : one bool array (*contacts) an axis, False between two driven spheres.
+    slipless : (contacts,) bool, of all contacts of the lattice, False between two driven spheres.
     """
 
     lattice: Lattice
-    slipless: tuple[np.ndarray, ...]
+    slipless: np.ndarray
 
     @cached_property
     def axis(self) -> np.ndarray:
         """Axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
-        return np.repeat(np.arange(self.lattice.dimension), [int(values.sum()) for values in self.slipless])
+        return self.lattice.axis[self.slipless]
 
     @cached_property
     def contact(self) -> np.ndarray:
         """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
-        return np.concatenate([np.argwhere(values) for values in self.slipless])
+        return np.stack(np.unravel_index(self.ends[0], self.lattice.shape), axis=1)
 
     @cached_property
     def ends(self) -> np.ndarray:
         """Lower and upper sphere (2, E) of each edge, as indices in C order."""
-        sphere = np.arange(self.lattice.sites).reshape(self.lattice.shape)
-        pairs = (ends(sphere, axis, self.lattice.dimension) for axis in range(self.lattice.dimension))
-        joined = ([end[chosen] for end in pair] for pair, chosen in zip(pairs, self.slipless, strict=True))
-        return np.concatenate([*map(np.stack, joined)], axis=1)
+        return self.lattice.ends[:, self.slipless]
 
     @cached_property
     def bottom(self) -> np.ndarray:
@@ -172,19 +169,16 @@ class SliplessNetwork:
             found.append(label[0] == label[-1])
         return np.array(found)
 
-    def on_contacts(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Values (E,) of the edges spread over the contacts, one array (*contacts) an axis, 0 elsewhere."""
-        spread = []
-        for axis, chosen in enumerate(self.slipless):
-            field = np.zeros(chosen.shape, dtype=values.dtype)
-            field[chosen] = values[self.axis == axis]
-            spread.append(field)
-        return tuple(spread)
+    def on_contacts(self, values: np.ndarray) -> np.ndarray:
+        """Values (E,) of the edges spread over all contacts of the lattice, 0 elsewhere."""
+        spread = np.zeros(self.slipless.shape, dtype=values.dtype)
+        spread[self.slipless] = values
+        return spread
 
 
-def network_of(lattice: Lattice, state: tuple[np.ndarray, ...]) -> SliplessNetwork:
-    """The network of the contacts in state SLIPLESS; state : one array (*contacts) an axis."""
-    return SliplessNetwork(lattice, tuple(values == ContactState.SLIPLESS for values in state))
+def network_of(lattice: Lattice, state: np.ndarray) -> SliplessNetwork:
+    """The network of the contacts in state SLIPLESS; state : (contacts,)."""
+    return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
 
 
 def planes_crossed(path: np.ndarray) -> tuple[int, ...]:

@@ -30,18 +30,18 @@ class Structure:
     """A solved sample and what its contacts form.
 
     scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
-    slip, state : one array (*contacts) an axis. power, lower_bound : energy/time.
-    friction : laboratory frame, one array (*contacts, 3) an axis, in 2D (*contacts); None if it is not known.
+    slip, state : (E,). power, lower_bound : energy/time.
+    friction : laboratory frame, (E, 3), in 2D (E,); None if it is not known.
     states_proven : True if `state` is proven to be that of every minimum. minimum_is_unique : None if it is not known.
     """
 
     scene: Scene
     spin: np.ndarray
-    slip: tuple[np.ndarray, ...]
-    state: tuple[np.ndarray, ...]
+    slip: np.ndarray
+    state: np.ndarray
     power: float
     lower_bound: float
-    friction: tuple[np.ndarray, ...] | None = None
+    friction: np.ndarray | None = None
     states_proven: bool = False
     minimum_is_unique: bool | None = None
 
@@ -51,17 +51,15 @@ class Structure:
         return self.scene.staggered_spin(self.spin[None], self.scene.minimum_spin_axes)[:, 0]
 
     @cached_property
-    def force(self) -> tuple[np.ndarray, ...] | None:
-        """Staggered contact forces, one array (T, *contacts) an axis, of these components."""
+    def force(self) -> np.ndarray | None:
+        """Staggered contact forces, (C, E), of these components."""
         if self.friction is None:
             return None
-        friction = tuple(values[None] for values in self.friction)
-        found = staggered_forces(friction, self.scene.lattice, self.scene.minimum_spin_axes)
-        return tuple(values[:, 0] for values in found)
+        return staggered_forces(self.friction[None], self.scene.lattice, self.scene.minimum_spin_axes)[:, 0]
 
     def contacts_in(self, which: ContactState) -> int:
         """Number of contacts in a state."""
-        return sum(int((values == which).sum()) for values in self.state)
+        return int((self.state == which).sum())
 
     @cached_property
     def interface(self) -> Interface:
@@ -107,8 +105,9 @@ class Structure:
         """How close to slipping the contacts are; None without forces or without a limit of friction."""
         if self.force is None or not self.scene.law.is_rate_independent:
             return None
-        limit = tuple(self.scene.normal_force * values[0] for values in self.scene.coefficient)
-        return friction_load(self.force, limit, self.state)
+        return friction_load(
+            self.scene.lattice, self.force, self.scene.strength * self.scene.coefficient[0], self.state
+        )
 
     @cached_property
     def force_distribution(self) -> ForceDistribution | None:
@@ -126,7 +125,7 @@ def structure_of(solution: Solution, number: int = 0, threshold: float | None = 
     threshold : slip speed up to which contacts count as slipless, whatever the solution says. Default: its own states.
     """
     sample = solution.sample(number)
-    slip, state = (tuple(values[0] for values in sets) for sets in (sample.slip, sample.state))
+    slip, state = sample.slip[0], sample.state[0]
     return Structure(
         scene=sample.scene,
         spin=sample.spin[0],
@@ -134,21 +133,14 @@ def structure_of(solution: Solution, number: int = 0, threshold: float | None = 
         state=state if threshold is None else states_by_threshold(slip, state, threshold),
         power=float(sample.power[0]),
         lower_bound=float(sample.lower_bound[0]),
-        friction=tuple(values[0] for values in sample.friction) or None,
+        friction=sample.friction[0],
         states_proven=bool(sample.resolved[0]) and threshold is None,
         minimum_is_unique=sample.minimum_is_unique[0] if threshold is None else None,
     )
 
 
-def states_by_threshold(
-    slip: tuple[np.ndarray, ...], state: tuple[np.ndarray, ...], threshold: float
-) -> tuple[np.ndarray, ...]:
-    """Contacts that slip faster than the threshold slip, all others are slipless; those between driven spheres stay."""
-    return tuple(
-        np.where(
-            was == ContactState.DRIVEN,
-            was,
-            np.where(speed > threshold, ContactState.SLIPPING, ContactState.SLIPLESS),
-        ).astype(np.uint8)
-        for speed, was in zip(slip, state, strict=True)
-    )
+def states_by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.ndarray:
+    """Contacts (E,) that slip faster than the threshold slip, all others are slipless; those between driven spheres
+    stay."""
+    told = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+    return np.where(state == ContactState.DRIVEN, state, told).astype(np.uint8)

@@ -50,23 +50,21 @@ def view(network: SliplessNetwork, domains: RigidDomains) -> View:
 
 def views_by_threshold(
     lattice: Lattice,
-    slip: tuple[np.ndarray, ...],
+    slip: np.ndarray,
     largest_slip: float,
     staggered: np.ndarray,
     spin_axes: tuple[int, ...],
 ) -> list[View]:
     """The view of one sample for each of THRESHOLDS.
 
-    slip : speed, one array (*contacts) an axis, length/time. largest_slip : the unit of the thresholds, length/time.
+    slip : speed, (E,), length/time. largest_slip : the unit of the thresholds, length/time.
     staggered : (C, *N) spins, components as named by spin_axes, 1/time.
     """
     views: dict[int, View] = {}
     chosen = []
     for threshold in THRESHOLDS:
-        slipless = tuple(
-            (values <= threshold * largest_slip) & ~lattice.between_driven(axis) for axis, values in enumerate(slip)
-        )
-        count = sum(int(values.sum()) for values in slipless)  # the sets are nested: the same number, the same set
+        slipless = (slip <= threshold * largest_slip) & ~lattice.between_driven
+        count = int(slipless.sum())  # the sets are nested: the same number, the same set
         if count not in views:
             network = SliplessNetwork(lattice, slipless)
             views[count] = view(network, rigid_domains(network, staggered, spin_axes))

@@ -14,7 +14,7 @@ are loops of slipless contacts around which torque can circulate: states of self
 Calladine, Int. J. Solids Struct. 22, 1986) and in packings of grains with friction. Then these forces, and with them
 saturations, distributions and participation, are one admissible choice: that of the method.
 
-All arrays are of one sample. Forces are staggered, one array (T, *contacts) an axis (lattice/grid.py).
+All arrays are of one sample. Forces are staggered, (C, E) (lattice/grid.py).
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,6 @@ from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.scene import vector_length
 
-Arrays = tuple[np.ndarray, ...]
 STRONGEST = 0.1  # share of the contacts of a gap that counts as its strongest
 
 
@@ -55,7 +54,7 @@ class TorqueFlow:
     slipless: np.ndarray
     slipping: np.ndarray
     undecided: np.ndarray
-    through_plane: Arrays
+    through_plane: tuple[np.ndarray, ...]
     sideways: np.ndarray
     participation: np.ndarray
     strongest: np.ndarray
@@ -87,25 +86,25 @@ class TorqueFlow:
 
 
 def torque_flow(
-    lattice: Lattice, spin_axes: tuple[int, ...], force: Arrays, state: Arrays, jump: np.ndarray
+    lattice: Lattice, spin_axes: tuple[int, ...], force: np.ndarray, state: np.ndarray, jump: np.ndarray
 ) -> TorqueFlow:
     """The flow of torque through a sample.
 
-    force : (T, *contacts) an axis. state : values of ContactState, (*contacts) an axis. jump : (C,), 1/time.
+    force : (C, E). state : values of ContactState, (E,). jump : (C,), 1/time.
     """
     height = lattice.height_axis
     gaps, components = lattice.shape[-1] - 1, len(spin_axes)
     flow = np.zeros((components, int(np.prod(lattice.shape[:-1])), gaps))
     sideways = np.zeros((components, gaps + 1))
-    for axis, vectors in enumerate(force):
-        for part, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
-            torque = (lattice.radius * part).reshape(-1, part.shape[-1])
+    for axis, vectors in enumerate(lattice.by_axis(force)):
+        for slot in tangential(axis, spin_axes):
+            torque = (lattice.radius * vectors[slot]).reshape(-1, vectors.shape[-1])
             if axis == height:
                 flow[slot] = torque
             else:
                 sideways[slot] += np.abs(torque).sum(axis=0)
     sideways[:, [0, -1]] = 0.0
-    kind = state[height].reshape(flow.shape[1:])
+    kind = lattice.by_axis(state)[height].reshape(flow.shape[1:])
     slipless, slipping = (
         np.where(kind == which, flow, 0.0).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.SLIPPING)
     )
@@ -114,7 +113,7 @@ def torque_flow(
     strong = max(1, round(STRONGEST * flow.shape[1]))
     most = np.sort(size, axis=1)[:, -strong:].sum(axis=1)
     against = (sizes - np.abs(through_gap)) / 2
-    pull = torques(tuple(f[:, None] for f in force), lattice, spin_axes)[:, 0, ..., 1:-1]
+    pull = torques(force[:, None], lattice, spin_axes)[:, 0, ..., 1:-1]
     return TorqueFlow(
         spin_axes=spin_axes,
         through_gap=through_gap,
@@ -159,16 +158,22 @@ class PlaneFlow:
 
 
 def plane_flow(
-    lattice: Lattice, spin_axes: tuple[int, ...], force: Arrays, state: Arrays, component: int, index: int | None = None
+    lattice: Lattice,
+    spin_axes: tuple[int, ...],
+    force: np.ndarray,
+    state: np.ndarray,
+    component: int,
+    index: int | None = None,
 ) -> PlaneFlow:
     """The current in the plane number `index` normal to a horizontal component; by default the middle one."""
     height = lattice.height_axis
     (side,) = (axis for axis in range(height) if axis != component)
     place = lattice.shape[component] // 2 if index is None and lattice.dimension == 3 else index or 0
     found = []
+    torque = lattice.by_axis(lattice.radius * force[spin_axes.index(component)])
+    states = lattice.by_axis(state)
     for axis in (side, height):
-        torque = lattice.radius * force[axis][tangential(axis, spin_axes).index(spin_axes.index(component))]
-        for values in (torque, state[axis]):
+        for values in (torque[axis], states[axis]):
             found.append(np.take(values, place, axis=component) if lattice.dimension == 3 else values)
     normal = component if lattice.dimension == 3 else None
     return PlaneFlow(component, normal, place, found[0], found[2], found[1], found[3])
@@ -211,26 +216,28 @@ class FrictionLoad:
         return len(self.saturation) - int(np.searchsorted(self.saturation, 1.0 - margin))
 
 
-def friction_load(force: Arrays, limit: Arrays, state: Arrays, bins: int = 50, listed: int = 20) -> FrictionLoad:
+def friction_load(
+    lattice: Lattice, force: np.ndarray, limit: np.ndarray, state: np.ndarray, bins: int = 50, listed: int = 20
+) -> FrictionLoad:
     """How close to slipping the contacts are (Coulomb law).
 
-    limit : mu F_n, (*contacts) an axis. bins : of the histograms, evenly spaced. listed : most loaded contacts to name.
+    force : (C, E). limit : mu F_n, (E,). state : (E,). bins : of the histograms, evenly spaced. listed : most loaded
+    contacts to name.
     """
-    sizes = ((vector_length(f), bound) for f, bound in zip(force, limit, strict=True))
-    ratio = tuple(np.divide(size, bound, out=np.zeros_like(size), where=bound > 0) for size, bound in sizes)
-    still, moving = (_of_state(ratio, state, which) for which in (ContactState.SLIPLESS, ContactState.SLIPPING))
+    size = vector_length(force)
+    ratio = np.divide(size, limit, out=np.zeros_like(size), where=limit > 0)
+    slipless = state == ContactState.SLIPLESS
+    still, moving = ratio[slipless], ratio[state == ContactState.SLIPPING]
     edges = np.linspace(0.0, 1.0, bins + 1)
-    slipless = [s == ContactState.SLIPLESS for s in state]
-    axis = np.repeat(np.arange(len(state)), [int(mask.sum()) for mask in slipless])
-    contact = np.concatenate([np.argwhere(mask) for mask in slipless])
     first = np.argsort(-still, kind="stable")[:listed]
+    loaded = np.flatnonzero(slipless)[first]
     return FrictionLoad(
         edges=edges,
         slipless=np.histogram(np.minimum(still, 1.0), edges)[0],
         slipping=np.histogram(np.minimum(moving, 1.0), edges)[0],
         saturation=np.sort(still),
-        loaded_axis=axis[first],
-        loaded_contact=contact[first],
+        loaded_axis=lattice.axis[loaded],
+        loaded_contact=np.stack(np.unravel_index(lattice.ends[0, loaded], lattice.shape), axis=1),
         loaded_saturation=still[first],
     )
 
@@ -251,11 +258,11 @@ class ForceDistribution:
     mean_every: float
 
 
-def force_distribution(force: Arrays, state: Arrays, width: float = 0.1) -> ForceDistribution:
+def force_distribution(force: np.ndarray, state: np.ndarray, width: float = 0.1) -> ForceDistribution:
     """Distribution of the sizes of the contact forces. width : of the bins, in means."""
-    size = tuple(vector_length(f) for f in force)
-    kinds = (ContactState.SLIPLESS, ContactState.SLIPPING)
-    groups = [*(_of_state(size, state, which) for which in kinds), _acting(size, state)]
+    size = vector_length(force)
+    kinds = (state == ContactState.SLIPLESS, state == ContactState.SLIPPING, state != ContactState.DRIVEN)
+    groups = [size[chosen] for chosen in kinds]
     means = [float(values.mean()) if len(values) else 0.0 for values in groups]
     scaled = [values / mean if mean > 0 else values[:0] for values, mean in zip(groups, means, strict=True)]
     longest = max(float(values.max(initial=0.0)) for values in scaled)
@@ -303,16 +310,6 @@ def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> SelfStr
         numbers.append((int(carries.sum()), len(joined), len(np.unique(label[joined]))))
     contacts, bodies, domains = np.array(numbers, dtype=int).T
     return SelfStress(spin_axes, contacts, bodies, domains)
-
-
-def _of_state(values: Arrays, state: Arrays, which: ContactState) -> np.ndarray:
-    """Values of the contacts in a state, x-contacts first."""
-    return np.concatenate([v[s == which] for v, s in zip(values, state, strict=True)])
-
-
-def _acting(values: Arrays, state: Arrays) -> np.ndarray:
-    """Values of all contacts but those between driven spheres."""
-    return np.concatenate([v[s != ContactState.DRIVEN] for v, s in zip(values, state, strict=True)])
 
 
 def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:

@@ -17,8 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import tangential
-from taichi_bearings.lattice.incidence import ends, number_free
+from taichi_bearings.lattice.incidence import number_free
 
 
 @dataclass(frozen=True)
@@ -78,36 +77,27 @@ class ContactGroup:
 
 
 @dataclass(frozen=True)
-class Home:
-    """Contacts of a group that lie along one lattice axis.
+class Places:
+    """Where the n contacts of a group are in flat arrays.
 
-    places : where they are in values (..., *contacts) of the axis: an ellipsis, and (n,) indices along each axis.
-    own : their places in the group.
+    contact : (n,), their numbers. slot : (d, n), the spin component of each row.
     """
 
-    axis: int
-    places: tuple
-    own: slice
-
-    def among(self, fields: Sequence[np.ndarray], replica: int | slice) -> np.ndarray:
-        """Values (..., *contacts) of a sample on the contacts of the axis, or (R, ..., *contacts) of several; a view.
-
-        fields : one array (..., R, *contacts) a lattice axis.
-        """
-        return np.moveaxis(fields[self.axis], -1 - len(fields), 0)[replica]
+    contact: np.ndarray
+    slot: np.ndarray
 
 
 @dataclass(frozen=True)
 class ContactSystem:
     """Groups of contacts over a common vector of unknown spins.
 
-    homes : where they are on a lattice, a tuple a group; place : (D, unknowns), where the spins are. None of a system
+    places : where they are on a lattice, a group each; place : (D, unknowns), where the spins are. None of a system
     that is not that of a whole lattice.
     """
 
     unknowns: int
     groups: tuple[ContactGroup, ...]
-    homes: tuple[tuple[Home, ...], ...] = ()
+    places: tuple[Places, ...] = ()
     place: np.ndarray | None = None
 
     @cached_property
@@ -150,19 +140,20 @@ class ContactSystem:
         pairs = zip(self.groups, forces, strict=True)
         return reduce(np.add, (group.transposed @ force.reshape(-1, *force.shape[2:]) for group, force in pairs))
 
-    def gather(self, fields: Sequence[np.ndarray], replica: int) -> Arrays:
-        """Values (..., n) a group of one sample; fields : one array (..., R, *contacts) a lattice axis."""
+    def gather(self, values: np.ndarray, replica: int) -> Arrays:
+        """Values (n,) a group of one sample; values : (R, E)."""
+        return Grouped(values[replica][places.contact] for places in self.places)
 
-        def gathered(homes: tuple[Home, ...]) -> np.ndarray:
-            return np.concatenate([home.among(fields, replica)[home.places] for home in homes], -1)
+    def scatter(self, numbers: Arrays, values: np.ndarray, replica: int | slice) -> None:
+        """Inverse of :meth:`gather`: write the numbers into the values, or those (R, n) of several samples."""
+        for places, new in zip(self.places, numbers, strict=True):
+            values[replica][..., places.contact] = new
 
-        return Grouped(map(gathered, self.homes))
-
-    def scatter(self, values: Arrays, fields: Sequence[np.ndarray], replica: int | slice) -> None:
-        """Inverse of :meth:`gather`: write the values into the fields, or those (R, ..., n) of several samples."""
-        for homes, new in zip(self.homes, values, strict=True):
-            for home in homes:
-                home.among(fields, replica)[home.places] = new[..., home.own]
+    def scatter_vectors(self, vectors: Arrays, values: np.ndarray, replica: int | slice) -> None:
+        """The same of vectors (d, n) or (R, d, n) a group; values : (C, R, E)."""
+        by_replica = np.moveaxis(values, 1, 0)
+        for places, new in zip(self.places, vectors, strict=True):
+            by_replica[replica][..., places.slot, places.contact] = new
 
     def pieces(self, chosen: Arrays) -> tuple[int, np.ndarray]:
         """Number of the pieces that the chosen contacts, (n,) masks a group, join the spins to, and that of each."""
@@ -259,26 +250,18 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
     sphere, free = number_free(lattice.shape), int(np.prod(lattice.free_shape))
     is_top = np.zeros(lattice.shape, dtype=bool)
     is_top[..., -1] = True
-    unknowns, kinds = free * len(spin_axes), dict[int, list[tuple[int, np.ndarray, ContactGroup]]]()
-    for axis in range(lattice.dimension):
-        slots = np.array(tangential(axis, spin_axes), dtype=int)[:, None]
-        if len(slots) == 0:
+    unknowns, felt = free * len(spin_axes), lattice.felt(spin_axes)
+    (below, above), rises = sphere.ravel()[lattice.ends], is_top.ravel()[lattice.ends[1]]
+    groups, places = [], []
+    for count in range(1, len(spin_axes) + 1):
+        contact = np.flatnonzero(~lattice.between_driven & (felt.sum(axis=0) == count))
+        if not len(contact):
             continue
-        acting = np.flatnonzero(~lattice.between_driven(axis).ravel())
-        below, above = (end.ravel()[acting] for end in ends(sphere, axis, lattice.dimension))
-        offset = jump[slots] * ends(is_top, axis, lattice.dimension)[1].ravel()[acting]
-        first, second = (np.where(end >= 0, end * len(spin_axes) + slots, -1) for end in (below, above))
-        group = ContactGroup(first, second, offset, unknowns)
-        kinds.setdefault(len(slots), []).append((axis, acting, group))
-    groups, homes = [], []
-    for _, kind in sorted(kinds.items()):
-        groups.append(ContactGroup.joined([group for _, _, group in kind]))
-        ends_at = np.cumsum([len(acting) for _, acting, _ in kind]).tolist()
-        homes.append(
-            tuple(
-                Home(axis, (..., *np.unravel_index(acting, lattice.contact_shape(axis))), slice(end - len(acting), end))
-                for (axis, acting, _), end in zip(kind, ends_at, strict=True)
-            )
+        slot = np.nonzero(felt[:, contact].T)[1].reshape(-1, count).T
+        first, second = (
+            np.where(end >= 0, end * len(spin_axes) + slot, -1) for end in (below[contact], above[contact])
         )
+        groups.append(ContactGroup(first, second, jump[slot] * rises[contact], unknowns))
+        places.append(Places(contact, slot))
     place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
-    return ContactSystem(unknowns, tuple(groups), tuple(homes), place)
+    return ContactSystem(unknowns, tuple(groups), tuple(places), place)

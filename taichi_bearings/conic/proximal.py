@@ -35,13 +35,13 @@ MOST_STEPS, PATIENCE = 60, 3  # Newton steps, and those in a row that gain nothi
 class Step:
     """What a step of all samples comes to.
 
-    staggered : (C, R, *N) spins at its end. force : during it, one array (T, R, *contacts) an axis.
+    staggered : (C, R, *N) spins at its end. force : during it, (C, R, E).
     slipping : (R,) contacts that slip. creep : largest spin difference across one that does not.
     newton_steps : factorisations. solved : False if rounding ended the path too early.
     """
 
     staggered: np.ndarray
-    force: tuple[np.ndarray, ...]
+    force: np.ndarray
     slipping: np.ndarray
     creep: float
     newton_steps: int
@@ -76,8 +76,9 @@ class ProximalSteps:
         self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]
         flow = scene.lattice.radius * unit
         self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
+        viscosities = scene.viscosity_beside_friction
         self._viscosity: list[Arrays | None] = [
-            flow / own * self._system.gather(scene.viscosities, replica) if scene.viscosity else None
+            None if viscosities is None else flow / own * self._system.gather(viscosities, replica)
             for replica, own in enumerate(self._force_unit)
         ]
         self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)
@@ -86,7 +87,7 @@ class ProximalSteps:
         """The step of length `duration` from the spins (C, R, *N)."""
         scene = self.scene
         after = staggered.copy()
-        force = scene.no_force(self.spin_axes)
+        force = np.zeros((len(self.spin_axes), scene.replicas, scene.lattice.all_contacts))
         slipping, creep, newton_steps, solved = np.zeros(scene.replicas, dtype=int), 0.0, 0, True
         for replica, before in enumerate(free_spins(staggered / self.unit)):
             coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
@@ -95,7 +96,7 @@ class ProximalSteps:
             else:
                 answer = self._damped(coefficient, inertia)
             self._put_spins(after, replica, answer.spins)
-            self._system.scatter(-answer.dual * self._force_unit[replica], force, replica)
+            self._system.scatter_vectors(-answer.dual * self._force_unit[replica], force, replica)
             slipping[replica] = int(answer.slips.sum())
             creep = max(creep, self.unit * answer.slip[~answer.slips].max())
             newton_steps += answer.newton_steps

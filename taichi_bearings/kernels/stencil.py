@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.lattice.grid import tangential
+from taichi_bearings.lattice.grid import Lattice, tangential
 from taichi_bearings.lattice.layout import Layout
 
 
@@ -79,17 +79,21 @@ class Stencil:
             for slot, count in zip(self.force_slot, self.kept_count, strict=True)
         )
 
-    def forces_by_axis(self, stored: np.ndarray, layout: Layout) -> tuple[np.ndarray, ...]:
-        """Force components at the lower spheres (V, R, *N) -> one array (T, R, *contacts) an axis."""
-        return tuple(
-            layout.from_lower_sphere(stored[first : first + len(slots)], axis)
-            for axis, (first, slots) in enumerate(zip(self.force_slot, self.kept, strict=True))
-        )
+    def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
+        """Force components at the lower spheres (V, R, *N) -> (C, R, E)."""
+        lattice = Lattice(layout.shape)
+        force = np.zeros((self.components, stored.shape[1], lattice.all_contacts))
+        for axis, values in enumerate(lattice.by_axis(force)):
+            values[list(self.kept[axis])] = layout.from_lower_sphere(stored[self._of_axis(axis)], axis)
+        return force
 
-    def forces_at_lower_sphere(self, force: tuple[np.ndarray, ...], layout: Layout) -> np.ndarray:
-        """Inverse of :meth:`forces_by_axis`; 0 where there is no contact."""
-        first = next(values for values in force if len(values))
-        stored = np.zeros((self.force_components, first.shape[1], *layout.shape))
-        for axis, (start, values) in enumerate(zip(self.force_slot, force, strict=True)):
-            layout.from_lower_sphere(stored[start : start + len(values)], axis)[...] = values
+    def forces_at_lower_sphere(self, force: np.ndarray, layout: Layout) -> np.ndarray:
+        """Inverse of :meth:`forces_of_contacts`; 0 where there is no contact."""
+        stored = np.zeros((self.force_components, force.shape[1], *layout.shape))
+        for axis, values in enumerate(Lattice(layout.shape).by_axis(force)):
+            layout.from_lower_sphere(stored[self._of_axis(axis)], axis)[...] = values[list(self.kept[axis])]
         return stored
+
+    def _of_axis(self, axis: int) -> slice:
+        """Rows of the forces of an axis among the force components."""
+        return slice(self.force_slot[axis], self.force_slot[axis] + len(self.kept[axis]))

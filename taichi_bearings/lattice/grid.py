@@ -1,12 +1,17 @@
 """The square or cubic lattice of touching spheres and its contacts.
 
-Contacts are named by (axis, lower site): contact [i, j, k] of axis a joins sphere (i, j, k) with its upper neighbour
-along a, so an array over the contacts of axis a is one shorter than the lattice along a. The last axis is the height;
-its first and last planes are driven. Spins are kept by component: ``spin_axes`` names the components a computation
-carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice driven in the xy plane.
+A value on the contacts is a flat array (..., E): all contacts along x, then along y (, then along z), each axis in C
+order of the lower spheres. A vector on the contacts is (C, ..., E), one row a spin component, 0 in the component along
+the contact, which it does not feel. Files and figures have one array an axis instead, one shorter than the lattice
+along it: entry [i, j, k] is the contact of sphere (i, j, k) with its upper neighbour. `by_axis` and `flat` lead from
+one form to the other.
+
+The last axis is the height; its first and last planes are driven. Spins are kept by component: ``spin_axes`` names the
+components a computation carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice driven in the xy plane.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,13 +72,51 @@ class Lattice:
         return tuple(n - (a == axis) for a, n in enumerate(self.shape))
 
     @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Where the contacts of each axis are in a flat array."""
+        ends = np.cumsum([math.prod(self.contact_shape(axis)) for axis in range(self.dimension)]).tolist()
+        return tuple(slice(begin, end) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
+
+    @property
+    def all_contacts(self) -> int:
+        """E: number of contacts, those between driven spheres too."""
+        return int(self.spans[-1].stop)
+
+    def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Values (..., E) as one array (..., *contacts) an axis: views."""
+        head = values.shape[:-1]
+        return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
+
+    def flat(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Inverse of :meth:`by_axis`."""
+        head = parts[0].shape[: parts[0].ndim - self.dimension]
+        return np.concatenate([part.reshape(*head, -1) for part in parts], axis=-1)
+
+    @cached_property
+    def axis(self) -> np.ndarray:
+        """(E,) axis along which each contact lies."""
+        return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """(2, E) lower and upper sphere of each contact, as numbers in C order."""
+        sphere = np.arange(self.sites).reshape(self.shape)
+        pairs = [(sphere[_part(a, slice(-1))], sphere[_part(a, slice(1, None))]) for a in range(self.dimension)]
+        return np.stack([self.flat(end) for end in zip(*pairs, strict=True)])
+
+    def felt(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """(C, E) True for the components that make a contact slip: all but the one along it."""
+        return np.array(spin_axes)[:, None] != self.axis
+
+    @cached_property
     def parity(self) -> np.ndarray:
         """s = +1 or -1 by sublattice, shape N: neighbours differ, and a bearing state has equal s * spin."""
         return 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
 
-    def lower_parity(self, axis: int) -> np.ndarray:
-        """That of the lower sphere of each contact of `axis`."""
-        return self.parity[tuple(slice(n) for n in self.contact_shape(axis))]
+    @cached_property
+    def lower_parity(self) -> np.ndarray:
+        """(E,) that of the lower sphere of each contact."""
+        return self.parity.ravel()[self.ends[0]]
 
     @cached_property
     def is_driven(self) -> np.ndarray:
@@ -82,17 +125,20 @@ class Lattice:
         driven[..., 0] = driven[..., -1] = True
         return driven
 
-    def between_driven(self, axis: int) -> np.ndarray:
-        """True for the contacts that join two driven spheres: they never slip and are left out of every sum."""
-        between = np.zeros(self.contact_shape(axis), dtype=bool)
-        if axis != self.height_axis:
-            between[..., 0] = between[..., -1] = True
-        return between
+    @cached_property
+    def between_driven(self) -> np.ndarray:
+        """(E,) True for the contacts that join two driven spheres: they never slip and are left out of every sum."""
+        return self.is_driven.ravel()[self.ends].all(axis=0)
 
     @cached_property
     def contacts(self) -> int:
         """Number of contacts that can slip."""
-        return sum(int((~self.between_driven(a)).sum()) for a in range(self.dimension))
+        return int((~self.between_driven).sum())
+
+
+def _part(axis: int, part: slice) -> tuple:
+    """Index of a part along an axis, all of the axes before it."""
+    return (slice(None),) * axis + (part,)
 
 
 def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
@@ -100,46 +146,42 @@ def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(slot for slot, component in enumerate(spin_axes) if component != axis)
 
 
-def laboratory_forces(
-    force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]
-) -> tuple[np.ndarray, ...]:
+def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Friction on the upper sphere of each contact in the laboratory frame, of forces along the spin difference.
 
-    force : one array (T, R, *contacts) an axis, f. The friction is -s f x n, with n the direction of the contact and s
-    the sign of its lower sphere: it opposes the slip of paper Eq. 2, s R Delta Omega x n.
-    returns : one array (R, *contacts, 3) an axis; in 2D (R, *contacts), the component along z x n, which is upwards at
-    contacts along x and to the left at contacts along y. The lower sphere feels the opposite force.
+    force : (C, R, E), f. The friction is -s f x n, with n the direction of the contact and s the sign of its lower
+    sphere: it opposes the slip of paper Eq. 2, s R Delta Omega x n.
+    returns : (R, E, 3); in 2D (R, E), the component along z x n, which is upwards at contacts along x and to the left
+    at contacts along y. The lower sphere feels the opposite force.
     """
-    found = []
-    for axis, values in enumerate(force):
-        sign = lattice.lower_parity(axis)
-        if lattice.dimension == 2:
-            found.append(-sign * values[0])
-            continue
-        friction = np.zeros((*values.shape[1:], 3))
-        for part, slot in zip(values, tangential(axis, spin_axes), strict=True):
+    if lattice.dimension == 2:
+        return -lattice.lower_parity * force[0]
+    friction = np.zeros((*force.shape[1:], 3))
+    for axis, span in enumerate(lattice.spans):
+        for slot in tangential(axis, spin_axes):
             turned, turn = _turned(axis, spin_axes[slot])
-            friction[..., turned] = turn * sign * part
-        found.append(friction)
-    return tuple(found)
+            friction[:, span, turned] = turn * lattice.lower_parity[span] * force[slot][:, span]
+    return friction
 
 
-def staggered_forces(
-    friction: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]
-) -> tuple[np.ndarray, ...]:
-    """Inverse of :func:`laboratory_forces` for the components that `spin_axes` names: (T, R, *contacts) an axis."""
-    found = []
-    for axis, values in enumerate(friction):
-        sign = lattice.lower_parity(axis)
-        if lattice.dimension == 2:
-            found.append(-sign * values[None])
-            continue
-        parts = np.empty((len(tangential(axis, spin_axes)), *values.shape[:-1]))
-        for part, slot in zip(parts, tangential(axis, spin_axes), strict=True):
+def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
+    """Friction (..., E, 3), in 2D (..., E), as one array (..., *contacts, 3) or (..., *contacts) an axis."""
+    if lattice.dimension == 2:
+        return lattice.by_axis(friction)
+    parts = zip(*map(lattice.by_axis, np.moveaxis(friction, -1, 0)), strict=True)
+    return tuple(np.stack(of_axis, axis=-1) for of_axis in parts)
+
+
+def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Inverse of :func:`laboratory_forces` for the components that `spin_axes` names: (C, R, E)."""
+    if lattice.dimension == 2:
+        return -lattice.lower_parity * friction[None]
+    force = np.zeros((len(spin_axes), *friction.shape[:-1]))
+    for axis, span in enumerate(lattice.spans):
+        for slot in tangential(axis, spin_axes):
             turned, turn = _turned(axis, spin_axes[slot])
-            part[...] = turn * sign * values[..., turned]
-        found.append(parts)
-    return tuple(found)
+            force[slot][:, span] = turn * lattice.lower_parity[span] * friction[:, span, turned]
+    return force
 
 
 def _turned(axis: int, component: int) -> tuple[int, int]:

@@ -35,37 +35,36 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, dimension: int) ->
     upper -= force
 
 
-def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Difference of the staggered spins across every contact, without its component along the contact.
 
     staggered : (C, R, *N), components as named by `spin_axes`.
-    returns : one array (T, R, *contacts) an axis; R times its length over T is the slip speed (paper Eq. 2).
+    returns : (C, R, E); R times its length over C is the slip speed (paper Eq. 2).
     """
-    return tuple(
-        difference(staggered[list(tangential(axis, spin_axes))], axis, lattice.dimension)
-        for axis in range(lattice.dimension)
-    )
+    found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
+    for axis, across in enumerate(lattice.by_axis(found)):
+        for slot in tangential(axis, spin_axes):
+            lower, upper = ends(staggered[slot], axis, lattice.dimension)
+            np.subtract(upper, lower, out=across[slot])
+    return found
 
 
-def torques(force: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
 
-    force : one array (T, R, *contacts) an axis, along the spin difference of the contact.
+    force : (C, R, E), along the spin difference of the contact.
     """
-    total = np.zeros((len(spin_axes), force[0].shape[1], *lattice.shape))
-    for axis, vectors in enumerate(force):
-        for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
-            add_pull(total[slot], values, axis, lattice.dimension)
+    total = np.zeros((*force.shape[:-1], *lattice.shape))
+    for axis, vectors in enumerate(lattice.by_axis(force)):
+        for slot in tangential(axis, spin_axes):
+            add_pull(total[slot], vectors[slot], axis, lattice.dimension)
     return total
 
 
-def weights(coefficient: tuple[np.ndarray, ...], lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Sum of the coefficients of the contacts that act on each spin component, (C, R, *N).
-
-    coefficient : one array (R, *contacts) an axis.
-    """
-    total = np.zeros((len(spin_axes), len(coefficient[0]), *lattice.shape))
-    for axis, values in enumerate(coefficient):
+def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Sum of the coefficients (R, E) of the contacts that act on each spin component, (C, R, *N)."""
+    total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
+    for axis, values in enumerate(lattice.by_axis(coefficient)):
         for slot in tangential(axis, spin_axes):
             for end in ends(total[slot], axis, lattice.dimension):
                 end += values

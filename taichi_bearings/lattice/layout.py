@@ -11,6 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from taichi_bearings.lattice.grid import Lattice
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -62,11 +64,11 @@ class Layout:
         result[:, self.inside] = values.reshape(len(values), -1)
         return result
 
-    def at_lower_sphere(self, contacts: tuple[np.ndarray, ...]) -> np.ndarray:
-        """One array (R, *contacts) an axis -> (D, R, *N): each contact at its lower sphere, 0 where there is none."""
-        full = np.zeros((len(contacts), self.replicas, *self.shape))
-        for axis, values in enumerate(contacts):
-            full[axis][tuple(slice(0, n) for n in values.shape)] = values
+    def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
+        """(R, E) -> (D, R, *N): each contact at its lower sphere, 0 where there is none."""
+        full = np.zeros((len(self.shape), self.replicas, *self.shape))
+        for axis, values in enumerate(Lattice(self.shape).by_axis(contacts)):
+            self.from_lower_sphere(full[axis], axis)[...] = values
         return full
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:

@@ -38,10 +38,11 @@ def draw_plane_cuts(
     cross away.
     """
     speed, path = speed_of(spin, spin_top, spin_bottom), network.shortest_path
+    slipless = network.lattice.by_axis(network.slipless)
     if speed.ndim == 2:
         figure, (axes,), width = _panels([speed.shape], page)
         joined = np.stack([path[:-1], path[1:]], axis=1)
-        _draw_plane(axes, speed, network.slipless, joined, np.empty((0, 3), dtype=int), width)
+        _draw_plane(axes, speed, slipless, joined, np.empty((0, 3), dtype=int), width)
         axes.set_title(_title(len(joined), len(joined)))
     else:
         cuts = page.planes or (planes_of(path) if len(path) else middle_planes(speed.shape))
@@ -49,7 +50,7 @@ def draw_plane_cuts(
         figure, panels, width = _panels([plane.shape for plane in planes], page)
         for axes, plane, (axis, index) in zip(panels, planes, cuts, strict=True):
             joined, leaves = path_in_plane(path, axis, index)
-            _draw_plane(axes, plane, contacts_in_plane(network.slipless, axis, index), joined, leaves, width, axis < 2)
+            _draw_plane(axes, plane, contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
             name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
         if len(path):
             figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)

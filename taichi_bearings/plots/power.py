@@ -38,11 +38,8 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
     scene = solution.scene
     shape = scene.lattice.shape
     unit, symbol = power_unit(scene)
-    state = [s[replica] for s in solution.state]
-    power = [
-        np.where(s == ContactState.SLIPPING, p[replica] / unit, 0.0)
-        for p, s in zip(solution.power_per_contact, state, strict=True)
-    ]
+    slipping = solution.state[replica] == ContactState.SLIPPING
+    power = scene.lattice.by_axis(np.where(slipping, solution.power_per_contact[replica] / unit, 0.0))
     lines = sum(int((p > 0).sum()) for p in power) <= MOST_LINES or len(shape) == 3
     label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
     title = describe(scene, replica)

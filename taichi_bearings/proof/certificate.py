@@ -21,7 +21,7 @@ from taichi_bearings.lattice.incidence import contact_differences, ends, torques
 from taichi_bearings.numerics.poisson import solve_poisson
 from taichi_bearings.scene.scene import Scene, vector_length
 
-Forces = tuple[np.ndarray, ...]
+Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
 ROUNDING = 32 * np.finfo(np.float64).eps
 BALANCED = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
 FEW = 16_384  # numbers of which several arrays fit the second cache of a processor
@@ -32,7 +32,7 @@ PROVEN, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, a
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Proven lower bound (R,) on the least objective of each replica, energy/time; never below 0.
 
-    force : one array (T, R, *contacts) an axis, any values; not-finite ones prove nothing.
+    force : (C, R, E), any values; not-finite ones prove nothing.
     """
     candidates = _candidates(scene, _finite(scene, force), spin_axes)
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
@@ -50,7 +50,7 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
 
 
 def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray) -> Forces:
-    """Forces near the given ones that certify by themselves, one array (T, R, *contacts) an axis.
+    """Forces (C, R, E) near the given ones that certify by themselves.
 
     They leave no torque on any free sphere but rounding, and with Coulomb friction none is longer than its disc: the
     bound is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`,
@@ -64,7 +64,7 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     MOST_PROJECTIONS.
     """
     given = force = _finite(scene, force)
-    largest = np.max([np.abs(f).max(axis=(0, *range(2, f.ndim)), initial=0.0) for f in force], axis=0)
+    largest = np.abs(force).max(axis=(0, 2), initial=0.0)
     left_over = largest_unbalanced_torque(scene, force, spin_axes) / scene.lattice.radius
     in_balance = left_over <= BALANCED * largest
     if not in_balance.all():
@@ -85,8 +85,8 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
         done |= (reached >= bound * (1 - PROVEN)) | (worst <= 1 + PROVEN)
         if done.all():
             break
-        shortened = (f + 1.5 * (c - f) for f, c in zip(force, capped(force, ratio), strict=True))
-        force = _where(done, force, balance(scene, tuple(shortened), spin_axes))
+        shortened = force + 1.5 * (capped(force, ratio) - force)
+        force = _where(done, force, balance(scene, shortened, spin_axes))
         ratio = saturation(scene, force)
         worst = _largest(ratio)
         value = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
@@ -101,8 +101,9 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     """Work (R,) of the driven planes against balanced forces of contacts that only hold, without an allowance."""
     bottom, top = scene.driven_values(spin_axes)
     work = np.zeros(scene.replicas)
-    for values, slot in zip(force[-1], tangential(scene.lattice.height_axis, spin_axes), strict=True):
-        ends = (values[..., 0] + values[..., -1]).reshape(scene.replicas, -1)
+    upward = scene.lattice.by_axis(force)[-1]
+    for slot in tangential(scene.lattice.height_axis, spin_axes):
+        ends = (upward[slot][..., 0] + upward[slot][..., -1]).reshape(scene.replicas, -1)
         work += (top[slot] - bottom[slot]) / 2 * ends.sum(axis=1)
     return scene.lattice.radius * scene.law.share * work
 
@@ -132,18 +133,14 @@ def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
     """`force` in the chosen (R,) replicas and `other` in the rest."""
     if chosen.all() or not chosen.any():
         return force if chosen.all() else other
-    pick = chosen.reshape(1, -1, *(1,) * len(force))
-    return tuple(np.where(pick, a, b) for a, b in zip(force, other, strict=True))
+    return np.where(chosen[:, None], force, other)
 
 
 def _finite(scene: Scene, force: Forces) -> Forces:
     """The forces in float64, none between driven spheres, all zero in a replica that has one that is not finite."""
-    force = _without_driven_contacts(scene, tuple(np.asarray(f, dtype=np.float64) for f in force))
-    finite = np.all([np.isfinite(f).all(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
-    if not finite.all():
-        keep = finite.reshape(1, -1, *(1,) * scene.lattice.dimension)
-        force = tuple(np.where(keep, f, 0.0) for f in force)
-    return force
+    force = _without_driven_contacts(scene, np.asarray(force, dtype=np.float64))
+    finite = np.isfinite(force).all(axis=(0, 2))
+    return force if finite.all() else np.where(finite[:, None], force, 0.0)
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -171,8 +168,7 @@ def relative_gap(scene: Scene, objective: np.ndarray, bound: np.ndarray) -> np.n
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
         speed = np.full((), scene.lattice.radius * (scene.jump or abs(scene.spin_top)))
-        natural = (scene.law.objective(of, speed).reshape(scene.replicas, -1) for of in scene.contact)
-        unit = np.where(idle, np.maximum(objective, np.sum([v.sum(axis=1) for v in natural], axis=0)), objective)
+        unit = np.where(idle, np.maximum(objective, scene.law.objective(scene.contact, speed).sum(axis=1)), objective)
     with np.errstate(invalid="ignore", over="ignore"):
         gap = np.divide(objective - bound, unit, out=np.full(np.shape(objective), np.nan), where=unit > 0)
     return np.where((objective == 0) & (bound == 0), 0.0, gap)
@@ -195,12 +191,11 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
         left_over = np.abs(pull[slot][..., 1:-1]).reshape(scene.replicas, -1).sum(axis=1)
         work -= half_width * planes.sum(axis=1) + abs(half_width) * left_over
         allowance += ROUNDING * abs(half_width) * (np.abs(planes).sum(axis=1) + left_over)
-    total = np.sum([np.abs(f).sum(axis=(0, *range(2, f.ndim))) for f in force], axis=0)
+    total = np.abs(force).sum(axis=(0, 2))
     allowance += ROUNDING**2 * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
-        costs = (scene.law.conjugate(of, vector_length(f)) for of, f in zip(scene.contact, force, strict=True))
-        cost = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in costs], axis=0)
+        cost = scene.law.conjugate(scene.contact, vector_length(force)).sum(axis=1)
         work, allowance = work - cost, allowance + ROUNDING * cost
     return scene.law.share * (work - allowance)
 
@@ -214,10 +209,10 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     dimension = scene.lattice.dimension
     total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
     lost = np.zeros_like(total)
-    for axis, vectors in enumerate(force):
-        for values, slot in zip(vectors, tangential(axis, spin_axes), strict=True):
+    for axis, vectors in enumerate(scene.lattice.by_axis(force)):
+        for slot in tangential(axis, spin_axes):
             both = (ends(part[slot], axis, dimension) for part in (total, lost))
-            for before, rest, pull in zip(*both, (values, -values), strict=True):
+            for before, rest, pull in zip(*both, (vectors[slot], -vectors[slot]), strict=True):
                 for part in _in_cache(before):
                     _add(before[part], rest[part], pull[part])
     return total + lost
@@ -241,9 +236,9 @@ def _add(before: np.ndarray, rest: np.ndarray, pull: np.ndarray) -> None:
     before[...] = after
 
 
-def capped(force: Forces, ratio: Forces) -> Forces:
-    """Forces with each one longer than its friction disc shortened to it. ratio : their saturation."""
-    return tuple(f * np.minimum(1.0, _inverse(r)) for f, r in zip(force, ratio, strict=True))
+def capped(force: Forces, ratio: np.ndarray) -> Forces:
+    """Forces with each one longer than its friction disc shortened to it. ratio : their saturation, (R, E)."""
+    return force * np.minimum(1.0, _inverse(ratio))
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
@@ -255,24 +250,20 @@ def _divided(force: Forces, worst: np.ndarray) -> Forces:
     """The same if the worst saturation (R,) is known."""
     if (worst <= 1.0).all():
         return force
-    factor = (1.0 / np.maximum(worst, 1.0)).reshape(-1, *(1,) * (force[0].ndim - 2))
-    return tuple(f * factor for f in force)
+    return force * (1.0 / np.maximum(worst, 1.0))[:, None]
 
 
-def _largest(ratio: Forces) -> np.ndarray:
+def _largest(ratio: np.ndarray) -> np.ndarray:
     """Of each replica, (R,)."""
-    return np.asarray(np.max([r.reshape(len(r), -1).max(axis=1) for r in ratio], axis=0))
+    return np.asarray(ratio.max(axis=1))
 
 
-def saturation(scene: Scene, force: Forces) -> tuple[np.ndarray, ...]:
-    """|f| / (mu F_n) of every contact, one array (R, *contacts) an axis, rounded up; 0 between driven spheres, infinite
-    for a force at a contact that is absent."""
-    up, found = 1 + 4 * np.finfo(np.float64).eps, []
-    for axis, values in enumerate(force):
-        size = vector_length(values)
-        ratio = size * up * _inverse(scene.strength * scene.acting_coefficient[axis])
-        found.append(np.where((scene.coefficient[axis] == 0) & (size > 0), np.inf, ratio))
-    return tuple(found)
+def saturation(scene: Scene, force: Forces) -> np.ndarray:
+    """|f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at a contact
+    that is absent."""
+    size = vector_length(force)
+    ratio = size * (1 + 4 * np.finfo(np.float64).eps) * _inverse(scene.strength * scene.acting_coefficient)
+    return np.where((scene.coefficient == 0) & (size > 0), np.inf, ratio)
 
 
 def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
@@ -287,8 +278,7 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     potential = np.zeros_like(pull)
     for slot, component in enumerate(spin_axes):
         potential[slot][..., 1:-1] = solve_poisson(pull[slot][..., 1:-1], lattice.dimension, component)
-    correction = contact_differences(potential, lattice, spin_axes)
-    return _without_driven_contacts(scene, tuple(f + c for f, c in zip(force, correction, strict=True)))
+    return _without_driven_contacts(scene, force + contact_differences(potential, lattice, spin_axes))
 
 
 def _inverse(values: np.ndarray) -> np.ndarray:
@@ -297,7 +287,7 @@ def _inverse(values: np.ndarray) -> np.ndarray:
 
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
-    return tuple(np.where(c == 0, 0.0, f) for f, c in zip(force, scene.acting_coefficient, strict=True))
+    return np.where(scene.acting_coefficient == 0, 0.0, force)
 
 
 __all__ = [

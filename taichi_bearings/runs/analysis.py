@@ -53,7 +53,7 @@ class Analysis:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
         if not 0 <= sample < samples:
             raise InputError(f"replica is {sample}; the run has {samples}, counted from 0")
-        if not all(np.isfinite(values).all() for values in (solution.spin, *solution.slip)):
+        if not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
             raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
         began = time.perf_counter()
         self.arrays: list[dict[str, Finding]] = []

@@ -57,11 +57,9 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     number = int((count(solution.state, ContactState.UNDECIDED) - known).sum())
     if number > 0:
         scene, full = solution.scene, SATURATED * solution.scene.strength
-        fast = sum(
-            int(((state == ContactState.UNDECIDED) & (slip > solution.slip_threshold) & (force < full * of)).sum())
-            for state, slip, force, of in zip(
-                solution.state, solution.slip, solution.force, scene.coefficient, strict=True
-            )
+        undecided = solution.state == ContactState.UNDECIDED
+        fast = int(
+            (undecided & (solution.slip > solution.slip_threshold) & (solution.force < full * scene.coefficient)).sum()
         )
         all_contacts = scene.lattice.contacts * scene.replicas
         yield (

@@ -43,7 +43,7 @@ def draw_figure(
         if time is not None:
             return draw_snapshot(solution, sample, time, slip_threshold, page)
         one = solution.sample(sample)
-        return draw_spins(one.scene, one.spin[0], [state[0] for state in one.state], page)
+        return draw_spins(one.scene, one.spin[0], one.scene.lattice.by_axis(one.state[0]), page)
     if kind == "power":
         return draw_power(solution, sample, page)
     if kind == "history":

@@ -16,7 +16,6 @@ from taichi_bearings.analysis.domains import RigidDomains
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, read_analysis
-from taichi_bearings.lattice.incidence import ends
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import claimed
@@ -70,7 +69,7 @@ class PointsAndLines:
     @cached_property
     def ends(self) -> np.ndarray:
         """Lower and upper sphere (contacts, 2) of each contact."""
-        return _ends(self.scene)
+        return self.scene.lattice.ends.T
 
 
 @contextmanager
@@ -93,7 +92,7 @@ def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
     if not 0 <= replica < samples:
         raise InputError(f"replica is {replica}; the run has {samples}, counted from 0")
     solution = run.solution.sample(replica)
-    if not all(np.isfinite(values).all() for values in (solution.spin, *solution.slip)):
+    if not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
     found = _findings(run, replica)
     domains = _domains(solution.scene, found)
@@ -161,35 +160,23 @@ def _spin_rows(spin: np.ndarray) -> np.ndarray:
 
 def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.ndarray) -> dict[str, Finding]:
     scene = solution.scene
-    axis = np.repeat(np.arange(scene.lattice.dimension), [values[0].size for values in scene.coefficient])
-    columns = {"axis": Finding(axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
+    columns = {"axis": Finding(scene.lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
     for key, (attribute, unit, text) in CONTACT_SETS.items():
-        columns[key] = Finding(_flat(getattr(solution, attribute)), unit, text)
+        columns[key] = Finding(getattr(solution, attribute)[0], unit, text)
     proven = bool(solution.resolved[0]) & (columns["state"].values != ContactState.DRIVEN)
     columns["proven"] = Finding(proven, "1", "the state is proven to be that of every minimum")
     for quantity, (name, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
-        columns[name] = Finding(_flat(values), quantity.unit, f"{quantity.name} coefficient")
+        columns[name] = Finding(values[0], quantity.unit, f"{quantity.name} coefficient")
     for name, key in BY_AXIS.items():
         parts = [found[f"{key}/{AXES[a]}"] for a in range(scene.lattice.dimension)]
-        columns[name] = Finding(_flat([p.values[None] for p in parts]), parts[0].units, parts[0].description)
+        values = scene.lattice.flat([part.values for part in parts])
+        columns[name] = Finding(values, parts[0].units, parts[0].description)
     step = np.full(scene.lattice.sites, -2)
     step[path] = np.arange(len(path))
-    low, high = step[_ends(scene)].T
+    low, high = step[scene.lattice.ends]
     on_path = (np.abs(low - high) == 1) & (low >= 0) & (high >= 0)
     columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
     return columns
-
-
-def _ends(scene: Scene) -> np.ndarray:
-    lattice = scene.lattice
-    sphere = np.arange(lattice.sites).reshape(lattice.shape)
-    pairs = (ends(sphere, axis, lattice.dimension) for axis in range(lattice.dimension))
-    return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in pairs])
-
-
-def _flat(parts: "list[np.ndarray] | tuple[np.ndarray, ...]") -> np.ndarray:
-    """One row a contact of arrays (1, *contacts), one an axis."""
-    return np.concatenate([values[0].ravel() for values in parts])
 
 
 def _moments(solution: Solution, end: float | None, slip_threshold: float | None) -> Moments | None:
@@ -199,9 +186,8 @@ def _moments(solution: Solution, end: float | None, slip_threshold: float | None
     if kept is None or not len(early):
         return None
     scene, spin = solution.scene, kept.spin[early, 0]
-    slip = np.stack([_flat(slips_of(scene, one)) for one in spin])
+    slip = np.stack([slips_of(scene, one) for one in spin])
     threshold = snapshot_threshold(solution, slip_threshold)
-    idle = _flat([scene.idle(axis) for axis in range(scene.lattice.dimension)])
     state = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    state = np.where(idle, ContactState.DRIVEN, state).astype(np.uint8)
+    state = np.where(scene.idle[0], ContactState.DRIVEN, state).astype(np.uint8)
     return Moments(kept.time[early], _spin_rows(spin), slip, state, threshold)

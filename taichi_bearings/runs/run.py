@@ -524,9 +524,9 @@ def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folde
         settings = replace(settings, coefficients="run.h5")
     elif settings.coefficients is not None:
         arrays: dict[str, Any] = {
-            short_name(f"{kind}/{axis}"): values[0] if one else values
-            for kind, parts in scene.named_coefficients.items()
-            for axis, values in zip("xyz", parts, strict=False)
+            short_name(f"{kind}/{axis}"): part
+            for kind, values in scene.named_coefficients.items()
+            for axis, part in zip("xyz", scene.lattice.by_axis(values[0] if one else values), strict=False)
         }
         _write_arrays(folder / "coefficients.npz", arrays)
         settings = replace(settings, coefficients="coefficients.npz")

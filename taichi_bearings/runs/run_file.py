@@ -13,6 +13,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
+from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.runtime import HOST, Runtime
@@ -29,6 +30,7 @@ CONTACT_SETS = {  # name -> (attribute of Solution, unit, description)
     "force": ("force", "force", "magnitude of the tangential contact force"),
     "state": ("state", "1", "0 slipless, 1 slipping, 2 undecided, 3 between driven spheres or absent"),
 }
+SLIP_BOUND = ("length/time", "largest slip speed that any minimum can have at this contact, proven")
 COUNTED = re.compile("/state$|^history/")  # data sets that may hold whole numbers
 HISTORY_UNITS = {
     "iteration": ("1", "iterations done"),
@@ -57,7 +59,7 @@ FRICTION = {  # dimension -> description
 
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
     """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
-    scene = solution.scene
+    scene, lattice = solution.scene, solution.scene.lattice
     one = scene.replicas == 1
 
     def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
@@ -73,18 +75,21 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in {**attributes, "findings": list(solution.findings)}.items():
             file.attrs[key] = storable(value)
-        for axis in range(scene.lattice.dimension):
-            name = AXES[axis]
-            for quantity, (group, parts) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
-                text = f"{quantity.name} coefficient of the {name}-contacts"
-                put(file, f"{group}/{name}", strip(parts[axis]), quantity.unit, text)
-            for key, (attribute, unit, text) in CONTACT_SETS.items():
-                put(file, f"contact/{name}/{key}", strip(getattr(solution, attribute)[axis]), unit, text)
-            text = FRICTION[scene.lattice.dimension]
-            put(file, f"contact/{name}/friction", strip(solution.friction[axis]), "force", text)
-            if solution.slip_bound:
-                text = "largest slip speed that any minimum can have at this contact, proven"
-                put(file, f"contact/{name}/slip_bound", strip(solution.slip_bound[axis]), "length/time", text)
+        quantities = dict(zip(scene.named_coefficients, scene.law.quantities, strict=True))
+        sets = {
+            key: (getattr(solution, attribute), unit, text) for key, (attribute, unit, text) in CONTACT_SETS.items()
+        }
+        if solution.slip_bound is not None:
+            sets["slip_bound"] = (solution.slip_bound, *SLIP_BOUND)
+        for group, values in scene.named_coefficients.items():
+            for name, part in zip(AXES, lattice.by_axis(strip(values)), strict=False):
+                text = f"{quantities[group].name} coefficient of the {name}-contacts"
+                put(file, f"{group}/{name}", part, quantities[group].unit, text)
+        for key, (values, unit, text) in sets.items():
+            for name, part in zip(AXES, lattice.by_axis(strip(values)), strict=False):
+                put(file, f"contact/{name}/{key}", part, unit, text)
+        for name, part in zip(AXES, friction_by_axis(strip(solution.friction), lattice), strict=False):
+            put(file, f"contact/{name}/friction", part, "force", FRICTION[lattice.dimension])
         put(file, "spin", strip(solution.spin), "1/time", "angular velocity in the laboratory frame")
         if solution.spin_rounding.any():
             text = "what rounding leaves out of the spins: they are the sums of both"
@@ -164,12 +169,15 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         contacts = [[side - (a == axis) for a, side in enumerate(shape)] for axis in range(len(shape))]
         return tuple(get(name, *sides, *parts) for name, sides in zip(names, contacts, strict=True))
 
-    sets: dict[str, Any] = {
-        attribute: each_axis(f"contact/{{}}/{key}") for key, (attribute, *_) in CONTACT_SETS.items()
-    }
-    if lacking := [key for key, (attribute, *_) in CONTACT_SETS.items() if not sets[attribute]]:
-        raise KeyError(f"it lacks contact/.../{lacking[0]}")
+    def of_contacts(key: str, *parts: int) -> np.ndarray:
+        found = each_axis(f"contact/{{}}/{key}", *parts)
+        if not found:
+            raise KeyError(f"it lacks contact/.../{key}")
+        return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
+
     scene = _scene(path, attributes, each_axis("coefficient/{}"), each_axis("viscosity/{}"))
+    sets: dict[str, Any] = {attribute: of_contacts(key) for key, (attribute, *_) in CONTACT_SETS.items()}
+    bounded = f"contact/{axes[0]}/slip_bound" in file
     number = partial(_numbers, attributes, scene.replicas)
     spin = get("spin", *shape, *parts)
     return Solution(
@@ -180,8 +188,8 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         spin=spin,
         spin_rounding=get("spin_rounding", *shape, *parts) if "spin_rounding" in file else np.zeros_like(spin),
         **sets,
-        friction=each_axis("contact/{}/friction", *parts),
-        slip_bound=each_axis("contact/{}/slip_bound"),
+        friction=of_contacts("friction", *parts),
+        slip_bound=of_contacts("slip_bound") if bounded else None,
         resolved=number("states_proven", 0.0) == 1,
         power=number("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
@@ -252,7 +260,7 @@ def _check_arrays(run: StoredRun) -> None:
             raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers, of {samples} samples")
         if name in CONTACT_SETS and (values < 0).any():
             raise FileError(f"{name} in {run.path} is damaged: it must hold no negative numbers")
-    if any(values.dtype.kind not in "ui" or (values > max(ContactState)).any() for values in solution.state):
+    if solution.state.dtype.kind not in "ui" or (solution.state > max(ContactState)).any():
         raise FileError(f"state in {run.path} is damaged: it must hold whole numbers from 0 to {max(ContactState)}")
     history, lengths = solution.history, {len(values) for values in solution.history.values()}
     needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in history else set())
@@ -267,9 +275,8 @@ ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissi
 
 def _of_contacts(solution: Solution) -> Iterator[tuple[str, np.ndarray]]:
     """Names and arrays of what lies on the contacts."""
-    for name, (attribute, *_) in CONTACT_SETS.items():
-        yield from ((name, values) for values in getattr(solution, attribute))
-    yield from (("friction", values) for values in solution.friction)
+    yield from ((name, getattr(solution, attribute)) for name, (attribute, *_) in CONTACT_SETS.items())
+    yield "friction", solution.friction
 
 
 def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:

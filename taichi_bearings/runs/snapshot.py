@@ -32,10 +32,8 @@ def draw_snapshot(
     nearest = int(np.abs(kept - time).argmin())
     scene, spin = solution.sample(replica).scene, solution.snapshots.spin[nearest, replica]
     threshold = snapshot_threshold(solution, slip_threshold)
-    state = [
-        np.where(scene.lattice.between_driven(axis), ContactState.DRIVEN, speed[0] > threshold)
-        for axis, speed in enumerate(slips_of(scene, spin))
-    ]
+    slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+    state = scene.lattice.by_axis(np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips))
     unit, symbol = driving(scene)
     when = f"$t = {kept[nearest]:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * kept[nearest]:.6g}$")
     note = f"black: contacts that slip faster than {threshold:.1e}"
@@ -55,7 +53,7 @@ def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> floa
     return solution.slip_threshold
 
 
-def slips_of(scene: Scene, spin: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Slip speeds of spins in the laboratory frame, (*N) or (*N, 3): one array (1, *contacts) an axis, length/time."""
+def slips_of(scene: Scene, spin: np.ndarray) -> np.ndarray:
+    """Slip speeds (E,) of spins in the laboratory frame, (*N) or (*N, 3); length/time."""
     axes = scene.lattice.all_spin_axes
-    return scene.slips(scene.staggered_spin(spin[None], axes), axes)
+    return scene.slips(scene.staggered_spin(spin[None], axes), axes)[0]

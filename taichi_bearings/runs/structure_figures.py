@@ -25,8 +25,8 @@ def _with_driving(draw: Callable[..., Figure]) -> Callable[[Structure, Page], Fi
 
 
 def _draw_cut_surface(structure: Structure, page: Page) -> Figure:
-    slips = tuple(values == ContactState.SLIPPING for values in structure.state)
-    coefficient = tuple(values[0] for values in structure.scene.coefficient)
+    by_axis = structure.scene.lattice.by_axis
+    slips, coefficient = by_axis(structure.state == ContactState.SLIPPING), by_axis(structure.scene.coefficient[0])
     symbol = r"\mu_{ij}" if structure.scene.law.holds else r"\eta_{ij}"
     return draw_cut_surface(structure.interface.above, coefficient, slips, page, symbol)
 

@@ -43,7 +43,7 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 def _interface_numbers(structure: Structure) -> dict[str, Any]:
     cut = structure.interface
-    slipping = tuple(values == ContactState.SLIPPING for values in structure.state)
+    slipping = structure.state == ContactState.SLIPPING
     return {
         "power_minimum_cut": cut.power,
         "power_over_cut": structure.power / cut.power if cut.power > 0 else None,
@@ -132,7 +132,7 @@ def findings_of(structure: Structure) -> dict[str, Finding]:
 def _interface_findings(structure: Structure) -> dict[str, Finding]:
     cut = structure.interface
     return {
-        **_by_axis("minimum_cut", cut.contacts, "1", "contacts of the lightest interface of two rigid domains"),
+        **_by_axis("minimum_cut", structure, cut.contacts, "contacts of the lightest interface of two rigid domains"),
         "minimum_cut/above": Finding(cut.above, "1", "spheres on the top side of the minimum cut"),
     }
 
@@ -148,7 +148,7 @@ def _network_findings(structure: Structure) -> dict[str, Finding]:
         chosen = np.zeros(len(network.axis), dtype=bool)
         chosen[edges] = True
         text = f"fewest contacts whose removal parts the planes; of such sets the one nearest the {plane}"
-        found |= _by_axis(f"parting_{name}", network.on_contacts(chosen), "1", text)
+        found |= _by_axis(f"parting_{name}", structure, network.on_contacts(chosen), text)
     return found
 
 
@@ -180,7 +180,7 @@ def _bottleneck_findings(structure: Structure) -> dict[str, Finding]:
         ("bridge", found.backbone.bridges, "removal breaks the piece that joins the planes"),
         ("backbone", found.backbone.links, "on some path from bottom to top"),
     ):
-        findings |= _by_axis(name, network.on_contacts(values), "1", text)
+        findings |= _by_axis(name, structure, network.on_contacts(values), text)
     return findings
 
 
@@ -213,5 +213,7 @@ def _threshold_findings(structure: Structure) -> dict[str, Finding]:
     return found
 
 
-def _by_axis(name: str, values: tuple[np.ndarray, ...], units: str, description: str) -> dict[str, Finding]:
-    return {f"{name}/{AXES[axis]}": Finding(part, units, description) for axis, part in enumerate(values)}
+def _by_axis(name: str, structure: Structure, values: np.ndarray, description: str) -> dict[str, Finding]:
+    """Values (E,) of the contacts as files have them."""
+    parts = structure.scene.lattice.by_axis(values)
+    return {f"{name}/{AXES[axis]}": Finding(part, "1", description) for axis, part in enumerate(parts)}

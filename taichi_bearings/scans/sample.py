@@ -115,8 +115,7 @@ def _record(sample: Sample, run: Run, wanted: Wanted) -> dict[str, Any]:
         from taichi_bearings.runs.structure_report import numbers_of
 
         scalars |= numbers_of(structure_of(solution))
-    power = np.concatenate([values.ravel() for values in solution.power_per_contact])
-    state = np.concatenate([values.ravel() for values in solution.state])
+    power, state = solution.power_per_contact, solution.state
     bins, count = np.unique(bin_of(power[(state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
     return {
         "key": sample.key,

@@ -40,19 +40,18 @@ def zero_spin(scene: Scene) -> np.ndarray:
 
 def cut_of(scene: Scene) -> MinimumCut:
     """The lightest interface between spheres that turn with the bottom and spheres that turn with the top."""
-    return minimum_cut(cut_weights(scene))
+    return minimum_cut(scene.lattice.by_axis(cut_weights(scene)))
 
 
-def cut_weights(scene: Scene) -> tuple[np.ndarray, ...]:
-    """Share of each contact in the objective of such an interface, over :func:`cut_unit`; (R, *contacts) an axis.
+def cut_weights(scene: Scene) -> np.ndarray:
+    """Share of each contact in the objective of such an interface, over :func:`cut_unit`; (R, E).
 
     Viscous contacts weigh by the square of their slip, and viscosities beside a friction by their share in it.
     """
     units = (1.0, scene.lattice.radius * scene.jump / scene.normal_force)
-    parts = zip(units, scene.named_coefficients.values(), strict=False)
-    coefficients = zip(*(tuple(unit * values for values in part) for unit, part in parts), strict=True)
-    across = (np.linalg.norm(np.delete(scene.axis_vector, axis)) for axis in range(scene.lattice.dimension))
-    return tuple(scene.law.objective(of, np.asarray(slip)) for of, slip in zip(coefficients, across, strict=True))
+    coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))
+    across = np.array([np.linalg.norm(np.delete(scene.axis_vector, axis)) for axis in range(scene.lattice.dimension)])
+    return scene.law.objective(coefficients, across[scene.lattice.axis])
 
 
 def cut_unit(scene: Scene) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import MOST_SITES, tangential
-from taichi_bearings.lattice.incidence import contact_differences, ends
+from taichi_bearings.lattice.grid import MOST_SITES
+from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import (
     Pair,
     add,
@@ -152,8 +152,7 @@ class Scene:
         object.__setattr__(self, "seeds", _seeds(self.seeds) or tuple(range(samples)))
         for kind, coefficients in (("coefficients", self.coefficients), ("viscosities", self.viscosity)):
             self._check(kind, coefficients)
-        acting = [~self.idle(axis).reshape(self.replicas, -1) for axis in range(dimension)]
-        if not np.concatenate(acting, axis=1).any(axis=1).all():
+        if self.idle.all(axis=1).any():
             raise InputError("coefficients are 0 at all contacts that could slip; at least one must be positive")
         for name, held, flowing in zip(AXIS_NAMES, self.coefficients, self.viscosity, strict=False):
             if ((held == 0) != (flowing == 0)).any():
@@ -188,20 +187,18 @@ class Scene:
         return Lattice((along_x[0] + 1, *along_x[1:]), self.radius)
 
     @cached_property
-    def coefficient(self) -> tuple[np.ndarray, ...]:
-        """The coefficients with the axis of replicas, one array (R, *contacts) an axis."""
-        return self._with_replicas(self.coefficients)
+    def coefficient(self) -> np.ndarray:
+        """(R, E) the coefficients of all contacts."""
+        return self._of_contacts(self.coefficients)
 
-    def _with_replicas(self, parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        return tuple(
-            values.reshape(self.replicas, *self.lattice.contact_shape(axis)) for axis, values in enumerate(parts)
-        )
+    def _of_contacts(self, parts: tuple[np.ndarray, ...]) -> np.ndarray:
+        return self.lattice.flat(parts).reshape(self.replicas, -1)
 
     @cached_property
-    def named_coefficients(self) -> dict[str, tuple[np.ndarray, ...]]:
-        """Those of the law with the axis of replicas, by their name in files, in the order of the law."""
-        found = {"coefficient": self.coefficient, "viscosity": self._with_replicas(self.viscosity)}
-        return {name: values for name, values in found.items() if values}
+    def named_coefficients(self) -> dict[str, np.ndarray]:
+        """Those of the law, (R, E) each, by their name in files, in the order of the law."""
+        beside = {"viscosity": self._of_contacts(self.viscosity)} if self.viscosity else {}
+        return {"coefficient": self.coefficient, **beside}
 
     def sample(self, number: int) -> "Scene":
         """One of the samples alone."""
@@ -283,86 +280,76 @@ class Scene:
         return self.normal_force if self.law.quantities[0].is_friction else 1.0
 
     @cached_property
-    def acting_coefficient(self) -> tuple[np.ndarray, ...]:
-        """The coefficients with 0 for contacts between two driven spheres, which take no part."""
+    def acting_coefficient(self) -> np.ndarray:
+        """(R, E) the coefficients with 0 for contacts between two driven spheres, which take no part."""
         return self._acting(self.coefficient)
 
-    def idle(self, axis: int) -> np.ndarray:
-        """Mask (R, *contacts) of those that take no part: between two driven spheres, or absent."""
-        return self.lattice.between_driven(axis) | (self.coefficient[axis] == 0)
+    @cached_property
+    def idle(self) -> np.ndarray:
+        """(R, E) True for contacts that take no part: between two driven spheres, or absent."""
+        return self.lattice.between_driven | (self.coefficient == 0)
 
     @cached_property
     def is_cut_off(self) -> np.ndarray:
         """(R,), True where absent contacts leave the two driven planes unconnected: no contact need slip then."""
-        if all((values > 0).all() for values in self.coefficient):
+        if (self.coefficient > 0).all():
             return np.zeros(self.replicas, dtype=bool)
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        sites, dimension = self.lattice.sites, self.lattice.dimension
-        sphere, joined = np.arange(sites).reshape(self.lattice.shape), np.zeros(self.replicas, dtype=bool)
+        sites, joined = self.lattice.sites, np.zeros(self.replicas, dtype=bool)
+        sphere = np.arange(sites).reshape(self.lattice.shape)
         sphere[..., 0], sphere[..., -1] = 0, sites - 1
-        for replica, component in product(range(self.replicas), self.minimum_spin_axes):
-            felt = [axis for axis in range(dimension) if axis != component]
-            there = [self.coefficient[axis][replica] > 0 for axis in felt]
-            pairs = [ends(sphere, axis, dimension) for axis in felt]
-            low, high = (np.concatenate([p[k][t] for p, t in zip(pairs, there, strict=True)]) for k in (0, 1))
+        body = sphere.ravel()[self.lattice.ends]
+        for replica, felt in product(range(self.replicas), self.lattice.felt(self.minimum_spin_axes)):
+            low, high = body[:, felt & (self.coefficient[replica] > 0)]
             graph = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(sites, sites))
             label = connected_components(graph, directed=False)[1]
             joined[replica] |= label[0] == label[-1]
         return ~joined
 
     @cached_property
-    def positive_coefficient(self) -> tuple[np.ndarray, ...]:
-        """The coefficients, with WEAK contacts for absent ones: for methods whose arithmetic needs each sphere held.
-        Answers are judged without them."""
-        means = [np.mean(np.concatenate([part[r].ravel() for part in self.coefficient])) for r in range(self.replicas)]
-        weak = WEAK * np.where(np.array(means) > 0, means, 1.0).reshape(-1, *(1,) * self.lattice.dimension)
-        return tuple(np.where(values == 0, weak, values) for values in self.coefficient)
+    def positive_coefficient(self) -> np.ndarray:
+        """(R, E) the coefficients, with WEAK contacts for absent ones: for methods whose arithmetic needs each sphere
+        held. Answers are judged without them."""
+        mean = self.coefficient.mean(axis=1, keepdims=True)
+        return np.where(self.coefficient == 0, WEAK * np.where(mean > 0, mean, 1.0), self.coefficient)
 
-    def _acting(self, values: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        return tuple(np.where(self.lattice.between_driven(axis), 0.0, part) for axis, part in enumerate(values))
+    def _acting(self, values: np.ndarray) -> np.ndarray:
+        return np.where(self.lattice.between_driven, 0.0, values)
 
     @cached_property
-    def contact(self) -> tuple[Coefficients, ...]:
-        """What the functions of the law take for the contacts of each axis, 0 between two driven spheres."""
-        held = tuple(self.strength * values for values in self.acting_coefficient)
-        beside = self._acting(self._with_replicas(self.viscosity))
-        return tuple(zip(*(part for part in (held, beside) if part), strict=True))
+    def contact(self) -> Coefficients:
+        """What the functions of the law take for all contacts, (R, E) each; 0 between two driven spheres."""
+        held, *beside = self.named_coefficients.values()
+        return (self.strength * self._acting(held), *map(self._acting, beside))
 
     @property
-    def viscosities(self) -> tuple[np.ndarray, ...]:
-        """Slope of the force over the slip of every contact, one array (R, *contacts) an axis; 0 between driven
-        spheres, empty for laws without."""
-        found = (self.law.viscosity(of) for of in self.contact)
-        return tuple(values for values in found if values is not None)
+    def viscosities(self) -> np.ndarray | None:
+        """(R, E) slope of the force over the slip of every contact; 0 between driven spheres, None for laws without."""
+        return self.law.viscosity(self.contact)
 
-    def power_of(self, slip: np.ndarray, axis: int) -> np.ndarray:
-        """Power dissipated at the contacts of `axis` with slip speed `slip` (R, *contacts)."""
-        return self.law.power(self.contact[axis], slip)
+    @property
+    def viscosity_beside_friction(self) -> np.ndarray | None:
+        """(R, E) the same of laws that have both, else None."""
+        return self.viscosities if self.law.holds else None
 
-    def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-        """Slip speed |v| of every contact (paper Eq. 2), one array (R, *contacts) an axis, length/time."""
-        differences = contact_differences(staggered, self.lattice, spin_axes)
-        return tuple(self.lattice.radius * vector_length(values) for values in differences)
+    def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Slip speed |v| of every contact (paper Eq. 2), (R, E), length/time."""
+        return self.lattice.radius * vector_length(contact_differences(staggered, self.lattice, spin_axes))
 
-    def contact_powers(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-        """Power of every contact (paper Eq. 4, each contact once), one array (R, *contacts) an axis."""
-        return tuple(self.power_of(slip, axis) for axis, slip in enumerate(self.slips(staggered, spin_axes)))
+    def contact_powers(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Power of every contact (paper Eq. 4, each contact once), (R, E)."""
+        return self.law.power(self.contact, self.slips(staggered, spin_axes))
 
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Dissipated power (R,), energy/time."""
-        return self.total(self.contact_powers(staggered, spin_axes))
+        return self.contact_powers(staggered, spin_axes).sum(axis=1)
 
     def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the
         power is least there its potential. An upper bound on the least value whatever the spins are."""
-        slips = self.slips(staggered, spin_axes)
-        return self.total(self.law.objective(of, slip) for of, slip in zip(self.contact, slips, strict=True))
-
-    def total(self, per_contact: Iterable[np.ndarray]) -> np.ndarray:
-        """Sum (R,) over the contacts, of arrays (R, *contacts)."""
-        return np.sum([values.reshape(self.replicas, -1).sum(axis=1) for values in per_contact], axis=0)
+        return self.law.objective(self.contact, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time.
@@ -410,13 +397,6 @@ class Scene:
         for slot, (bottom, top) in enumerate(zip(*self.driven_values(spin_axes), strict=True)):
             staggered[slot][..., 0], staggered[slot][..., -1] = bottom, top
         return staggered
-
-    def no_force(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-        """Contact forces of zero, one array (T, R, *contacts) an axis."""
-        return tuple(
-            np.zeros((len(tangential(axis, spin_axes)), self.replicas, *self.lattice.contact_shape(axis)))
-            for axis in range(self.lattice.dimension)
-        )
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Staggered spins (C, R, *N) in the interval of the driven values (equations.md, 4).
@@ -466,4 +446,5 @@ def vector_length(components: np.ndarray) -> np.ndarray:
         return np.zeros(components.shape[1:])
     if len(components) == 1:
         return np.abs(components[0])
-    return np.hypot(components[0], components[1])
+    size = np.hypot(components[0], components[1])
+    return size if len(components) == 2 else np.hypot(size, components[2])

@@ -69,7 +69,7 @@ class Progress:
 
     staggered : (C, R, *N) spins that this check stands for, components as named by spin_axes.
     rest : (C, R, *N), what is to be added to them, of a method that knows more than their rounding, else None.
-    force : contact forces, one array (T, R, *contacts) an axis, along the spin difference of the contact.
+    force : contact forces (C, R, E), along the spin difference of the contact.
     objective : (R,), what the stationary state minimises (`Scene.objective`); lower_bound : (R,), on its least value;
         energy/time.
     proof : forces like `force` from which lower_bound follows, where these are others.
@@ -79,8 +79,8 @@ class Progress:
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
     exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
-    state : contact states (R, *contacts) an axis that the method itself has established, else None.
-    slip : slip speeds (R, *contacts) an axis where they are more precise than those of the spins, else None.
+    state : contact states (R, E) that the method itself has established, else None.
+    slip : slip speeds (R, E) where they are more precise than those of the spins, else None.
     settled : (R,), True where the states are final. resolved : (R,), where they are proven to be those of a minimum.
     settles_more : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each.
@@ -93,21 +93,21 @@ class Progress:
     iteration: int
     staggered: np.ndarray
     spin_axes: tuple[int, ...]
-    force: tuple[np.ndarray, ...]
+    force: np.ndarray
     objective: np.ndarray
     lower_bound: np.ndarray
     resolution: float | np.ndarray
     unbalanced_torque: np.ndarray
     rest: np.ndarray | None = None
-    proof: tuple[np.ndarray, ...] | None = None
+    proof: np.ndarray | None = None
     time: float | None = None
     energy: Energy | None = None
     slipping: np.ndarray | None = None
     at_rest: bool = False
     exhausted: bool = False
     halted: bool = False
-    state: tuple[np.ndarray, ...] | None = None
-    slip: tuple[np.ndarray, ...] | None = None
+    state: np.ndarray | None = None
+    slip: np.ndarray | None = None
     settled: np.ndarray | None = None
     resolved: np.ndarray | None = None
     settles_more: bool = False
@@ -135,11 +135,9 @@ OF_REPLICAS = (
 
 
 def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
-    """An array, or a tuple of them, of the chosen replicas; None unless both states have it."""
+    """An array of the chosen replicas; None unless both states have it."""
     if new is None or old is None:
         return None
-    if isinstance(new, tuple):
-        return tuple(_picked(better, axis, *pair) for pair in zip(new, old, strict=True))
     return np.where(better.reshape(*(1,) * axis, -1, *(1,) * (new.ndim - axis - 1)), new, old)
 
 
@@ -148,12 +146,12 @@ class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
     spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
-    slip, power_per_contact, force, state : one array (R, *contacts) an axis; force is its magnitude.
-    friction : on the upper sphere of each contact, laboratory frame, (R, *contacts, 3) an axis; in 2D (R, *contacts),
+    slip, power_per_contact, force, state : (R, E); force is its magnitude.
+    friction : on the upper sphere of each contact, laboratory frame, (R, E, 3); in 2D (R, E),
         the component along z x n (lattice.grid.laboratory_forces). The lower bound follows from it: within the friction
         discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
     resolved : (R,), True where the contact states are proven to be those of every minimum.
-    slip_bound : Coulomb, one array (R, *contacts) an axis: no minimiser slips faster there; proven. Else empty.
+    slip_bound : Coulomb, (R, E): no minimiser slips faster there; proven. Else None.
     power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
         of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
     findings : what else the method has found, by name, (R,) each.
@@ -170,12 +168,12 @@ class Solution:
     iterations: int
     spin: np.ndarray
     spin_rounding: np.ndarray
-    slip: tuple[np.ndarray, ...]
-    power_per_contact: tuple[np.ndarray, ...]
-    force: tuple[np.ndarray, ...]
-    friction: tuple[np.ndarray, ...]
-    state: tuple[np.ndarray, ...]
-    slip_bound: tuple[np.ndarray, ...]
+    slip: np.ndarray
+    power_per_contact: np.ndarray
+    force: np.ndarray
+    friction: np.ndarray
+    state: np.ndarray
+    slip_bound: np.ndarray | None
     resolved: np.ndarray
     power: np.ndarray
     objective: np.ndarray
@@ -217,12 +215,8 @@ class Solution:
         if scene.replicas == 1:
             return self
 
-        def cut(value: Any) -> Any:
-            if isinstance(value, np.ndarray):
-                return value[one]
-            return tuple(part[one] for part in value) if isinstance(value, tuple) else value
-
-        changes: dict[str, Any] = {item.name: cut(getattr(self, item.name)) for item in fields(self)}
+        of_replicas = {item.name: getattr(self, item.name) for item in fields(self)}
+        changes: dict[str, Any] = {n: v[one] for n, v in of_replicas.items() if isinstance(v, np.ndarray)}
         history = {name: v[:, one] if v.ndim == 2 else v for name, v in self.history.items()}
         if "iterations" in self.own and history:
             lived = history["iteration"] <= self.own["iterations"][number]

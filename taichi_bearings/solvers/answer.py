@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taichi_bearings.lattice.grid import laboratory_forces
+from taichi_bearings.lattice.grid import friction_by_axis, laboratory_forces
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap, saturation
 from taichi_bearings.proof.contact_state import SATURATED, ContactState, classify, separate, unresolved
@@ -28,14 +28,14 @@ def answered(
     proof = certifying_forces(scene, forces, final.spin_axes, bound)
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
     judgement = _judged(scene, spin, spin_rounding, friction)
-    slip = _slips(scene, final) if judgement is None else judgement.slip
+    slip = _slips(scene, final) if judgement is None else scene.lattice.flat(judgement.slip)
     state, resolves, of_all = _told_apart(
         scene, slip, final, threshold, _decided(judgement, is_dynamics(method)), proof
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
-    per_contact = tuple(scene.power_of(values, axis) for axis, values in enumerate(slip))
+    per_contact = scene.law.power(scene.contact, slip)
     objective, residual = final.objective, final.unbalanced_torque
-    power = objective if scene.law.minimises == "power" else scene.total(per_contact)
+    power = objective if scene.law.minimises == "power" else per_contact.sum(axis=1)
     if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
         bound = np.zeros_like(bound) if scene.law.name in LAWS else bound
         gap = relative_gap(scene, objective, bound)
@@ -51,10 +51,10 @@ def answered(
         spin_rounding=spin_rounding,
         slip=slip,
         power_per_contact=per_contact,
-        force=_acting(scene, method, final, slip) if is_dynamics(method) else _sizes(proof),
+        force=_acting(scene, method, final, slip) if is_dynamics(method) else vector_length(proof),
         friction=friction,
         state=state,
-        slip_bound=() if judgement is None else judgement.slip_bound,
+        slip_bound=None if judgement is None else _slip_bound(scene, judgement),
         resolved=np.zeros(scene.replicas, dtype=bool),
         power=power,
         objective=objective,
@@ -75,8 +75,8 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
     """An answer with the friction of another one to its scene in replicas where that proves more of it."""
     more = other.lower_bound > answer.lower_bound
 
-    def picked(new: Forces, old: Forces) -> Forces:
-        return tuple(np.where(more.reshape(-1, *(1,) * (b.ndim - 1)), a, b) for a, b in zip(new, old, strict=True))
+    def picked(new: np.ndarray, old: np.ndarray) -> np.ndarray:
+        return np.where(more.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
 
     friction = picked(other.friction, answer.friction)
     judgement = _judged(answer.scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
@@ -87,7 +87,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         friction=friction,
         force=picked(other.force, answer.force),
         resolved=answer.resolved & ~more,
-        slip_bound=judgement.slip_bound,
+        slip_bound=_slip_bound(answer.scene, judgement),
         unbalanced_torque=judgement.largest_torque,
         lower_bound=judgement.lower_bound,
         gap=judgement.gap,
@@ -96,12 +96,12 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
 
 def _told_apart(
     scene: Scene,
-    slip: tuple[np.ndarray, ...],
+    slip: np.ndarray,
     final: Progress,
     threshold: float | None,
-    decided: tuple[np.ndarray, ...] | None,
+    decided: np.ndarray | None,
     proof: Forces,
-) -> tuple[tuple[np.ndarray, ...], np.ndarray, float]:
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Contact states, and slips up to which contacts count as slipless, (R,) and of all: as asked for, or else what can
     be resolved. Where more than the slip tells them apart, that is the largest slip of a slipless contact: others may
     slip slower.
@@ -116,12 +116,9 @@ def _told_apart(
     resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
     state = _states(scene, slip, final, float(resolves.max()), asked=False)
     if decided is not None:
-        both = []
-        for said, known, share in zip(state, decided, saturation(scene, proof), strict=True):
-            off = (said == ContactState.SLIPPING) & (share < SATURATED) & (not scene.law.flows)
-            said = np.where(off, ContactState.UNDECIDED, said)
-            both.append(np.where((said == ContactState.DRIVEN) | (known == UNPROVEN), said, known).astype(np.uint8))
-        state = tuple(both)
+        off = (state == ContactState.SLIPPING) & (saturation(scene, proof) < SATURATED) & (not scene.law.flows)
+        state = np.where(off, ContactState.UNDECIDED, state)
+        state = np.where((state == ContactState.DRIVEN) | (decided == UNPROVEN), state, decided).astype(np.uint8)
     found = separate(scene, slip, state)
     largest, smallest = np.fmax(found.largest_slipless, 0.0), np.fmin(found.smallest_slipping, np.inf)
     each = np.where(smallest <= resolves, largest, np.maximum(resolves, largest))
@@ -129,75 +126,70 @@ def _told_apart(
     return state, each, of_all
 
 
-def _decided(judgement: Judgement | None, is_dynamics: bool) -> tuple[np.ndarray, ...] | None:
-    """What is proven of the states at every minimum, (R, *contacts) an axis, where it is contact by contact.
+def _decided(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
+    """What is proven of the states at every minimum, (R, E), where it is contact by contact.
 
     A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
     """
     if judgement is None or not (judgement.samples.flows or (len(judgement.samples.needed) < 2 and not is_dynamics)):
         return None
-    return tuple(np.stack(of_axis) for of_axis in zip(*(found.proven for found in judgement.states), strict=True))
+    return np.stack([np.concatenate([values.ravel() for values in found.proven]) for found in judgement.states])
 
 
-def _states(
-    scene: Scene, slip: tuple[np.ndarray, ...], final: Progress, threshold: float, asked: bool
-) -> tuple[np.ndarray, ...]:
+def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
     """Contact states by slip and friction, or as the method has established them; then slower ones count as slipless,
     and of faster ones none, only if a threshold was asked for."""
     if final.state is None:
         return classify(scene, slip, final.force, threshold)
-    slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
-    found = []
-    for axis, (state, speed) in enumerate(zip(final.state, slip, strict=True)):
-        if asked:
-            slow, fast = (state == slipping) & (speed <= threshold), (state == slipless) & (speed > threshold)
-            state = np.where(slow, slipless, np.where(fast, undecided, state))
-        found.append(np.where(scene.idle(axis), ContactState.DRIVEN, state).astype(np.uint8))
-    return tuple(found)
+    state = final.state
+    if asked:
+        slow = (state == ContactState.SLIPPING) & (slip <= threshold)
+        fast = (state == ContactState.SLIPLESS) & (slip > threshold)
+        state = np.where(slow, ContactState.SLIPLESS, np.where(fast, ContactState.UNDECIDED, state))
+    return np.where(scene.idle, ContactState.DRIVEN, state).astype(np.uint8)
 
 
-def _slips(scene: Scene, final: Progress) -> tuple[np.ndarray, ...]:
+def _slips(scene: Scene, final: Progress) -> np.ndarray:
     return scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
 
 
-def _sizes(force: Forces) -> tuple[np.ndarray, ...]:
-    return tuple(vector_length(values) for values in force)
+def _slip_bound(scene: Scene, judgement: Judgement) -> np.ndarray | None:
+    return scene.lattice.flat(judgement.slip_bound) if judgement.slip_bound else None
 
 
-def _acting(scene: Scene, method: Method, final: Progress, slip: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """Sizes of the forces in a dynamics at this moment: where contacts hold its own, else those of the law. Friction
-    alone is at its limit where the rounding of far stronger contacts says more."""
+def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> np.ndarray:
+    """Sizes (R, E) of the forces in a dynamics at this moment: where contacts hold its own, else those of the law.
+    Friction alone is at its limit where the rounding of far stronger contacts says more."""
     if not scene.law.holds:
-        return tuple(scene.law.force(of, speed) for of, speed in zip(scene.contact, slip, strict=True))
+        return scene.law.force(scene.contact, slip)
     most = np.inf if scene.law.flows else scene.strength * max(getattr(method.options, "static_ratio", 1.0), 1.0)
-    found = []
-    for of, size in zip(scene.coefficient, _sizes(final.force), strict=True):
-        found.append(np.where(of == 0, 0.0, np.minimum(size, most * np.where(of == 0, 1.0, of))))
-    return tuple(found)
+    absent = scene.coefficient == 0
+    return np.where(
+        absent, 0.0, np.minimum(vector_length(final.force), most * np.where(absent, 1.0, scene.coefficient))
+    )
 
 
 def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
+    by_axis = scene.lattice.by_axis
     samples = Samples(
-        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction,
-        scene.named_coefficients.get("viscosity", ()),
+        scene.lattice.shape, scene.law.name, by_axis(scene.coefficient), scene.spin_top, scene.spin_bottom,
+        scene.direction, scene.normal_force, scene.lattice.radius, spin, spin_rounding,
+        friction_by_axis(friction, scene.lattice),
+        by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (),
     )  # fmt: skip
     return Judgement(samples) if samples.can_be_judged else None
 
 
-def above_noise(answer: Solution, judgement: Judgement | None) -> tuple[np.ndarray, ...]:
+def above_noise(answer: Solution, judgement: Judgement | None) -> np.ndarray:
     """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap resolves."""
-    known = _decided(judgement, is_dynamics=False) or (np.array(UNPROVEN),) * len(answer.state)
-    found = []
-    for state, faint, sure in zip(answer.state, unresolved(answer), known, strict=True):
-        doubtful = (state == ContactState.SLIPPING) & faint & (sure == UNPROVEN)
-        doubtful &= ~answer.resolved.reshape(-1, *(1,) * (state.ndim - 1))
-        found.append(np.where(doubtful, ContactState.UNDECIDED, state).astype(np.uint8))
-    return tuple(found)
+    doubtful = (answer.state == ContactState.SLIPPING) & unresolved(answer) & ~answer.resolved[:, None]
+    known = _decided(judgement, is_dynamics=False)
+    doubtful &= True if known is None else known == UNPROVEN
+    return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
 
 
-def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tuple[np.ndarray, ...]) -> np.ndarray:
+def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: np.ndarray) -> np.ndarray:
     """True (R,) where the verifier proves that these are the states at every minimum.
 
     It is asked where the method believes so, and where one component makes that cheap.
@@ -210,5 +202,5 @@ def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: tu
     with one_thread():
         for replica in np.flatnonzero(found):
             states = judgement.states[replica] if together else judgement.one(int(replica)).states[0]
-            found[replica] = states.agree([values[replica] for values in state])
+            found[replica] = states.agree(list(scene.lattice.by_axis(state[replica])))
     return found

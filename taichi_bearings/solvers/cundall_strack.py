@@ -77,8 +77,9 @@ class CundallStrackMethod:
         is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
         fields.load("is_free", is_free.astype(np.float64))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        if scene.viscosity:  # over the radius, as the force of the device law
-            fields.load("viscosity", scene.lattice.radius * layout.at_lower_sphere(scene.viscosities))
+        if scene.viscosity_beside_friction is not None:  # over the radius, as the force of the device law
+            beside = layout.at_lower_sphere(scene.viscosity_beside_friction)
+            fields.load("viscosity", scene.lattice.radius * beside)
         self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
         self.steps = cundall_strack_steps(self.spec, self.stencil, CORRECTORS[options.gear_order])
         self.steps.compile(fields, self.team)
@@ -89,9 +90,9 @@ class CundallStrackMethod:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
         the first step would spoil the order of all that follow."""
         scene, options = self.scene, self.options
-        derivatives, forces = [staggered], []
+        derivatives, forces = [staggered], list[np.ndarray]()
         for n in range(1, options.gear_order + 1):
-            forces.append(tuple(force / n for force in self._force_derivative(derivatives)))
+            forces.append(self._force_derivative(derivatives) / n)
             rate = scene.lattice.radius / self.inertia * torques(forces[-1], scene.lattice, self.spin_axes)
             rate[..., scene.lattice.is_driven] = 0.0
             derivatives.append(self.time_step * rate)
@@ -106,8 +107,9 @@ class CundallStrackMethod:
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
 
-    def _force_derivative(self, derivatives: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Derivative of the contact forces at the start, scaled like the last of these of the spins, of the same order.
+    def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
+        """Derivative of the contact forces (C, R, E) at the start, scaled like the last of these of the spins, of the
+        same order.
 
         A sticking contact feels its damper and the spring that the slip stretches from then on; one that slips keeps
         its force, apart from a turn of the slip in contacts with two components, which is left out.
@@ -117,38 +119,27 @@ class CundallStrackMethod:
             return self._damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
-        holds = options.static_ratio * scene.normal_force
-        sticking = tuple(
-            np.where(options.damping * slip <= holds * coefficient, scene.lattice.radius * values, 0.0)
-            for values, slip, coefficient in zip(
-                contact_differences(felt, scene.lattice, self.spin_axes),
-                scene.slips(derivatives[0], self.spin_axes),
-                scene.acting_coefficient,
-                strict=True,
-            )
-        )
-        return self._with_viscosity(sticking, derivatives[-1])
+        holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
+        sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
+        felt = contact_differences(felt, scene.lattice, self.spin_axes)
+        return self._with_viscosity(np.where(sticks, scene.lattice.radius * felt, 0.0), derivatives[-1])
 
-    def _damping_force(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Forces of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
+    def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
+        """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
         scene, options = self.scene, self.options
-        forces = scene.no_force(self.spin_axes)
-        if scene.law.holds:
-            for axis, force in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
-                force *= options.damping * scene.lattice.radius
-                size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient[axis]
-                slips = size > limit * options.static_ratio
-                forces[axis][...] = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self._with_viscosity(forces, staggered)
+        force = options.damping * scene.lattice.radius * contact_differences(staggered, scene.lattice, self.spin_axes)
+        size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
+        slips = size > limit * options.static_ratio
+        force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
+        return self._with_viscosity(force if scene.law.holds else np.zeros_like(force), staggered)
 
-    def _with_viscosity(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _with_viscosity(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """The forces and what the viscosity of the contacts, if they have any, adds at these spins."""
-        if not self.scene.law.flows:
+        scene = self.scene
+        if scene.viscosities is None:
             return force
-        differences = contact_differences(staggered, self.scene.lattice, self.spin_axes)
-        viscosities = self.scene.viscosities
-        return tuple(
-            f + self.scene.lattice.radius * v * d for f, v, d in zip(force, viscosities, differences, strict=True)
+        return force + scene.lattice.radius * scene.viscosities * contact_differences(
+            staggered, scene.lattice, self.spin_axes
         )
 
     @property
@@ -212,8 +203,8 @@ class CundallStrackMethod:
         springs, longest = force, np.zeros(scene.replicas)
         if scene.law.holds:
             stretch = self._contact_forces("elongation")
-            longest = np.max([vector_length(e).reshape(scene.replicas, -1).max(axis=1) for e in stretch], axis=0)
-            springs = self._with_viscosity(tuple(self.options.stiffness * e for e in stretch), staggered)
+            longest = vector_length(stretch).max(axis=1)
+            springs = self._with_viscosity(self.options.stiffness * stretch, staggered)
         objective = scene.objective(staggered, self.spin_axes)
         bound = lower_bound(scene, springs, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
@@ -243,12 +234,11 @@ class CundallStrackMethod:
             },
         )
 
-    def _contact_power(self, force: tuple[np.ndarray, ...], staggered: np.ndarray) -> np.ndarray:
+    def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""
-        differences = contact_differences(staggered, self.scene.lattice, self.spin_axes)
-        return np.sum([replica_sum(f * d) for f, d in zip(force, differences, strict=True)], axis=0)
+        return replica_sum(force * contact_differences(staggered, self.scene.lattice, self.spin_axes))
 
-    def _energy(self, staggered: np.ndarray, force: tuple[np.ndarray, ...]) -> Energy:
+    def _energy(self, staggered: np.ndarray, force: np.ndarray) -> Energy:
         """The books at the end of the last step.
 
         The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
@@ -256,8 +246,7 @@ class CundallStrackMethod:
         """
         scene, spring = self.scene, np.zeros(self.scene.replicas)
         if scene.law.holds:
-            stretch = self._contact_forces("elongation")
-            spring = self.options.stiffness / 2 * np.sum([replica_sum(e**2) for e in stretch], axis=0)
+            spring = self.options.stiffness / 2 * replica_sum(self._contact_forces("elongation") ** 2)
         reach = scene.lattice.radius * self.time_step
         ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
         work = reach * (replica_sum(self.fields.read("work")) + ends)
@@ -270,8 +259,8 @@ class CundallStrackMethod:
             at_start=self.energy_at_start,
         )
 
-    def _contact_forces(self, name: str) -> tuple[np.ndarray, ...]:
-        return self.stencil.forces_by_axis(self.fields.read(name), self.fields.layout)
+    def _contact_forces(self, name: str) -> np.ndarray:
+        return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
 
     def _is_believed(self, objective: np.ndarray, bound: np.ndarray) -> bool:
         """Rest is believed only if the certificate agrees; with mu_s > mu_k, where it need not, only after the driven
@@ -283,7 +272,7 @@ class CundallStrackMethod:
     def _loading_time(self) -> float:
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""
         scene = self.scene
-        strongest = max(float(c.max(initial=0.0)) for c in scene.acting_coefficient) * self.options.static_ratio
+        strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
         speed = scene.lattice.radius * scene.jump
         return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
 
@@ -313,10 +302,12 @@ def sticking_modes(
         stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
         decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
         return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
-    strongest = max(float(values.max(initial=0.0)) for values in scene.acting_coefficient)
+    strongest = float(scene.acting_coefficient.max())
     holds = scene.normal_force * strongest * options.static_ratio
     fastest = max(largest_spin, abs(scene.spin_top), abs(scene.spin_bottom), np.finfo(float).tiny)
-    damping = options.damping + max((float(values.mean()) for values in scene.viscosities), default=0.0)
+    damping = options.damping
+    if scene.viscosities is not None:
+        damping += max(float(values.mean()) for values in scene.lattice.by_axis(scene.viscosities))
     return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)
 
 

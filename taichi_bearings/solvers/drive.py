@@ -11,7 +11,6 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.fields import Fields, FieldSpec, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
-from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.solvers.answer import above_noise, answered, proven
@@ -246,13 +245,13 @@ class _Pace:
 class _Best:
     """The state that counts, replica by replica, and the best lower bound seen.
 
-    proof : forces (T, R, *contacts) an axis from which that bound follows.
+    proof : forces (C, R, E) from which that bound follows.
     """
 
     def __init__(self, scene: Scene, keeps_best: bool) -> None:
         self.scene, self.keeps_best = scene, keeps_best
         self.progress: Progress
-        self.proof: Forces = ()
+        self.proof: Forces = np.zeros(0)  # none yet
         self.bound = np.zeros(0)  # none yet
         self._gap, self._improved_at = np.inf, 0
 
@@ -269,7 +268,7 @@ class _Best:
 
     def take(self, new: Progress) -> None:
         first = len(self.bound) == 0
-        if first and self.proof:  # restored: what was proven before is proven anew
+        if first and self.proof.size:  # restored: what was proven before is proven anew
             self.bound = lower_bound(self.scene, self.proof, new.spin_axes)
         self._take_proof(new)
         self.bound = np.maximum(self.bound, new.lower_bound) if len(self.bound) else new.lower_bound
@@ -283,16 +282,13 @@ class _Best:
 
     def state(self) -> dict[str, np.ndarray]:
         """The forces that prove the bound, for a checkpoint; the bound itself is not believed."""
-        return {f"proof_{axis}": force for axis, force in enumerate(self.proof)}
+        return {"proof": self.proof}
 
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
-        lattice = self.scene.lattice
-        self.proof = tuple(np.array(state[f"proof_{axis}"], dtype=float) for axis in range(lattice.dimension))
-        for axis, force in enumerate(self.proof):
-            parts = len(tangential(axis, spin_axes))
-            shape = (parts, self.scene.replicas, *lattice.contact_shape(axis))
-            if force.shape != shape or not np.isfinite(force).all():
-                raise ValueError(f"proof_{axis} holds something else than the forces of its contacts")
+        self.proof = np.array(state["proof"], dtype=float)
+        shape = (len(spin_axes), self.scene.replicas, self.scene.lattice.all_contacts)
+        if self.proof.shape != shape or not np.isfinite(self.proof).all():
+            raise ValueError("proof holds something else than the forces of its contacts")
 
     def _take_proof(self, new: Progress) -> None:
         proof = new.force if new.proof is None else new.proof
@@ -302,5 +298,4 @@ class _Best:
         better = new.lower_bound >= self.bound
         if new.resolved is not None:  # forces that prove contact states are worth more than the last digit of the bound
             better |= new.resolved & (new.lower_bound >= self.bound * (1 - 1e-11))
-        pick = better.reshape(1, -1, *(1,) * len(proof))
-        self.proof = tuple(np.where(pick, a, b) for a, b in zip(proof, self.proof, strict=True))
+        self.proof = np.where(better[:, None], proof, self.proof)

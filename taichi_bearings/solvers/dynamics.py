@@ -60,18 +60,13 @@ class Saturation:
     creep: float
 
     @classmethod
-    def of(
-        cls, scene: Scene, force: tuple[np.ndarray, ...], slip: tuple[np.ndarray, ...], tolerance: float
-    ) -> "Saturation":
-        """force : one array (T, R, *contacts) an axis. slip : (R, *contacts) an axis."""
-        slipping, creep = np.zeros(scene.replicas, dtype=np.int64), 0.0
-        for values, speed, of in zip(force, slip, scene.contact, strict=True):
-            limit = scene.law.holding_force(of)
-            if limit is not None:
-                slips = vector_length(values) >= (1 - tolerance) * limit
-                slipping += replica_sum((slips & (limit > 0))[None])
-                creep = max(creep, float(speed[~slips].max(initial=0.0)))
-        return cls(slipping, min(creep, COARSEST * scene.lattice.radius * scene.jump))
+    def of(cls, scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: float) -> "Saturation":
+        """force : (C, R, E). slip : (R, E)."""
+        limit, coarsest = scene.law.holding_force(scene.contact), COARSEST * scene.lattice.radius * scene.jump
+        if limit is None:
+            return cls(np.zeros(scene.replicas, dtype=np.int64), 0.0)
+        slips = vector_length(force) >= (1 - tolerance) * limit
+        return cls((slips & (limit > 0)).sum(axis=1), min(float(slip[~slips].max(initial=0.0)), coarsest))
 
 
 @dataclass
@@ -94,17 +89,17 @@ class RestWatch:
         scene: Scene,
         objective: np.ndarray,
         slipping: int,
-        force: tuple[np.ndarray, ...],
+        force: np.ndarray,
         left_over: np.ndarray,
         tolerance: float,
         believed: bool,
     ) -> None:
-        """A check: objective (R,), contact forces (T, R, *contacts) an axis, and the largest torque (R,) they leave.
+        """A check: objective (R,), contact forces (C, R, E), and the largest torque (R,) they leave.
 
         tolerance : change of the objective, relative; a thousand times as much of the typical torque may be left.
         believed : springs that have not loaded yet look stationary too; True once that can be ruled out.
         """
-        typical_torque = scene.lattice.radius * max(float(vector_length(f).max(initial=0.0)) for f in force)
+        typical_torque = scene.lattice.radius * float(vector_length(force).max(initial=0.0))
         still = bool((np.abs(objective - self.last_objective) <= tolerance * np.abs(objective)).all())
         balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
         quiet = believed and still and balanced and slipping == self.last_slipping

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.sparse.linalg import eigsh
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.incidence import ends
 from taichi_bearings.lattice.laplacian import eigenvalues
 from taichi_bearings.numerics.graph_laplacian import graph_laplacian
 from taichi_bearings.scene import Scene
@@ -96,14 +95,12 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
 
     Lanczos to a relative 1e-3, raised by as much.
     """
-    lattice, largest = scene.lattice, 0.0
-    sphere = np.arange(lattice.sites).reshape(lattice.shape)
-    pairs = [[end.ravel() for end in ends(sphere, axis, lattice.dimension)] for axis in range(lattice.dimension)]
-    for component in spin_axes:
-        for replica in range(scene.replicas):
-            weights = (values[replica].ravel() for values in scene.viscosities)
-            edges = [(*pair, weight) for pair, weight in zip(pairs, weights, strict=True)]
-            edges = [edge for axis, edge in enumerate(edges) if axis != component]
+    lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities
+    if viscosities is None:
+        return largest
+    for felt in lattice.felt(spin_axes):
+        for weights in viscosities:
+            edges = [(*lattice.ends[:, felt], weights[felt])]
             matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())
             if not matrix.count_nonzero():
                 continue

@@ -61,9 +61,9 @@ class GradientDescentMethod:
         self.fields, layout = fields, fields.layout
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        beside_friction = scene.viscosities if scene.viscosity else ()
-        self.viscosity = tuple(scene.lattice.radius / scene.strength * values for values in beside_friction)
-        if self.viscosity:
+        beside = scene.viscosity_beside_friction
+        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
+        if self.viscosity is not None:
             fields.load("viscosity", layout.at_lower_sphere(self.viscosity))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = np.sort(scene.driven_values(self.spin_axes), axis=0)
@@ -87,8 +87,8 @@ class GradientDescentMethod:
         scene, lattice = self.scene, self.scene.lattice
         reach = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
-        if self.viscosity:
-            bounds = tuple(c + reach * v for c, v in zip(bounds, self.viscosity, strict=True))
+        if self.viscosity is not None:
+            bounds = bounds + reach * self.viscosity
         weight = weights(bounds, lattice, self.spin_axes)
         weight[..., lattice.is_driven] = 0.0
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
@@ -141,7 +141,7 @@ class GradientDescentMethod:
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
             self._load_spins(staggered)
             self.step_length /= math.sqrt(2)
-            if self.viscosity:
+            if self.viscosity is not None:
                 self._load_weights()
             self._begin_epoch(2 * self.epoch_length)
         return Progress(
@@ -155,20 +155,17 @@ class GradientDescentMethod:
             unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
         )
 
-    def _force_at(self, staggered: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Contact forces of the law that the sweeps use, (T, R, *contacts) an axis."""
+    def _force_at(self, staggered: np.ndarray) -> np.ndarray:
+        """Contact forces (C, R, E) of the law that the sweeps use."""
         scene = self.scene
-        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
-        forces = []
-        for of, d in zip(scene.contact, differences, strict=True):
-            held, viscosity = scene.law.holding_force(of), scene.law.viscosity(of)
-            force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
-            forces.append(force if viscosity is None else force + scene.lattice.radius * viscosity * d)
-        return tuple(forces)
+        d = contact_differences(staggered, scene.lattice, self.spin_axes)
+        held, viscosity = scene.law.holding_force(scene.contact), scene.viscosities
+        force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
+        return force if viscosity is None else force + scene.lattice.radius * viscosity * d
 
-    def _averaged_force(self) -> tuple[np.ndarray, ...]:
+    def _averaged_force(self) -> np.ndarray:
         mean = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
-        return self.stencil.forces_by_axis(mean, self.fields.layout)
+        return self.stencil.forces_of_contacts(mean, self.fields.layout)
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""
@@ -179,7 +176,7 @@ class GradientDescentMethod:
         if shorten:
             self.width = max(self.width / 2, self.least_width)
             smooth = np.full_like(objective, np.inf)
-            if self.viscosity:
+            if self.viscosity is not None:
                 self._load_weights()
         if shorten or (smooth > self.last_smooth).any():
             self.age = 0
@@ -187,12 +184,11 @@ class GradientDescentMethod:
 
     def _regularisation_error(self, staggered: np.ndarray) -> np.ndarray:
         """(R,) objective less the smooth one that the sweeps descend: at most width / 2 a contact and unit of force."""
-        scene, total = self.scene, np.zeros(self.scene.replicas)
-        for axis, difference in enumerate(contact_differences(staggered, scene.lattice, self.spin_axes)):
-            size = np.minimum(vector_length(difference), self.width)
-            error = scene.lattice.radius * (size - size**2 / (2 * self.width))
-            total += (scene.strength * scene.acting_coefficient[axis] * error).reshape(scene.replicas, -1).sum(axis=1)
-        return total
+        scene = self.scene
+        size = vector_length(contact_differences(staggered, scene.lattice, self.spin_axes))
+        size = np.minimum(size, self.width)
+        error = scene.lattice.radius * (size - size**2 / (2 * self.width))
+        return (scene.strength * scene.acting_coefficient * error).sum(axis=1)
 
     def _resolution(self) -> float:
         """Slip speed below which this stage cannot tell slip from rest."""

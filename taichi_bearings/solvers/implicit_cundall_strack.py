@@ -20,7 +20,6 @@ from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic, wher
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
@@ -91,7 +90,8 @@ class ImplicitCundallStrackMethod:
         self.strength = [
             scene.strength * self.system.gather(scene.positive_coefficient, replica) for replica in replicas
         ]
-        self.viscosity = [self.system.gather(scene.viscosities, r) if scene.viscosity else None for r in replicas]
+        flow = scene.viscosity_beside_friction
+        self.viscosity = [None if flow is None else self.system.gather(flow, r) for r in replicas]
         strongest = max(strength.max() for strength in self.strength)
         if not scene.law.holds:
             strongest *= scene.lattice.radius * spin_scale
@@ -122,7 +122,7 @@ class ImplicitCundallStrackMethod:
         if scene.law.holds:
             longest = np.sqrt(self.inertia / self.options.stiffness) / radius
         else:
-            longest = self.inertia / (radius**2 * max(float(c.max()) for c in scene.coefficient))
+            longest = self.inertia / (radius**2 * float(scene.coefficient.max()))
         fastest = max(_mean_size(radius / self.inertia * self.system.torques(s.force)) for s in self.samples)
         change = self.options.error_tolerance * self.stage.spin_scale
         return min(longest, change / fastest) if fastest > 0 else longest
@@ -242,17 +242,17 @@ class ImplicitCundallStrackMethod:
     def progress(self) -> Progress:
         scene, stiffness = self.scene, self.options.stiffness
         staggered = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
-        force, springs = scene.no_force(self.spin_axes), scene.no_force(self.spin_axes)
+        force, springs = np.zeros((2, len(self.spin_axes), scene.replicas, scene.lattice.all_contacts))
         for replica, sample in enumerate(self.samples):
             place_free_spins(staggered, replica, sample.spins)
-            self.system.scatter(sample.force, force, replica)
+            self.system.scatter_vectors(sample.force, force, replica)
             pulls, viscosity = stiffness * sample.elongation, self.viscosity[replica]
             if viscosity is not None:
                 pulls = pulls + viscosity * scene.lattice.radius * self.system.differences(sample.spins)
-            self.system.scatter(pulls, springs, replica)
+            self.system.scatter_vectors(pulls, springs, replica)
         scene.impose_driving(staggered, self.spin_axes)
         objective = scene.objective(staggered, self.spin_axes)
-        proof = tuple(springs) if scene.law.holds else force
+        proof = springs if scene.law.holds else force
         bound = lower_bound(scene, proof, self.spin_axes)
         left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
@@ -293,18 +293,14 @@ class ImplicitCundallStrackMethod:
         }
         for name in ("elongation", "force"):
             samples = zip(*(getattr(sample, name) for sample in self.samples), strict=True)
-            for homes, values in zip(self.system.homes, samples, strict=True):
-                state |= {f"{name}_{home.axis}": np.stack(values)[..., home.own] for home in homes}
+            state |= {f"{name}_{group}": np.stack(values) for group, values in enumerate(samples)}
         return state
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         self.samples = []
         for replica, spins in enumerate(state["spins"]):
             elongation, force = (
-                Grouped(
-                    np.concatenate([state[f"{name}_{home.axis}"][replica] for home in homes], axis=-1)
-                    for homes in self.system.homes
-                )
+                Grouped(np.array(state[f"{name}_{group}"][replica]) for group in range(len(self.system.groups)))
                 for name in ("elongation", "force")
             )
             self.samples.append(_Sample(np.array(spins), elongation, force, *map(float, state["books"][replica])))
@@ -319,11 +315,10 @@ def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) ->
     """What the driven spheres, as they turn in the laboratory, add to the differences: (d, n) a group."""
     bottom = scene.bottom_spin(spin_axes)
     top = bottom + scene.driven_values(spin_axes)[1]
-    imposed = []
-    for group, homes in zip(system.groups, system.homes, strict=True):
-        slots = np.concatenate([np.tile(tangential(h.axis, spin_axes), (len(h.places[-1]), 1)) for h in homes]).T
-        imposed.append(top[slots] * (group.above < 0) - bottom[slots] * (group.below < 0))
-    return Grouped(imposed)
+    return Grouped(
+        top[places.slot] * (group.above < 0) - bottom[places.slot] * (group.below < 0)
+        for group, places in zip(system.groups, system.places, strict=True)
+    )
 
 
 def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:

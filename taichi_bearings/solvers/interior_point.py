@@ -149,13 +149,12 @@ class InteriorPointMethod:
         scene = self.scene
         friction, viscosity = self.system.gather(scene.positive_coefficient, replica), None
         strength = friction
-        if scene.viscosity:
-            flow = (
-                scene.lattice.radius * scene.jump / scene.normal_force * self.system.gather(scene.viscosities, replica)
-            )
+        beside = scene.viscosity_beside_friction
+        if beside is not None:
+            flow = scene.lattice.radius * scene.jump / scene.normal_force * self.system.gather(beside, replica)
             strength = friction + flow
         unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*strength]))))))  # dividing by it rounds nothing
-        if scene.viscosity and self.frustrated:
+        if beside is not None and self.frustrated:
             viscosity = flow / unit
             with suppress(NotPositiveDefinite), one_thread():
                 spins = flowing(self.system, viscosity, self.matrix, spins)
@@ -285,16 +284,16 @@ class InteriorPointMethod:
     def progress(self) -> Progress:
         scene = self.scene
         (staggered, rest), speed = self._spins(), scene.lattice.radius * scene.jump
-        force, state = scene.no_force(self.spin_axes), all_slipless(scene)
-        slip = tuple(np.zeros(values.shape) for values in state)
+        state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)
+        force = np.zeros((len(self.spin_axes), *slip.shape))
         answers = [sample.resolved or sample.iterate for sample in self.samples]
         slips, states = together([answer.difference for answer in answers]).length(), _states(self.samples)
         units = np.array([[sample.unit * scene.normal_force] for sample in self.samples])
         duals = together([answer.whole_dual for answer in answers])
         forces = each(lambda dual: np.moveaxis(-dual.reshape(len(dual), len(units), -1) * units, 1, 0), duals)
-        for values, fields in ((speed * slips, slip), (states, state)):
-            self.system.scatter(each(lambda of: of.reshape(len(units), -1), values), fields, slice(None))
-        self.system.scatter(forces, force, slice(None))
+        for numbers, values in ((speed * slips, slip), (states, state)):
+            self.system.scatter(each(lambda of: of.reshape(len(units), -1), numbers), values, slice(None))
+        self.system.scatter_vectors(forces, force, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
         settled = np.array([sample.resolved is not None for sample in self.samples])
         slow = where(states == ContactState.SLIPLESS, slips, 0.0)
@@ -344,7 +343,7 @@ class InteriorPointMethod:
             place_free_spins(whole, slice(None), free)
         return found[0], found[1]
 
-    def _lower_bound(self, force: tuple[np.ndarray, ...], objective: np.ndarray) -> np.ndarray:
+    def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
         """Quickly until a sample is at the end of its path, and there, too, if nothing is left to gain."""
         ended = np.array([sample.done or not self.frustrated for sample in self.samples])
         if not self.scene.law.is_rate_independent:

@@ -71,8 +71,8 @@ class LinearSolverMethod:
         """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
         scene, component = self.scene, self.spin_axes[slot]
         first, second = (
-            self._by_plane(scene.positive_coefficient[axis], slot)[planes]
-            for axis in range(scene.lattice.dimension)
+            self._by_plane(values, slot)[planes]
+            for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))
             if axis != component
         )
         try:
@@ -101,15 +101,8 @@ class LinearSolverMethod:
     def progress(self) -> Progress:
         scene = self.scene
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
-        force = tuple(
-            scene.lattice.radius * coefficient * (difference + rest)
-            for coefficient, difference, rest in zip(
-                scene.acting_coefficient,
-                contact_differences(self.spin, scene.lattice, self.spin_axes),
-                contact_differences(self.rest, scene.lattice, self.spin_axes),
-                strict=True,
-            )
-        )
+        differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
+        force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
         fastest = max(abs(scene.spin_top), abs(scene.spin_bottom))
         return Progress(
             iteration=self.iteration,

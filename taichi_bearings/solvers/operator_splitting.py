@@ -81,6 +81,7 @@ class OperatorSplittingMethod:
         lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
         self.stencil = Stencil(self.spin_axes, lattice.dimension, self.layout.block)
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
+        self.weight = np.array(self.weights)[lattice.axis]
         self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)
         self.contacts = contact_step(self.spec, self.stencil)
         self.contacts.compile(fields)
@@ -90,7 +91,7 @@ class OperatorSplittingMethod:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
         friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), OUTSIDE)
-        for axis, coefficient in enumerate(scene.acting_coefficient):
+        for axis, coefficient in enumerate(scene.lattice.by_axis(scene.acting_coefficient)):
             self.layout.from_lower_sphere(friction[axis], axis)[...] = scene.strength * coefficient
         self.fields.load("friction", friction)
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
@@ -100,7 +101,7 @@ class OperatorSplittingMethod:
         stiffness = self._by_replica(self.stiffness)
         self.fields.load("potential", stiffness * staggered)
         differences = contact_differences(staggered, scene.lattice, self.spin_axes)
-        trial = tuple(weight * stiffness * d for weight, d in zip(self.weights, differences, strict=True))
+        trial = self.weight * self.stiffness[:, None] * differences
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
@@ -139,8 +140,7 @@ class OperatorSplittingMethod:
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
         trial, friction = self._trial_and_friction()
         slips = scene.slips(staggered, axes)
-        powers = [scene.power_of(slip, axis) for axis, slip in enumerate(slips)]
-        power = np.sum([values.reshape(scene.replicas, -1).sum(axis=1) for values in powers], axis=0)
+        power = scene.law.power(scene.contact, slips).sum(axis=1)
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
         self._steer(power, work, bound)
@@ -157,19 +157,18 @@ class OperatorSplittingMethod:
         )
 
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
-        """rho D Omega - (v - 2 f): one array (T, R, *contacts) an axis.
+        """rho D Omega - (v - 2 f), (C, R, E).
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
         differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
-        parts = zip(self.weights, differences, trial, friction, strict=True)
-        force = tuple(w * d - (v - 2 * f) for w, d, v, f in parts)
+        force = self.weight * differences - (trial - 2 * friction)
         exact = self.fields.dtype == np.float64
         return force if exact else balance(self.scene, force, self.spin_axes)
 
     def _trial_and_friction(self) -> tuple[Forces, Forces]:
         """v, and f, what friction bears of it."""
-        trial = self.stencil.forces_by_axis(self.fields.seen("trial"), self.layout)
+        trial = self.stencil.forces_of_contacts(self.fields.seen("trial"), self.layout)
         return trial, capped(trial, saturation(self.scene, trial))
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
@@ -197,10 +196,7 @@ class OperatorSplittingMethod:
         factor = wanted / self.stiffness
         self.change = np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
 
-    def _resolution(self, slips: Forces, trial: Forces, friction: Forces) -> float:
+    def _resolution(self, slips: np.ndarray, trial: Forces, friction: Forces) -> float:
         """The fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree."""
-        creep = 0.0
-        for slip, v, f, coefficient in zip(slips, trial, friction, self.scene.acting_coefficient, strict=True):
-            rests = (v == f).all(axis=0) & (coefficient > 0)
-            creep = max(creep, float((slip * rests).max()))
-        return min(creep, COARSEST * self.scene.lattice.radius * self.scene.jump)
+        rests = (trial == friction).all(axis=0) & (self.scene.acting_coefficient > 0)
+        return min(float((slips * rests).max()), COARSEST * self.scene.lattice.radius * self.scene.jump)

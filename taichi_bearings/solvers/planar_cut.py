@@ -32,11 +32,11 @@ class PlanarCutMethod:
         (self.component,) = self.spin_axes
         self.bottom, self.top = (float(value[0]) for value in scene.driven_values(self.spin_axes))
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
-        self.force, self.state = scene.no_force(self.spin_axes), all_slipless(scene)
+        self.force, self.state = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
         planes = 1 if scene.lattice.dimension == 2 else scene.lattice.shape[self.component]
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
-        self.absent = any((values == 0).any() for values in scene.coefficient)  # then ties are not known exactly
+        self.absent = bool((scene.coefficient == 0).any())  # then ties are not known exactly
         self.iteration = 0
 
     def next_check(self, iteration: int) -> int:
@@ -50,11 +50,12 @@ class PlanarCutMethod:
             return
         height = self.scene.lattice.height_axis
         (sideways,) = (axis for axis in range(height) if axis != self.component)
-        replicas, planes, *_ = self._by_plane(self.scene.coefficient[height]).shape
+        coefficient = self.scene.lattice.by_axis(self.scene.positive_coefficient)
+        replicas, planes, *_ = self._by_plane(coefficient[height]).shape
         replica, plane = (index.ravel() for index in np.indices((replicas, planes)))
         weights = [
             values.reshape(-1, *values.shape[2:])
-            for values in (self._by_plane(self.scene.positive_coefficient[axis]) for axis in (sideways, height))
+            for values in (self._by_plane(coefficient[axis]) for axis in (sideways, height))
         ]
         for part, cuts in minimum_cuts(*weights):
             where = replica[part], plane[part]
@@ -70,8 +71,8 @@ class PlanarCutMethod:
     ) -> None:
         """Friction and states of the contacts along `axis`; those that slip at some minima only are undecided."""
         friction = flow * (np.sign(self.top - self.bottom) * self.scene.normal_force)
-        self._by_plane(self.force[axis][0])[where] = friction
-        states = self._by_plane(self.state[axis])
+        self._by_plane(self.scene.lattice.by_axis(self.force[0])[axis])[where] = friction
+        states = self._by_plane(self.scene.lattice.by_axis(self.state)[axis])
         states[where] = np.where(tied, ContactState.UNDECIDED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def _note(self, where: tuple[np.ndarray, np.ndarray], cuts: MinimumCuts) -> None:
@@ -98,13 +99,13 @@ class PlanarCutMethod:
             iteration=self.iteration,
             staggered=self.staggered.copy(),
             spin_axes=axes,
-            force=tuple(values.copy() for values in self.force),
+            force=self.force.copy(),
             objective=scene.objective(self.staggered, axes),
             lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
             unbalanced_torque=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
-            state=tuple(values.copy() for values in self.state) if cut else None,
+            state=self.state.copy() if cut else None,
             resolved=unique if cut else None,
             findings=findings if cut and self.top != self.bottom and not self.absent else {},
         )

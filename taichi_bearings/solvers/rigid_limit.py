@@ -17,7 +17,6 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
@@ -67,7 +66,7 @@ class RigidLimitMethod:
         self.rest_time = np.zeros(scene.replicas)
         self.creep = RESOLVED * self.unit
         slips = scene.slips(self.staggered, self.spin_axes)
-        self.slipping = np.sum([replica_sum((s > scene.lattice.radius * self.creep)[None]) for s in slips], axis=0)
+        self.slipping = (slips > scene.lattice.radius * self.creep).sum(axis=1)
 
     def _prepare(self) -> None:
         """Set up the steps of the components that move."""
@@ -79,24 +78,21 @@ class RigidLimitMethod:
         """Time in which a typical contact alone stops a sphere from the largest spin."""
         scene, fastest = self.scene, self.scene.lattice.radius * self.largest
 
-        def mean(coefficient: tuple[np.ndarray, ...]) -> float:
-            acting = [c[:, ~scene.lattice.between_driven(axis)].ravel() for axis, c in enumerate(coefficient)]
-            return float(np.mean(np.concatenate(acting)))
+        def mean(coefficient: np.ndarray) -> float:
+            return float(coefficient[:, ~scene.lattice.between_driven].mean())
 
         force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.holds else fastest)
-        if scene.viscosity:
-            force += mean(scene.viscosities) * fastest
+        if scene.viscosity_beside_friction is not None:
+            force += mean(scene.viscosity_beside_friction) * fastest
         return self.inertia * self.largest / (scene.lattice.radius * force)
 
-    def _force_at_start(self) -> tuple[np.ndarray, ...]:
-        """Forces of the contacts that slip."""
-        scene, forces = self.scene, []
-        for axis, difference in enumerate(contact_differences(self.staggered, scene.lattice, self.spin_axes)):
-            size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
-            force = scene.strength * scene.acting_coefficient[axis] * size * difference
-            flow = scene.lattice.radius * scene.viscosities[axis] * difference if scene.viscosity else 0.0
-            forces.append(force + flow)
-        return tuple(forces)
+    def _force_at_start(self) -> np.ndarray:
+        """Forces (C, R, E) of the contacts that slip."""
+        scene, difference = self.scene, contact_differences(self.staggered, self.scene.lattice, self.spin_axes)
+        size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
+        force = scene.strength * scene.acting_coefficient * size * difference
+        beside = scene.viscosity_beside_friction
+        return force if beside is None else force + scene.lattice.radius * beside * difference
 
     def next_check(self, iteration: int) -> int:
         return iteration + 1
@@ -130,16 +126,13 @@ class RigidLimitMethod:
 
     def _tried(self, duration: float) -> Step:
         """A step with all components, those at rest included."""
-        scene, force = self.scene, self.scene.no_force(self.spin_axes)
+        scene, force = self.scene, np.zeros_like(self.force)
         if self.steps is None:
             return Step(self.staggered, force, np.zeros(scene.replicas, dtype=int), 0.0, 0, True)
         step = self.steps.step(self.staggered[self.slots], duration)
         staggered = self.staggered.copy()
         staggered[self.slots] = step.staggered
-        for axis, values in enumerate(step.force):
-            felt = [self.spin_axes[slot] for slot in tangential(axis, self.spin_axes)]
-            own = [felt.index(self.moving[slot]) for slot in tangential(axis, self.moving)]
-            force[axis][own] = values
+        force[self.slots] = step.force
         return Step(staggered, force, step.slipping, step.creep, step.newton_steps, step.solved)
 
     def _error(self, step: Step, duration: float) -> float:
@@ -174,8 +167,8 @@ class RigidLimitMethod:
         """Work of the forces of a step on its mean slip, and of the driven spheres against them."""
         scene = self.scene
         reach, mean = duration * scene.lattice.radius, (before + self.staggered) / 2
-        for force, slip in zip(self.force, contact_differences(mean, scene.lattice, self.spin_axes), strict=True):
-            self.dissipated = self.dissipated + reach * replica_sum(force * slip)
+        slip = contact_differences(mean, scene.lattice, self.spin_axes)
+        self.dissipated = self.dissipated + reach * replica_sum(self.force * slip)
         driven = absolute(scene, mean, self.spin_axes) * scene.lattice.is_driven
         work = torques(self.force, scene.lattice, self.spin_axes) * driven
         self.injected = self.injected - reach * replica_sum(work)
@@ -235,10 +228,10 @@ class RigidLimitMethod:
         )
 
     def state(self) -> dict[str, np.ndarray]:
-        forces = {f"force_{axis}": force for axis, force in enumerate(self.force)}
         books = ("injected", "dissipated", "energy_at_start", "rest_time", "slipping")
         times = [self.time, self.length, self.last_length, self.unit, self.largest, self.creep]
-        return forces | {name: np.array(getattr(self, name)) for name in books} | {
+        return {name: np.array(getattr(self, name)) for name in books} | {
+            "force": self.force,
             "spin": self.staggered,
             "moving": np.array(self.moving, dtype=np.int64),
             "times": np.array(times),
@@ -246,7 +239,7 @@ class RigidLimitMethod:
         }  # fmt: skip
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        self.force = tuple(np.array(state[f"force_{axis}"]) for axis in range(self.scene.lattice.dimension))
+        self.force = np.array(state["force"])
         for name in ("injected", "dissipated", "energy_at_start", "rest_time", "slipping"):
             setattr(self, name, np.array(state[name]))
         self.staggered = np.array(state["spin"])
