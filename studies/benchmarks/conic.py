@@ -101,16 +101,16 @@ class ConicProgramme:
             spins[0, free] = np.clip(scene.jump * values, min(0.0, top), max(0.0, top))
         return scene.impose_driving(staggered, axes)
 
-    def forces(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Contact forces, one array (T, 1, *contacts) an axis, of the multipliers z of the rows."""
+    def forces(self, z: np.ndarray) -> np.ndarray:
+        """Contact forces (C, 1, E) of the multipliers z of the rows."""
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
             along = scene.lattice.radius * scene.jump / 2 * z
         else:
             cones = z[2 * pairs :].reshape(-1, 3)
             along = scene.normal_force * np.concatenate([z[:pairs] - z[pairs : 2 * pairs], -cones[:, 1], -cones[:, 2]])
-        forces = scene.no_force(scene.minimum_spin_axes)
-        self.differences.system.scatter(self.differences.on_contacts(along), forces, 0)
+        forces = np.zeros((len(scene.minimum_spin_axes), 1, scene.lattice.all_contacts))
+        self.differences.system.scatter_vectors(self.differences.on_contacts(along), forces, 0)
         return forces
 
 

@@ -72,11 +72,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
 def sample_of(settings: RunSettings) -> Sample:
     structure = certified(settings)
     view, scene = structure.view, structure.scene
-    slips = [
-        (scene.power_of(speed[None], axis)[0])[state == ContactState.SLIPPING]
-        for axis, (speed, state) in enumerate(zip(structure.slip, structure.state, strict=True))
-    ]
-    power = np.concatenate(slips)
+    power = scene.law.power(scene.contact, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
     power = power[power > 0]
     return Sample(
         power_over_cut=structure.power / structure.interface.power,

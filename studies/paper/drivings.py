@@ -98,7 +98,7 @@ def driven(settings: RunSettings) -> Driven:
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top - scene.spin_bottom) * (across or 1.0)
     cut = structure.interface.power
     return Driven(
-        slipless=np.concatenate([values.ravel() for values in structure.network.slipless]),
+        slipless=structure.network.slipless,
         power=structure.power / unit,
         over_cut=structure.power / cut if cut else 1.0,
         gap=(structure.power - structure.lower_bound) / structure.power if structure.power else 0.0,

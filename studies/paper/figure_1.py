@@ -105,7 +105,7 @@ def count(masks: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def slipping(solution: Solution) -> tuple[np.ndarray, ...]:
-    return tuple(state == ContactState.SLIPPING for state in solution.state)
+    return solution.scene.lattice.by_axis(solution.state == ContactState.SLIPPING)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Minimum:
 
     @classmethod
     def of(cls, scene: Scene) -> "Minimum":
-        return cls(solved(scene, PlanarCut()), cut_of(scene), flow_cut(cut_weights(scene)))
+        return cls(solved(scene, PlanarCut()), cut_of(scene), flow_cut(scene.lattice.by_axis(cut_weights(scene))))
 
     @cached_property
     def contacts(self) -> tuple[np.ndarray, ...]:
@@ -182,7 +182,7 @@ class Descent:
     def of(cls, minimum: Minimum) -> "Descent":
         scene = minimum.solution.scene
         ended = solved(scene, GradientDescent(), StopRule(1e-12, DESCENT), "random")
-        visible = tuple(slip > VISIBLE * scene.lattice.radius * scene.jump for slip in ended.slip)
+        visible = scene.lattice.by_axis(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
         differing = count([slips != cut for slips, cut in zip(visible, minimum.contacts, strict=True)])
         return cls(visible, ended.power / minimum.solution.power - 1, differing > 0)
 
@@ -255,9 +255,8 @@ def _continuous(flat: Solution, cubes: Solution) -> Claim:
 def slip_range(solution: Solution) -> tuple[float, float]:
     """Least and largest slip of the contacts of all samples that can slip, over R times the jump."""
     scene = solution.scene
-    free = [values[:, ~scene.lattice.between_driven(axis)] for axis, values in enumerate(solution.slip)]
-    unit = scene.lattice.radius * scene.jump
-    return min(float(values.min()) for values in free) / unit, max(float(values.max()) for values in free) / unit
+    slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)
+    return float(slips.min()), float(slips.max())
 
 
 def least_rise(solution: Solution) -> float:
@@ -363,7 +362,8 @@ def share_above(values: np.ndarray, others: np.ndarray) -> float:
 
 def _two_boundaries(minimum: Minimum, descent: Descent) -> Claim:
     chosen = np.flatnonzero(descent.differs)
-    weight = tuple(values[chosen] for values in cut_weights(minimum.solution.scene))
+    scene = minimum.solution.scene
+    weight = scene.lattice.by_axis(cut_weights(scene)[chosen])
     pick = MinimumCut(*(getattr(minimum.cut, name)[chosen] for name in MinimumCut.__dataclass_fields__))
     second, second_weight = next_cut(weight, pick)
     same = np.isclose(second_weight, pick.next_weight, rtol=SAME, atol=0)

@@ -151,9 +151,7 @@ def _same_minimum(courses: Courses) -> Claim:
     first, *others = courses.minima.values()
     per_force = first.power / first.scene.normal_force
     spread = max(float(np.abs(s.power / s.scene.normal_force / per_force - 1).max()) for s in others)
-    states = [
-        np.concatenate([state.reshape(len(per_force), -1) for state in s.state], axis=1) for s in (first, *others)
-    ]
+    states = [s.state for s in (first, *others)]
     changed = sum(int((state != states[0]).sum()) for state in states[1:])
     proven = min(int(s.resolved.sum()) for s in (first, *others))
     slipless = int((states[0] == ContactState.SLIPLESS).sum())
@@ -231,7 +229,7 @@ def _slower(courses: Courses) -> Claim:
 
 
 def _threshold(scene: Scene) -> Claim:
-    stretch = np.concatenate([values.ravel() for values in scene.coefficient]) * (FORCE / STIFFNESS)
+    stretch = scene.coefficient.ravel() * (FORCE / STIFFNESS)
     least, most = float(stretch.min()), float(stretch.max())
     reached = float((stretch <= PAPER_STRETCH).mean())
     return Claim(

@@ -16,6 +16,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.files.whole_file import read_hdf5, write_csv, write_hdf5
+from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
@@ -127,11 +128,8 @@ def minimum(scene: Scene) -> Ending:
 
 def _ending(solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float) -> Ending:
     scene = solution.scene
-    free = np.concatenate([~scene.lattice.between_driven(axis).ravel() for axis in range(3)])
-    power, state = (
-        np.concatenate([values[0].ravel() for values in sets])[free]
-        for sets in (solution.power_per_contact, solution.state)
-    )
+    free = ~scene.lattice.between_driven
+    power, state = solution.power_per_contact[0, free], solution.state[0, free]
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
     total, bound = float(solution.power[0]), float(solution.lower_bound[0])
     return Ending(power / unit, slips(power, state), total / unit, total / bound - 1, solution.iterations, slip_error)
@@ -143,8 +141,9 @@ def largest_slip_error(solution: Solution) -> float:
         return float("nan")
     scene = solution.scene
     samples = Samples(
-        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding, solution.friction,
+        scene.lattice.shape, scene.law.name, scene.lattice.by_axis(scene.coefficient), scene.spin_top,
+        scene.spin_bottom, scene.direction, scene.normal_force, scene.lattice.radius, solution.spin,
+        solution.spin_rounding, friction_by_axis(solution.friction, scene.lattice),
     )  # fmt: skip
     contacts = Slipping.of(Motion(samples))
     near = nearest_minimum(contacts)
