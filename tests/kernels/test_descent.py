@@ -44,9 +44,10 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
     parity = scene.lattice.parity
     clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
     omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
-    ahead, coefficient = omega.copy(), [c[0] for c in scene.coefficient]
-    viscosity = [scene.lattice.radius / scene.normal_force * v[0] for v in scene.viscosities]
-    beside = (viscosity, width if momentum else 2 * step) if law == "coulomb-viscous" else ()
+    ahead, coefficient, beside = omega.copy(), scene.lattice.by_axis(scene.coefficient[0]), ()
+    if law == "coulomb-viscous":
+        viscosity = scene.lattice.radius / scene.normal_force * scene.viscosities[0]
+        beside = (scene.lattice.by_axis(viscosity), width if momentum else 2 * step)
     for sweep in range(4):
         moved, _ = descent_sweep(ahead, coefficient, law, step, width, box, parity, *beside)
         beta = sweep / (sweep + 3) if momentum else 0.0
@@ -75,7 +76,7 @@ def test_averages_equal_plain_loops(shape, direction, precision):
     box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
     clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
     omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
-    coefficient = [c[0] for c in scene.coefficient]
+    coefficient = scene.lattice.by_axis(scene.coefficient[0])
     spin_sum, force_sum = np.zeros_like(omega), {}
     for _ in range(6):
         spin_sum += omega
@@ -87,8 +88,6 @@ def test_averages_equal_plain_loops(shape, direction, precision):
     found = three_components(scene, scene.laboratory_spin(progress.staggered, method.spin_axes))
     free = ~scene.lattice.is_driven
     assert np.abs(found - spin_sum / 6)[free].max() <= accuracy
-    for axis, forces in enumerate(progress.force):
-        sizes = np.sqrt((forces[:, 0] ** 2).sum(axis=0)) / scene.normal_force
-        for (site, along), total in force_sum.items():
-            if along == axis:
-                assert sizes[site] == pytest.approx(np.linalg.norm(total) / 6, abs=accuracy)
+    sizes = scene.lattice.by_axis(np.linalg.norm(progress.force[:, 0], axis=0) / scene.normal_force)
+    for (site, axis), total in force_sum.items():
+        assert sizes[axis][site] == pytest.approx(np.linalg.norm(total) / 6, abs=accuracy)
