@@ -144,53 +144,66 @@ def read_run_file(run: Path) -> StoredRun:
     return stored
 
 
-def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Solution:
-    """What the run came to, with a replica axis. What files from before lack is empty, or counts as not known."""
-    axes = AXES[: len(attributes["shape"])]
-    one = file["coefficient/x"].ndim == len(axes)
-    shape = tuple(int(side) for side in attributes["shape"])
-    parts = () if len(shape) == 2 else (3,)
-    count = 1 if one else len(file["coefficient/x"])
+class _Arrays:
+    """Data sets of a run file, with an axis of replicas. Their shapes are checked before they are read."""
 
-    def get(name: str, *expected: int | None) -> np.ndarray:
-        """With an axis of replicas. expected : the shape without it, None for any length; checked before reading."""
-        stored, whole = file[name], expected if one else (count, *expected)
+    def __init__(self, path: Path, file: h5py.File, shape: tuple[int, ...]) -> None:
+        self.path, self.file, self.shape = path, file, shape
+        first = file["coefficient/x"]
+        self.one = first.ndim == len(shape)
+        self.replicas = 1 if self.one else len(first)
+        self.vector = () if len(shape) == 2 else (3,)
+
+    def get(self, name: str, *expected: int | None) -> np.ndarray:
+        """expected : the shape without the axis of replicas, None for any length."""
+        stored, whole = self.file[name], expected if self.one else (self.replicas, *expected)
         fits = len(stored.shape) == len(whole) and all(w in (None, n) for n, w in zip(stored.shape, whole, strict=True))
         if not fits or stored.dtype.kind not in "fiub":
             words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {whole}"
-            raise FileError(f"{name} in {path} is damaged: {words}")
-        values = stored[()][None] if one else stored[()]
+            raise FileError(f"{name} in {self.path} is damaged: {words}")
+        values = stored[()][None] if self.one else stored[()]
         return values.astype(np.float64) if stored.dtype.kind != "f" and not COUNTED.search(name) else values
 
-    def each_axis(name: str, *parts: int) -> tuple[np.ndarray, ...]:
-        names = [name.format(axis) for axis in axes]
-        if not all(name in file for name in names):
-            return ()
-        contacts = [[side - (a == axis) for a, side in enumerate(shape)] for axis in range(len(shape))]
-        return tuple(get(name, *sides, *parts) for name, sides in zip(names, contacts, strict=True))
+    def by_axis(self, name: str, *parts: int) -> tuple[np.ndarray, ...]:
+        """Of the contacts, one array (R, *contacts, *parts) an axis; name : with {} for the axis."""
+        names = [name.format(axis) for axis in AXES[: len(self.shape)]]
+        if lacking := [name for name in names if name not in self.file]:
+            raise KeyError(f"it lacks {lacking[0]}")
+        contacts = [[side - (a == axis) for a, side in enumerate(self.shape)] for axis in range(len(self.shape))]
+        return tuple(self.get(name, *sides, *parts) for name, sides in zip(names, contacts, strict=True))
 
-    def of_contacts(key: str, *parts: int) -> np.ndarray:
-        found = each_axis(f"contact/{{}}/{key}", *parts)
-        if not found:
-            raise KeyError(f"it lacks contact/.../{key}")
-        return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
+    def of_contacts(self, key: str, *parts: int) -> np.ndarray:
+        """Of the contacts, (R, E, *parts)."""
+        found = self.by_axis(f"contact/{{}}/{key}", *parts)
+        return np.concatenate([values.reshape(self.replicas, -1, *parts) for values in found], axis=1)
 
-    scene = _scene(path, attributes, each_axis("coefficient/{}"), each_axis("viscosity/{}"))
-    sets: dict[str, Any] = {attribute: of_contacts(key) for key, (attribute, *_) in CONTACT_SETS.items()}
-    bounded = f"contact/{axes[0]}/slip_bound" in file
+    def snapshots(self) -> Snapshots | None:
+        if "snapshots" not in self.file:
+            return None
+        time, spin = self.get("snapshots/time", None), self.get("snapshots/spin", None, *self.shape, *self.vector)
+        return Snapshots(time[0], np.moveaxis(spin, 0, 1))
+
+
+def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Solution:
+    """What the run came to, with a replica axis."""
+    arrays = _Arrays(path, file, tuple(int(side) for side in attributes["shape"]))
+    viscosity = arrays.by_axis("viscosity/{}") if "viscosity" in file else ()
+    scene = _scene(path, attributes, arrays.by_axis("coefficient/{}"), viscosity)
+    sets: dict[str, Any] = {attribute: arrays.of_contacts(key) for key, (attribute, *_) in CONTACT_SETS.items()}
     number = partial(_numbers, attributes, scene.replicas)
-    spin = get("spin", *shape, *parts)
+    spin = arrays.get("spin", *arrays.shape, *arrays.vector)
+    rounding = arrays.get("spin_rounding", *spin.shape[1:]) if "spin_rounding" in file else np.zeros_like(spin)
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
         status=_status(attributes["status"]),
         iterations=int(attributes["iterations"]),
         spin=spin,
-        spin_rounding=get("spin_rounding", *shape, *parts) if "spin_rounding" in file else np.zeros_like(spin),
+        spin_rounding=rounding,
         **sets,
-        friction=of_contacts("friction", *parts),
-        slip_bound=of_contacts("slip_bound") if bounded else None,
-        resolved=number("states_proven", 0.0) == 1,
+        friction=arrays.of_contacts("friction", *arrays.vector),
+        slip_bound=arrays.of_contacts("slip_bound") if "contact/x/slip_bound" in file else None,
+        resolved=number("states_proven") == 1,
         power=number("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
         lower_bound=number("lower_bound"),
@@ -199,16 +212,13 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         unbalanced_torque=number("largest_balance_residual"),
         seconds=float(attributes["seconds"]),
         seconds_compile=float(attributes["seconds_compile"]),
-        history={key: _column(key, get(f"history/{key}", None)) for key in file["history"]},
-        findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
+        history={key: _column(key, arrays.get(f"history/{key}", None)) for key in file["history"]},
+        findings={name: number(name) for name in attributes["findings"] if name in attributes},
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
-        snapshots=_snapshots(get("snapshots/time", None), get("snapshots/spin", None, *shape, *parts))
-        if "snapshots" in file
-        else None,
+        snapshots=arrays.snapshots(),
     )
 
 
-FINDINGS = ("cut_is_unique", "next_cut_over_minimum", "tied_contacts")  # in files from before these were named
 OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the same for all replicas
 
 
@@ -245,10 +255,6 @@ def _status(stored: Any) -> Status:
 def _column(name: str, stored: np.ndarray) -> np.ndarray:
     """A column of the history, (checks,) or (checks, R), from (R, checks)."""
     return stored[0] if name in OF_ALL else stored.T
-
-
-def _snapshots(time: np.ndarray, spin: np.ndarray) -> Snapshots:
-    return Snapshots(time[0], np.moveaxis(spin, 0, 1))
 
 
 def _check_arrays(run: StoredRun) -> None:

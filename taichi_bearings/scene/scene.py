@@ -192,7 +192,9 @@ class Scene:
         return self._of_contacts(self.coefficients)
 
     def _of_contacts(self, parts: tuple[np.ndarray, ...]) -> np.ndarray:
-        return self.lattice.flat(parts).reshape(self.replicas, -1)
+        values = self.lattice.flat(parts).reshape(self.replicas, -1)
+        values.setflags(write=False)
+        return values
 
     @cached_property
     def named_coefficients(self) -> dict[str, np.ndarray]:

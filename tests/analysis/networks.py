@@ -12,20 +12,20 @@ from taichi_bearings.lattice import Lattice
 def drawn(shape, *paths):
     """The network whose links are the steps of these paths; a path is a list of neighbouring positions."""
     lattice = Lattice(shape)
-    slipless = tuple(np.zeros(lattice.contact_shape(axis), dtype=bool) for axis in range(lattice.dimension))
+    slipless = np.zeros(lattice.all_contacts, dtype=bool)
+    of_axis = lattice.by_axis(slipless)
     for path in paths:
         for here, there in pairwise(path):
             step = np.subtract(there, here)
             assert np.abs(step).sum() == 1, f"{here} and {there} do not touch"
-            slipless[int(np.abs(step).argmax())][tuple(np.minimum(here, there))] = True
+            of_axis[int(np.abs(step).argmax())][tuple(np.minimum(here, there))] = True
     return SliplessNetwork(lattice, slipless)
 
 
 def random_network(shape, share, seed):
     """Every contact that can slip is a link with probability `share`."""
     lattice, random = Lattice(shape), np.random.default_rng(seed)
-    every = [random.random(lattice.contact_shape(axis)) < share for axis in range(lattice.dimension)]
-    return SliplessNetwork(lattice, tuple(e & ~lattice.between_driven(axis) for axis, e in enumerate(every)))
+    return SliplessNetwork(lattice, (random.random(lattice.all_contacts) < share) & ~lattice.between_driven)
 
 
 def numbered(network, values):

@@ -135,7 +135,7 @@ def test_domains_of_components_agree_with_networkx(network):
 def test_spins_within_a_domain_are_equal_at_a_minimum():
     scene = make_scene((4, 5, 6), seeds=(7,), spin_bottom=0.1)
     solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
-    network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
+    network = network_of(scene.lattice, solution.state[0])
     staggered = scene.lattice.parity * np.moveaxis(solution.spin[0], -1, 0)[:2]
     found = rigid_domains(network, staggered, (0, 1))
     assert 2 < found.number < scene.lattice.sites

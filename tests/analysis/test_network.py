@@ -36,7 +36,7 @@ def test_links_are_listed_axis_by_axis():
     assert network.axis.tolist() == [0, 1, 2, 2]
     assert network.contact.tolist() == [[0, 2, 2], [1, 1, 2], [0, 0, 0], [1, 1, 1]]
     assert network.ends.tolist() == [[10, 18, 0, 17], [22, 22, 1, 18]]
-    spread = network.on_contacts(np.array([1.0, 2.0, 3.0, 4.0]))
+    spread = network.lattice.by_axis(network.on_contacts(np.array([1.0, 2.0, 3.0, 4.0])))
     assert [values.shape for values in spread] == [(1, 3, 4), (2, 2, 4), (2, 3, 3)]
     assert (spread[0][0, 2, 2], spread[1][1, 1, 2], spread[2][0, 0, 0], spread[2][1, 1, 1]) == (1, 2, 3, 4)
     assert sum(np.count_nonzero(values) for values in spread) == 4
@@ -44,7 +44,7 @@ def test_links_are_listed_axis_by_axis():
 
 def test_only_slipless_contacts_are_links():
     lattice = Lattice((2, 3))
-    state = (np.array([[3, 1, 3]], dtype=np.uint8), np.array([[0, 2], [0, 0]], dtype=np.uint8))
+    state = lattice.flat([np.array([[3, 1, 3]], dtype=np.uint8), np.array([[0, 2], [0, 0]], dtype=np.uint8)])
     assert ContactState.SLIPLESS == 0
     assert network_of(lattice, state).contact.tolist() == [[0, 0], [1, 0], [1, 1]]
 
@@ -166,7 +166,7 @@ def test_no_path_within_a_plane_joins_the_driven_planes_at_a_minimum():
     for seed in range(6):
         scene = make_scene((5, 5, 5), seeds=(seed,), spin_bottom=0.1)
         solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
-        network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
+        network = network_of(scene.lattice, solution.state[0])
         assert not network.spans_within_planes(0).any()
         assert not network.spans_within_planes(1).any()
         if network.spans:

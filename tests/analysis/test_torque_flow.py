@@ -6,7 +6,7 @@ import pytest
 from taichi_bearings.analysis.network import network_of
 from taichi_bearings.analysis.torque_flow import force_distribution, friction_load, plane_flow, self_stress, torque_flow
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import staggered_forces, tangential
+from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
@@ -20,18 +20,21 @@ SLIPLESS, SLIPPING, DRIVEN = ContactState.SLIPLESS, ContactState.SLIPPING, Conta
 
 
 def states(lattice, fill=SLIPPING):
-    """All contacts in one state, those between driven spheres apart."""
-    found = [np.full(lattice.contact_shape(axis), fill) for axis in range(lattice.dimension)]
-    for axis, values in enumerate(found):
-        values[lattice.between_driven(axis)] = DRIVEN
-    return tuple(found)
+    """All contacts in one state, those between driven spheres apart; and the same contacts axis by axis, to change."""
+    found = np.where(lattice.between_driven, DRIVEN, fill)
+    return found, lattice.by_axis(found)
+
+
+def forces(lattice, axes=(2,)):
+    """Forces (C, E) of 0, and the same axis by axis, to change."""
+    found = np.zeros((len(axes), lattice.all_contacts))
+    return found, lattice.by_axis(found)
 
 
 def analysed(scene, solution):
     """Forces, states and flow of the first sample."""
     axes = scene.minimum_spin_axes
-    force = tuple(f[:, 0] for f in staggered_forces(solution.friction, scene.lattice, axes))
-    state = tuple(s[0] for s in solution.state)
+    force, state = staggered_forces(solution.friction, scene.lattice, axes)[:, 0], solution.state[0]
     bottom, top = scene.driven_values(axes)
     return force, state, torque_flow(scene.lattice, axes, force, state, top - bottom)
 
@@ -42,12 +45,12 @@ def answer(scene, name, tolerance):
 
 def test_a_single_path_carries_all_the_torque_of_every_gap():
     lattice = Lattice((2, 3))
-    x, y = np.zeros((1, 1, 3)), np.zeros((1, 2, 2))
+    force, (x, y) = forces(lattice)
     y[0, 0, 1], x[0, 0, 1], y[0, 1, 0] = 5.0, -5.0, 5.0  # down the left column, to the right, down the right column
-    state = states(lattice)
-    state[1][0, 1] = SLIPLESS
+    state, of_axis = states(lattice)
+    of_axis[1][0, 1] = SLIPLESS
     x[0, 0, 0] = 9.0  # between driven discs
-    flow = torque_flow(lattice, (2,), (x, y), state, np.array([3.0]))
+    flow = torque_flow(lattice, (2,), force, state, np.array([3.0]))
     assert flow.total == pytest.approx([2.5])
     assert flow.deviation == 0.0
     assert flow.power == pytest.approx(7.5)
@@ -63,9 +66,9 @@ def test_a_single_path_carries_all_the_torque_of_every_gap():
 
 def test_torque_against_the_flow_and_torque_left_over_are_seen():
     lattice = Lattice((2, 3))
-    x, y = np.zeros((1, 1, 3)), np.zeros((1, 2, 2))
+    force, (_, y) = forces(lattice)
     y[0, 0], y[0, 1] = [3.0, 3.0], [-1.0, -2.0]
-    flow = torque_flow(lattice, (2,), (x, y), states(lattice), np.array([1.0]))
+    flow = torque_flow(lattice, (2,), force, states(lattice)[0], np.array([1.0]))
     assert flow.through_gap.tolist() == [[1.0, 0.5]]
     assert flow.backwards == pytest.approx(np.array([[0.25, 0.4]]))
     assert flow.left_over.tolist() == [0.5]
@@ -74,9 +77,10 @@ def test_torque_against_the_flow_and_torque_left_over_are_seen():
 
 def test_the_strongest_tenth_of_a_gap():
     lattice = Lattice((20, 3))
-    x, y = np.zeros((1, 19, 3)), np.ones((1, 20, 2))
+    force, (_, y) = forces(lattice)
+    y[...] = 1.0
     y[0, 3], y[0, 7], y[0, 11] = [5.0, 1.0], [-3.0, 1.0], [2.0, 1.0]
-    flow = torque_flow(lattice, (2,), (x, y), states(lattice), np.array([1.0]))
+    flow = torque_flow(lattice, (2,), force, states(lattice)[0], np.array([1.0]))
     assert flow.strongest == pytest.approx(np.array([[8 / 27, 2 / 20]]))
 
 
@@ -91,7 +95,7 @@ def test_equal_columns_slip_in_their_weak_gap_and_carry_its_friction_everywhere(
     assert flow.power == pytest.approx(18.0, rel=1e-12)
     assert flow.slipless[0] == pytest.approx([6.0, 6.0, 0.0, 6.0, 6.0], rel=1e-12)
     assert flow.participation[0, 2] == pytest.approx(1.0)
-    load = friction_load(force, tuple(10.0 * c[0] for c in scene.coefficient), state)
+    load = friction_load(scene.lattice, force, 10.0 * scene.coefficient[0], state)
     assert load.slipping.tolist() == [0] * 49 + [4]
     assert load.slipless.sum() == len(load.saturation) == 4 * 3 + 4 * 4
 
@@ -99,9 +103,9 @@ def test_equal_columns_slip_in_their_weak_gap_and_carry_its_friction_everywhere(
 def test_one_component_of_a_cubic_lattice_does_not_flow_along_its_own_axis(needs_f64):
     scene = make_scene((3, 4, 5), direction=(0.0, 1.0, 0.0))
     force, _, flow = analysed(scene, answer(scene, "planar-cut", 1e-12))
-    assert [len(f) for f in force] == [1, 0, 1]
+    assert [part.any() for part in scene.lattice.by_axis(force)] == [True, False, True]
     assert flow.deviation < 1e-14
-    assert flow.sideways[0].sum() == pytest.approx(scene.lattice.radius * np.abs(force[0]).sum())
+    assert flow.sideways[0].sum() == pytest.approx(scene.lattice.radius * np.abs(scene.lattice.by_axis(force)[0]).sum())
 
 
 def test_the_current_of_a_component_stays_in_planes_normal_to_it(needs_f64):
@@ -118,7 +122,7 @@ def test_the_current_of_a_component_stays_in_planes_normal_to_it(needs_f64):
             assert inflow + np.diff(padded, axis=0) == pytest.approx(0.0, abs=1e-11)
     middle = plane_flow(scene.lattice, (0, 1), force, state, 1)
     assert (middle.normal, middle.index, middle.upright.shape, middle.sideways.shape) == (1, 1, (4, 4), (3, 5))
-    assert (middle.upright_state == state[2][:, 1]).all()
+    assert (middle.upright_state == scene.lattice.by_axis(state)[2][:, 1]).all()
 
 
 @pytest.mark.parametrize(
@@ -148,17 +152,15 @@ def test_what_is_unique_does_not_depend_on_the_method(needs_f64):
     assert self_stress(network_of(scene.lattice, state), scene.minimum_spin_axes).total > 0
     for name, tolerance in (("gradient-descent", 1e-5), ("operator-splitting", 1e-7), ("rigid-limit", 1e-9)):
         other = answer(scene, name, tolerance)
-        forces, _, other_flow = analysed(scene, other)
+        others, _, other_flow = analysed(scene, other)
         bottom, top = scene.driven_values(scene.minimum_spin_axes)
-        as_exact = torque_flow(scene.lattice, scene.minimum_spin_axes, forces, state, top - bottom)
+        as_exact = torque_flow(scene.lattice, scene.minimum_spin_axes, others, state, top - bottom)
         missing = abs(1 - other_flow.power / exact.power[0])
         uncertain = 3 * np.sqrt(missing + 1e-12)  # friction discs are round: forces may turn like the root of the gap
         assert other_flow.total == pytest.approx(flow.total, rel=uncertain)
         assert as_exact.slipless == pytest.approx(flow.slipless, abs=uncertain * flow.total.max())
-        apart = [np.abs(a - b) for a, b in zip(force, forces, strict=True)]
-        slipping = max(float(a[:, s == SLIPPING].max(initial=0.0)) for a, s in zip(apart, state, strict=True))
-        slipless = max(float(a[:, s == SLIPLESS].max(initial=0.0)) for a, s in zip(apart, state, strict=True))
-        assert slipless > 10 * slipping
+        apart = np.abs(force - others)
+        assert apart[:, state == SLIPLESS].max() > 10 * apart[:, state == SLIPPING].max()
 
 
 def test_total_torque_is_the_derivative_of_the_least_power(needs_f64):
@@ -176,12 +178,12 @@ def test_total_torque_is_the_derivative_of_the_least_power(needs_f64):
 
 def test_saturations_are_counted_and_the_most_loaded_contacts_named():
     lattice = Lattice((2, 3))
-    x, y = np.zeros((1, 1, 3)), np.zeros((1, 2, 2))
+    force, (x, y) = forces(lattice)
     x[0, 0, 1], y[0] = 0.2, [[-1.0, 1.995], [0.5, 0.0]]
-    state = states(lattice, SLIPLESS)
-    state[1][0, 0] = SLIPPING
-    limit = (np.ones((1, 3)), np.array([[1.0, 2.0], [1.0, 1.0]]))
-    load = friction_load((x, y), limit, state, bins=10, listed=2)
+    state, of_axis = states(lattice, SLIPLESS)
+    of_axis[1][0, 0] = SLIPPING
+    limit = lattice.flat([np.ones((1, 3)), np.array([[1.0, 2.0], [1.0, 1.0]])])
+    load = friction_load(lattice, force, limit, state, bins=10, listed=2)
     assert load.saturation == pytest.approx([0.0, 0.2, 0.5, 0.9975])
     assert load.slipless.tolist() == [1, 0, 1, 0, 0, 1, 0, 0, 0, 1]
     assert load.slipping.tolist() == [0] * 9 + [1]
@@ -195,8 +197,8 @@ def test_saturations_are_counted_and_the_most_loaded_contacts_named():
 
 def test_nothing_slipless_has_no_load_and_no_self_stress():
     lattice = Lattice((2, 3, 3))
-    state, force = states(lattice), tuple(np.ones((1, *lattice.contact_shape(axis))) for axis in range(3))
-    load = friction_load(force, tuple(f[0] for f in force), state)
+    (state, _), force = states(lattice), np.ones((1, lattice.all_contacts))
+    load = friction_load(lattice, force, force[0], state)
     assert (len(load.saturation), load.within(0.5), load.margin) == (0, 0, 1.0)
     assert np.isnan(load.mean)
     stress = self_stress(network_of(lattice, state), (0, 1))
@@ -206,39 +208,37 @@ def test_nothing_slipless_has_no_load_and_no_self_stress():
 
 def test_densities_are_normalised_and_measured_in_means():
     generator, lattice = np.random.default_rng(5), Lattice((3, 4, 5))
-    state = states(lattice, SLIPLESS)
-    for values in state:
-        values[(generator.random(values.shape) < 0.4) & (values != DRIVEN)] = SLIPPING
-    force = tuple(generator.exponential(size=(2, *lattice.contact_shape(axis))) for axis in range(3))
+    state, _ = states(lattice, SLIPLESS)
+    state[(generator.random(state.shape) < 0.4) & (state != DRIVEN)] = SLIPPING
+    force = generator.exponential(size=(2, lattice.all_contacts))
     found = force_distribution(force, state)
     for density in (found.slipless, found.slipping, found.every):
         assert (density * np.diff(found.edges)).sum() == pytest.approx(1.0)
         middle = (found.edges[1:] + found.edges[:-1]) / 2
         assert (density * np.diff(found.edges) * middle).sum() == pytest.approx(1.0, abs=0.02)
-    sizes = np.concatenate([np.hypot(*f)[s == SLIPPING] for f, s in zip(force, state, strict=True)])
-    assert found.mean_slipping == pytest.approx(sizes.mean())
+    assert found.mean_slipping == pytest.approx(np.hypot(*force)[state == SLIPPING].mean())
 
 
 def test_a_plaquette_is_one_loop_for_the_components_that_all_its_contacts_carry():
     flat = Lattice((2, 4))
-    state = states(flat)
-    state[0][0, 1], state[0][0, 2], state[1][0, 1] = SLIPLESS, SLIPLESS, SLIPLESS
+    state, (x, y) = states(flat)
+    x[0, 1], x[0, 2], y[0, 1] = SLIPLESS, SLIPLESS, SLIPLESS
     assert self_stress(network_of(flat, state), (2,)).total == 0  # open
-    state[1][1, 1] = SLIPLESS
+    y[1, 1] = SLIPLESS
     assert self_stress(network_of(flat, state), (2,)).total == 1
     cubic = Lattice((2, 2, 4))
-    state = states(cubic)
-    state[0][0, 0, 1:3], state[2][:, 0, 1] = SLIPLESS, SLIPLESS  # upright, normal to y
+    state, (x, _, z) = states(cubic)
+    x[0, 0, 1:3], z[:, 0, 1] = SLIPLESS, SLIPLESS  # upright, normal to y
     assert self_stress(network_of(cubic, state), (0, 1)).states.tolist() == [0, 1]
-    state = states(cubic)
-    state[0][0, :, 1], state[1][:, 0, 1] = SLIPLESS, SLIPLESS  # lying
+    state, (x, y, _) = states(cubic)
+    x[0, :, 1], y[:, 0, 1] = SLIPLESS, SLIPLESS  # lying
     assert self_stress(network_of(cubic, state), (0, 1)).total == 0
     assert self_stress(network_of(cubic, state), (0, 1, 2)).states.tolist() == [0, 0, 1]
 
 
 def test_a_driven_plane_is_one_body():
     lattice = Lattice((2, 3))
-    stress = self_stress(network_of(lattice, states(lattice, SLIPLESS)), (2,))
+    stress = self_stress(network_of(lattice, states(lattice, SLIPLESS)[0]), (2,))
     assert (stress.contacts.item(), stress.bodies.item(), stress.domains.item(), stress.total) == (5, 4, 1, 2)
 
 
@@ -246,17 +246,13 @@ def test_a_driven_plane_is_one_body():
 def test_self_stress_is_the_null_space_of_balance_with_given_totals(shape, axes):
     lattice, generator = Lattice(shape), np.random.default_rng(31)
     for share in (0.3, 0.6, 0.9):
-        state = states(lattice)
-        for values in state:
-            values[(generator.random(values.shape) < share) & (values != DRIVEN)] = SLIPLESS
+        state, _ = states(lattice)
+        state[(generator.random(state.shape) < share) & (state != DRIVEN)] = SLIPLESS
         rows = []
-        for axis, values in enumerate(state):
-            for part, where in np.ndindex(len(tangential(axis, axes)), int((values == SLIPLESS).sum())):
-                force = tuple(
-                    np.zeros((len(tangential(a, axes)), 1, *lattice.contact_shape(a))) for a in range(len(shape))
-                )
-                force[axis][part, 0][tuple(np.argwhere(values == SLIPLESS)[where])] = 1.0
-                pull = torques(force, lattice, axes)[:, 0]
-                rows.append(np.concatenate([pull[..., 1:-1].ravel(), pull[..., -1].reshape(len(axes), -1).sum(axis=1)]))
+        for slot, contact in np.argwhere(lattice.felt(axes) & (state == SLIPLESS)):
+            force = np.zeros((len(axes), 1, lattice.all_contacts))
+            force[slot, 0, contact] = 1.0
+            pull = torques(force, lattice, axes)[:, 0]
+            rows.append(np.concatenate([pull[..., 1:-1].ravel(), pull[..., -1].reshape(len(axes), -1).sum(axis=1)]))
         matrix = np.array(rows)
         assert self_stress(network_of(lattice, state), axes).total == len(matrix) - np.linalg.matrix_rank(matrix)

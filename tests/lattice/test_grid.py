@@ -27,14 +27,30 @@ def test_a_contact_slips_by_the_components_across_it():
     assert tangential(1, (2,)) == (0,)  # the one component of a disc
 
 
+@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
+def test_flat_contacts_are_those_of_each_axis_in_turn(shape):
+    lattice = Lattice(shape)
+    place = np.stack(np.unravel_index(lattice.ends, shape), axis=-1)  # lower and upper, contacts, lattice axes
+    assert (place[1] - place[0] == np.eye(len(shape), dtype=int)[lattice.axis]).all()
+    number = np.arange(lattice.all_contacts)
+    for axis, values in enumerate(lattice.by_axis(number)):
+        assert values.shape == lattice.contact_shape(axis)
+        for index in np.ndindex(values.shape):
+            assert (lattice.axis[values[index]], *place[0, values[index]]) == (axis, *index)
+    assert (lattice.flat(lattice.by_axis(number)) == number).all()
+    lattice.by_axis(number)[0][...] = -1  # views, through which flat arrays can be written
+    assert (number < 0).sum() == np.prod(lattice.contact_shape(0))
+
+
 def test_torques_are_the_transpose_of_differences():
     """sum f . D = - sum t . Omega, whatever the numbers: work is counted the same at contacts and at spheres."""
     lattice, axes = Lattice((3, 4, 5)), (0, 2)
     rng = np.random.default_rng(77)
     spin = rng.standard_normal((2, 1, *lattice.shape))
     differences = contact_differences(spin, lattice, axes)
-    force = tuple(rng.standard_normal(d.shape) for d in differences)
-    at_contacts = sum((f * d).sum() for f, d in zip(force, differences, strict=True))
+    assert (differences[~lattice.felt(axes)] == 0).all()
+    force = rng.standard_normal(differences.shape)
+    at_contacts = (force * differences).sum()
     assert at_contacts == pytest.approx(-(torques(force, lattice, axes) * spin).sum(), rel=1e-12)
 
 

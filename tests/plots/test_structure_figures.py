@@ -40,16 +40,15 @@ class Case:
         if parted:
             place[..., : shape[-1] // 2], place[..., shape[-1] // 2 :] = 0.0, 1.0
         self.staggered = scene.impose_driving(bottom + (top - bottom) * place, axes)
-        slip = scene.slips(self.staggered, axes)
-        between = [scene.lattice.between_driven(axis) for axis in range(len(shape))]
-        self.slips = tuple((s[0] > 1e-12) & ~b for s, b in zip(slip, between, strict=True))
-        self.network = SliplessNetwork(scene.lattice, tuple(~s & ~b for s, b in zip(self.slips, between, strict=True)))
+        slips, free = scene.slips(self.staggered, axes)[0] > 1e-12, ~scene.lattice.between_driven
+        self.slips = scene.lattice.by_axis(slips & free)
+        self.network = SliplessNetwork(scene.lattice, ~slips & free)
         self.spin = scene.laboratory_spin(self.staggered, axes)[0]
         self.domains = rigid_domains(self.network, self.staggered[:, 0], axes)
         self.driving = (scene.spin_top, scene.spin_bottom)
 
     def figures(self):
-        coefficient = tuple(values[0] for values in self.scene.coefficient)
+        coefficient = self.scene.lattice.by_axis(self.scene.coefficient[0])
         return [
             draw_domains(self.domains),
             draw_network(self.network, self.spin, *self.driving),
@@ -186,7 +185,8 @@ def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
     cuts = planes_of(path)
     assert 1 < len(cuts) <= 3
     for axes, (axis, index) in zip(figure.axes, cuts, strict=False):
-        inside = [np.take(values, index, axis) for a, values in enumerate(case.network.slipless) if a != axis]
+        slipless = case.scene.lattice.by_axis(case.network.slipless)
+        inside = [np.take(values, index, axis) for a, values in enumerate(slipless) if a != axis]
         (grey,) = collections(axes, LineCollection, "0.35")
         assert len(grey.get_segments()) == sum(int(values.sum()) for values in inside)
         (green,) = collections(axes, LineCollection, GREEN)
@@ -198,7 +198,7 @@ def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
 def test_the_cut_figure_draws_every_contact_of_the_cut_and_every_slip():
     case = Case((7, 6))
     above = cut_of(case.scene).above[0]
-    coefficient = tuple(values[0] for values in case.scene.coefficient)
+    coefficient = case.scene.lattice.by_axis(case.scene.coefficient[0])
     (axes,) = draw_cut_surface(above, coefficient, case.slips).axes
     cut = sum(int(walls.sum()) for walls in walls_between(above))
     assert len(collections(axes, LineCollection, ORANGE)[0].get_segments()) == cut
@@ -206,7 +206,7 @@ def test_the_cut_figure_draws_every_contact_of_the_cut_and_every_slip():
 
     case = Case((5, 4, 6))
     above = cut_of(case.scene).above[0]
-    coefficient = tuple(values[0] for values in case.scene.coefficient)
+    coefficient = case.scene.lattice.by_axis(case.scene.coefficient[0])
     walls = walls_between(above)
     surface, height = draw_cut_surface(above, coefficient, case.slips).axes[:2]
     (squares,) = collections(surface, PolyCollection)

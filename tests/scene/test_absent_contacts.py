@@ -70,7 +70,7 @@ def test_a_force_at_an_absent_contact_proves_nothing():
     """One column, its middle contact absent: a force through it would be in balance."""
     column = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     scene = tb.Scene((np.zeros((1, 4)), column))
-    force = (np.zeros((1, 1, 1, 4)), np.where([[True], [False]], 50.0, 0.0)[None, None] * np.ones((1, 1, 2, 3)))
+    force = scene.lattice.flat([np.zeros((1, 4)), np.where([[True], [False]], 50.0, 0.0) * np.ones((2, 3))])[None, None]
     assert lower_bound(scene, force, (2,))[0] == work_and_bound(scene, force, (2,))[1][0] == 0.0
     assert tb.solve(scene, "operator-splitting", iterations=2000, threads=1).lower_bound == 0.0
 

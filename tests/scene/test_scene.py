@@ -12,7 +12,7 @@ from tests.scenes import make_scene
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -0.3, 1e-16])
 def test_bad_coefficients_are_named(bad):
     scene = make_scene((3, 4, 5))
-    broken = [c.copy() for c in scene.coefficient]
+    broken = [c.copy() for c in scene.coefficients]
     broken[1][0, 2, 1, 3] = bad
     with pytest.raises(InputError, match=r"at \[2, 1, 3\] along y is not allowed"):
         Scene(tuple(broken))
@@ -48,21 +48,21 @@ def test_every_start_survives_the_change_of_frame_and_obeys_the_driving(shape, s
 def test_random_starts_do_not_touch_the_disorder_and_follow_the_seed():
     first, second = make_scene((3, 4, 5), seeds=(8,)), make_scene((3, 4, 5), seeds=(8, 9))
     assert (initial_spin(first, "random")[0] == initial_spin(second, "random")[0]).all()
-    assert (first.coefficient[0][0] == second.coefficient[0][0]).all()
+    assert (first.coefficient[0] == second.coefficient[0]).all()
 
 
 @pytest.mark.parametrize("kind", ["npz", "h5"])
 def test_coefficients_are_read_from_files(tmp_path, kind):
     scene, path = make_scene((3, 4, 5)), tmp_path / f"mu.{kind}"
     if kind == "npz":
-        np.savez(path, **{axis: c[0] for axis, c in zip("xyz", scene.coefficient, strict=True)})
+        np.savez(path, **{axis: c[0] for axis, c in zip("xyz", scene.coefficients, strict=True)})
     else:
         import h5py
 
         with h5py.File(path, "w") as file:
-            for axis, c in zip("xyz", scene.coefficient, strict=True):
+            for axis, c in zip("xyz", scene.coefficients, strict=True):
                 file[f"coefficient/{axis}"] = c[0]
-    assert all((a == b[0]).all() for a, b in zip(read_coefficients(path, 3), scene.coefficient, strict=True))
+    assert all((a == b[0]).all() for a, b in zip(read_coefficients(path, 3), scene.coefficients, strict=True))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(FileError, match="damaged, truncated"):
         read_coefficients(path, 3)
@@ -89,7 +89,7 @@ def test_a_scene_owns_what_it_is_given():
     spin = initial_spin(scenes[0], start)
     for values in (*given, start):
         values[:] = -1.0
-    for values in (*scenes[0].coefficients, *scenes[1].viscosity, scenes[0].coefficient[1]):
+    for values in (*scenes[0].coefficients, *scenes[1].viscosity, scenes[0].coefficient):
         assert (values == 0.4).all()
         with pytest.raises(ValueError, match="read-only"):
             values[0] = 1.0
