@@ -41,14 +41,16 @@ def test_gather_and_scatter_are_inverse(shape):
     scene = make_scene(shape, seeds=(1, 2))
     lattice, axes = scene.lattice, scene.minimum_spin_axes
     system = lattice_system(lattice, axes, np.ones(len(axes)))
-    force = scene.no_force(axes)
-    rng = np.random.default_rng(5)
-    for axis, part in enumerate(force):
-        part[..., ~lattice.between_driven(axis)] = rng.standard_normal(part[..., ~lattice.between_driven(axis)].shape)
-    again = tuple(np.asfortranarray(np.zeros_like(part)) for part in force)  # whatever their order in memory
+    rng, acts = np.random.default_rng(5), ~lattice.between_driven
+    force = rng.standard_normal((len(axes), 2, lattice.all_contacts)) * (lattice.felt(axes) & acts)[:, None]
+    slip = rng.random((2, lattice.all_contacts)) * acts
+    speeds, again = (np.asfortranarray(np.zeros_like(values)) for values in (slip, force))  # in any order in memory
     for replica in range(2):
-        system.scatter(system.gather(force, replica), again, replica)
-    assert all((a == b).all() for a, b in zip(again, force, strict=True))
+        system.scatter(system.gather(slip, replica), speeds, replica)
+        at = [(places.slot, replica, places.contact) for places in system.places]
+        system.scatter_vectors(Grouped(force[place] for place in at), again, replica)
+    assert (speeds == slip).all()
+    assert (again == force).all()
 
 
 def test_free_spins_go_back_to_their_places():

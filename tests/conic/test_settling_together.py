@@ -71,7 +71,7 @@ def test_sets_dissected_anew_take_fewer_operations(monkeypatch):
     """Tied spins of a minimum reach across the planes of the lattice: these divide them badly."""
     scene = make_scene((16, 16, 16))
     whole = lattice_system(scene.lattice, AXES, np.array([1.0, 0.0]))
-    tied = whole.gather([state == ContactState.SLIPLESS for state in minimum_of(scene).state], 0)
+    tied = whole.gather(minimum_of(scene).state == ContactState.SLIPLESS, 0)
     contraction, operations = Contraction(whole, dissect(scene.lattice.free_shape, AXES), tied), []
     for many in (np.inf, 1):
         monkeypatch.setattr("taichi_bearings.conic.contraction.MANY", many)
