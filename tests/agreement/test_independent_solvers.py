@@ -34,7 +34,7 @@ def viscous_minimum(scene):
     shape, total = scene.lattice.shape, 0.0
     matrix, where = incidence(shape)
     driven = scene.lattice.is_driven.ravel()
-    eta = np.array([scene.coefficient[axis][0][site] for axis, site in where]) * scene.lattice.radius**2
+    eta = np.array([scene.coefficients[axis][0][site] for axis, site in where]) * scene.lattice.radius**2
     for slot, component in enumerate(scene.minimum_spin_axes):
         weight = eta * np.array([axis != component for axis, _ in where])
         laplacian = (matrix.T.multiply(weight) @ matrix).tocsr()
@@ -76,7 +76,7 @@ def test_coulomb_discs_equal_a_linear_programme(shape, distribution):
     scene = make_scene(shape, distribution=distribution)
     matrix, where = incidence(shape)
     contacts, sites = matrix.shape
-    mu = np.array([scene.coefficient[axis][0][site] for axis, site in where])
+    mu = np.array([scene.coefficients[axis][0][site] for axis, site in where])
     bounds = [(None, None)] * sites + [(0, None)] * contacts
     for site in np.ndindex(*shape):
         if is_driven(site, shape):

@@ -68,14 +68,11 @@ class Minimiser:
         return iteration + 1
 
     def forces(self):
-        scene, found = self.scene, []
-        for of, difference in zip(
-            scene.contact, contact_differences(self.spins, scene.lattice, self.axes), strict=True
-        ):
-            length = vector_length(difference)
-            size = scene.law.force(of, scene.lattice.radius * length)
-            found.append(difference * np.divide(size, length, out=np.zeros_like(size), where=length > 0))
-        return tuple(found)
+        scene = self.scene
+        difference = contact_differences(self.spins, scene.lattice, self.axes)
+        length = vector_length(difference)
+        size = scene.law.force(scene.contact, scene.lattice.radius * length)
+        return difference * np.divide(size, length, out=np.zeros_like(size), where=length > 0)
 
     def advance(self, steps):
         for _ in range(steps):
@@ -83,8 +80,7 @@ class Minimiser:
 
             def potential(x, free=free, scene=scene):
                 free[...] = x.reshape(free.shape)
-                slips = scene.slips(self.spins, self.axes)
-                total = sum(float(scene.law.potential(of, s).sum()) for of, s in zip(scene.contact, slips, strict=True))
+                total = float(scene.law.potential(scene.contact, scene.slips(self.spins, self.axes)).sum())
                 pull = torques(self.forces(), scene.lattice, self.axes)[..., 1:-1]
                 return total, -scene.lattice.radius * pull.ravel()
 

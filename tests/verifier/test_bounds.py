@@ -6,6 +6,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
+from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
@@ -34,11 +35,12 @@ SCENES = [
 
 
 def samples_of(solution):
-    scene = solution.scene
+    scene, by_axis = solution.scene, solution.scene.lattice.by_axis
+    coefficient, *viscosity = map(by_axis, scene.named_coefficients.values())
     return Samples(
-        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding, solution.friction,
-        scene.named_coefficients.get("viscosity", ()),
+        scene.lattice.shape, scene.law.name, coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
+        scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding,
+        friction_by_axis(solution.friction, scene.lattice), *viscosity,
     )  # fmt: skip
 
 

@@ -62,8 +62,8 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     solution = minimum(shape, options, method)
     scene, states = solution.scene, Judgement(samples_of(solution)).states[0]
     exact = truth.solve(
-        [c[0] for c in scene.coefficient], scene.normal_force, scene.lattice.radius, scene.spin_top, scene.spin_bottom,
-        scene.direction,
+        scene.lattice.by_axis(scene.coefficient[0]), scene.normal_force, scene.lattice.radius, scene.spin_top,
+        scene.spin_bottom, scene.direction,
     )  # fmt: skip
     for proven, found in zip(states.proven, exact.state, strict=True):
         assert (found[proven == SLIPPING] == truth.SLIPPING).all()
@@ -80,7 +80,7 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
 def sample():
     solution = minimum((3, 3, 4), {"seeds": (1,)}, "interior-point")
     assert solution.resolved[0]
-    return samples_of(solution), solution.state
+    return samples_of(solution), solution.scene.lattice.by_axis(solution.state[0])
 
 
 def all_proven(samples):
@@ -102,7 +102,7 @@ def test_a_spin_that_is_off_loses_the_proof(sample):
 def test_friction_that_is_out_of_balance_loses_the_proof(sample):
     """One contact that holds bears more: by less than others have room for that can be mended, by more it cannot."""
     samples, state = sample
-    holds = tuple(np.argwhere(state[2][0] == ContactState.SLIPLESS)[3])
+    holds = tuple(np.argwhere(state[2] == ContactState.SLIPLESS)[3])
     for share, proven in ((1e-12, True), (0.9, False)):
         friction = [f.copy() for f in samples.friction]
         limit = samples.normal_force * samples.coefficient[2][(0, *holds)]
@@ -136,7 +136,7 @@ def test_samples_proven_together_are_those_proven_alone(spoiled, monkeypatch):
 
 def test_other_coefficients_lose_the_proof(sample):
     samples, state = sample
-    slips = tuple(np.argwhere(state[2][0] == ContactState.SLIPPING)[2])
+    slips = tuple(np.argwhere(state[2] == ContactState.SLIPPING)[2])
     coefficient = [c.copy() for c in samples.coefficient]
     coefficient[2][(0, *slips)] *= 1.0 + 1e-4
     assert not all_proven(replace(samples, coefficient=tuple(coefficient)))
@@ -198,17 +198,15 @@ def test_numbers_that_no_scene_has_are_not_judged(sample, what):
 
 def test_viscous_contacts_slip_where_the_gap_allows_nothing_else():
     solution = minimum((4, 5, 4), {"law": "viscous"}, "linear-solver")
-    states = Judgement(samples_of(solution)).states[0]
-    for axis, proven in enumerate(states.proven):
-        driven = solution.scene.lattice.between_driven(axis)
-        assert (proven[driven] == SLIPLESS).all()
-        assert (proven[~driven] == SLIPPING).all()
+    lattice = solution.scene.lattice
+    proven = lattice.flat(Judgement(samples_of(solution)).states[0].proven)
+    assert (proven == np.where(lattice.between_driven, SLIPLESS, SLIPPING)).all()
 
 
 def test_absent_contacts_that_slip_are_judged_without_a_word():
     """They have no stiffness, and nothing can be divided by it; warnings are errors here."""
     rng, whole = np.random.default_rng(16), make_scene((4, 3, 3), seeds=(16,), direction=(1e-9, 1.0, 0.0))
-    coefficient = [values.copy() for values in whole.coefficient]
+    coefficient = [values.copy() for values in whole.coefficients]
     for _ in range(4):
         some = coefficient[rng.integers(3)][0]
         some[tuple(rng.integers(size) for size in some.shape)] = 0.0

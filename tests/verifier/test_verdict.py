@@ -281,8 +281,8 @@ def test_a_sample_beside_that_of_its_seed_is_not_the_seeds(tmp_path):
     """Both runs prove what they say of their coefficients; these are those of the seed to the bit, or are not."""
     run(RunSettings(shape=(4, 5), seed=3, threads=1), tmp_path / "run")
     scene = build_scene(RunSettings(shape=(4, 5), seed=3))
-    moved = tuple(values * (1 + 2.0**-52) for values in scene.coefficient)
-    np.savez(tmp_path / "moved.npz", x=moved[0][0], y=moved[1][0])
+    x, y = scene.lattice.by_axis(scene.coefficient[0] * (1 + 2.0**-52))
+    np.savez(tmp_path / "moved.npz", x=x, y=y)
     other = run(
         RunSettings(shape=(4, 5), seed=3, coefficients=str(tmp_path / "moved.npz"), threads=1), tmp_path / "moved"
     )
