@@ -22,22 +22,19 @@ from tests.scenes import make_scene
 
 def shuffled(network, seed):
     """As many links of each axis, anywhere but between driven spheres."""
-    random, slipless = np.random.default_rng(seed), []
-    for axis, links in enumerate(network.slipless):
-        can_slip = ~network.lattice.between_driven(axis)
-        anywhere = np.zeros_like(links)
-        anywhere[can_slip] = random.permutation(links[can_slip])
-        slipless.append(anywhere)
-    return SliplessNetwork(network.lattice, tuple(slipless))
+    random, lattice, anywhere = np.random.default_rng(seed), network.lattice, np.zeros_like(network.slipless)
+    for axis in range(lattice.dimension):
+        can_slip = (lattice.axis == axis) & ~lattice.between_driven
+        anywhere[can_slip] = random.permutation(network.slipless[can_slip])
+    return SliplessNetwork(lattice, anywhere)
 
 
 def slip_that_would_span(lattice, slip):
     """Least slip speed such that the contacts that slip no faster join bottom and top: halving the sorted list."""
-    speeds = np.unique(np.concatenate([values.ravel() for values in slip]))
+    speeds = np.unique(slip)
 
     def spans(threshold):
-        slow = tuple((values <= threshold) & ~lattice.between_driven(axis) for axis, values in enumerate(slip))
-        return SliplessNetwork(lattice, slow).spans
+        return SliplessNetwork(lattice, (slip <= threshold) & ~lattice.between_driven).spans
 
     return speeds[bisect.bisect_left(speeds, True, key=spans)]
 
@@ -85,11 +82,11 @@ def main():
     for seed in range(given.seeds):
         scene = make_scene(shape, seeds=(seed,), spin_bottom=given.spin_bottom)
         solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-8))
-        network = network_of(scene.lattice, tuple(state[0] for state in solution.state))
-        undecided += sum(int((state == ContactState.UNDECIDED).sum()) for state in solution.state)
+        network = network_of(scene.lattice, solution.state[0])
+        undecided += int((solution.state == ContactState.UNDECIDED).sum())
         if not network.spans:
             unit = scene.lattice.radius * scene.jump
-            missing.append(slip_that_would_span(scene.lattice, [values[0] for values in solution.slip]) / unit)
+            missing.append(slip_that_would_span(scene.lattice, solution.slip[0]) / unit)
         for name, one in (("minimum", network), ("random", shuffled(network, seed))):
             if one.spans:
                 samples[name].append(measures(one))

@@ -202,7 +202,7 @@ class Verdict:
 def judge(solution, summary: dict, replica: int, settings: RunSettings, perturbations: int) -> Verdict:
     """The claims about one replica."""
     scene, verdict = solution.scene, Verdict(_imposed(settings))
-    coefficient = [values[replica] for values in scene.coefficient]
+    coefficient = scene.lattice.by_axis(scene.coefficient[replica])
     driving = (settings.radius, settings.spin_top, settings.spin_bottom, settings.direction)
     if not scene.law.holds:
         truth, minimum = None, truths.least_viscous_power(coefficient, *driving)
@@ -242,27 +242,25 @@ def _judge_power(verdict: Verdict, solution, replica: int, minimum: arb, certifi
 
 
 def _judge_states(verdict: Verdict, solution, replica: int, truth: truths.Truth) -> None:
-    verdict.freedom, opposite, either, excess = truth.freedom, [], 0, [0.0]
-    for axis, (given, true) in enumerate(zip(solution.state, truth.state, strict=True)):
-        claim = given[replica]
-        slipless, slipping = claim == ContactState.SLIPLESS, claim == ContactState.SLIPPING
-        wrong = (slipless & (true == truths.SLIPPING)) | (slipping & (true == truths.SLIPLESS))
-        opposite += [(axis, *map(int, index)) for index in np.argwhere(wrong)]
-        either += int(((slipless | slipping) & (true == truths.EITHER)).sum())
-        verdict.unknown += int((true == truths.UNKNOWN).sum())
-        slip, bound = truth.slip[axis], solution.slip_bound[axis][replica]
-        faster = slip > bound * (1 + STRICT)
-        excess += (slip[faster] / np.maximum(bound[faster], 1e-300) - 1).tolist()
-    if len(excess) > 1:
-        verdict.blame("slip-bound", max(excess), f"{len(excess) - 1} contacts")
+    lattice, claim, bound = solution.scene.lattice, solution.state[replica], solution.slip_bound[replica]
+    true, slip = lattice.flat(truth.state), lattice.flat(truth.slip)
+    slipless, slipping = claim == ContactState.SLIPLESS, claim == ContactState.SLIPPING
+    opposite = np.flatnonzero((slipless & (true == truths.SLIPPING)) | (slipping & (true == truths.SLIPLESS)))
+    either = int(((slipless | slipping) & (true == truths.EITHER)).sum())
+    verdict.freedom, verdict.unknown = truth.freedom, int((true == truths.UNKNOWN).sum())
+    faster = slip > bound * (1 + STRICT)
+    if faster.any():
+        excess = (slip[faster] / np.maximum(bound[faster], 1e-300) - 1).max()
+        verdict.blame("slip-bound", excess, f"{faster.sum()} contacts")
     if solution.resolved[replica]:
-        if opposite:
+        if len(opposite):
+            lower = np.stack(np.unravel_index(lattice.ends[0], lattice.shape), axis=1).tolist()
             notes = [
-                f"{'xyz'[a]}{tuple(i)} claimed to slip by {solution.slip[a][(replica, *i)]:.1e} and slips by "
-                f"{truth.slip[a][tuple(i)]:.1e}"
-                for a, *i in opposite
+                f"{'xyz'[lattice.axis[n]]}{tuple(lower[n])} claimed to slip by {solution.slip[replica, n]:.1e} and "
+                f"slips by {slip[n]:.1e}"
+                for n in opposite[:3]
             ]
-            verdict.blame("state", len(opposite), "wrong at every minimum: " + "; ".join(notes[:3]))
+            verdict.blame("state", len(opposite), "wrong at every minimum: " + "; ".join(notes))
         if either:
             verdict.blame("state", either, "wrong at some minimum")
     else:
@@ -273,12 +271,11 @@ def _judge_states(verdict: Verdict, solution, replica: int, truth: truths.Truth)
 
 
 def _judge_perturbed(verdict: Verdict, solution, replica: int, truth: truths.Truth) -> None:
-    largest, wrong = max(s.max(initial=0.0) for s in truth.slip), 0
-    for given, true, slip in zip(solution.state, truth.state, truth.slip, strict=True):
-        claim = given[replica]
-        moves = (true == truths.SLIPPING) & (slip > PERTURBED * largest)
-        wrong += int(((claim == ContactState.SLIPLESS) & moves).sum())
-        wrong += int(((claim == ContactState.SLIPPING) & (true == truths.SLIPLESS)).sum())
+    claim, flat = solution.state[replica], solution.scene.lattice.flat
+    true, slip = flat(truth.state), flat(truth.slip)
+    moves = (true == truths.SLIPPING) & (slip > PERTURBED * slip.max())
+    wrong = int(((claim == ContactState.SLIPLESS) & moves).sum())
+    wrong += int(((claim == ContactState.SLIPPING) & (true == truths.SLIPLESS)).sum())
     if wrong:
         verdict.blame("perturbed", wrong)
 

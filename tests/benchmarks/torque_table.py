@@ -25,10 +25,9 @@ def rows(scene, solution, exact):
     """What is measured in a sample, by name. exact : solution whose contact states count."""
     lattice, axes = scene.lattice, scene.minimum_spin_axes
     bottom, top = scene.driven_values(axes)
-    force = tuple(f[:, 0] for f in staggered_forces(solution.friction, lattice, axes))
-    state = tuple(s[0] for s in exact.state)
+    force, state = staggered_forces(solution.friction, lattice, axes)[:, 0], exact.state[0]
     flow = torque_flow(lattice, axes, force, state, top - bottom)
-    load = friction_load(force, tuple(scene.strength * c[0] for c in scene.coefficient), state)
+    load = friction_load(force, scene.strength * scene.coefficient[0], state)
     forces, stress = force_distribution(force, state), self_stress(network_of(lattice, state), axes)
     still, moving = len(load.saturation), int(load.slipping.sum())
     unit = scene.strength * lattice.radius * np.prod(lattice.shape[:-1])

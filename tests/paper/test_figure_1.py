@@ -120,7 +120,8 @@ def test_pairs_in_order():
 
 
 def test_two_boundaries_are_the_lightest_two_cuts(minimum):
-    weight = figure_1.cut_weights(minimum.solution.scene)
+    scene = minimum.solution.scene
+    weight = scene.lattice.by_axis(figure_1.cut_weights(scene))
     second = figure_1.contacts_between(figure_1.next_cut(weight, minimum.cut)[0])
     both = tuple(first | other for first, other in zip(minimum.contacts, second, strict=True))
     failed, excess = np.arange(12) < 5, np.ones(12)

@@ -76,7 +76,7 @@ def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, n
     with (tmp_path / "drivings.csv").open(encoding="utf-8") as file:
         rows = {row["driving"]: row for row in csv.DictReader(file)}
     scene = Scene.random((4, 4, 4), 0, direction=(1, 0, 0))
-    columns = np.array([np.min(scene.coefficient[2][0], axis=-1)])  # about x all contacts but those along x feel it
+    columns = np.array([np.min(scene.coefficients[2], axis=-1)])  # about x all contacts but those along x feel it
     assert float(rows["axis (1, 0, 0)"]["power_over_jump"]) >= columns.sum() - 1e-12
     assert float(rows["axis (1, 1, 0), omega_B = 0"]["power_over_cut"]) <= 1 + 1e-12
 
@@ -89,10 +89,10 @@ def course(*power, time=(0.0, 1.0, 2.0)):
 class Minimum:
     """Stands in for a certified minimum: a power and its bound."""
 
-    def __init__(self, power, states=((0, 1),)):
+    def __init__(self, power, states=(0, 1)):
         self.power = self.lower_bound = np.full(5, power)
         self.scene = Scene.random((3, 3, 3), 0, replicas=5, normal_force=power)
-        self.state = tuple(np.array([of] * 5) for of in states)
+        self.state = np.array([states] * 5)
         self.resolved = np.ones(5, dtype=bool)
 
 
@@ -127,7 +127,7 @@ def test_parameters_refine_and_refute():
     assert parameters._slower(courses(_3=course(200, 50, 50))).verdict == "confirmed"
     assert parameters._slower(courses()).verdict == "refuted"
     assert parameters._same_minimum(courses()).verdict == "confirmed"
-    other = Courses(courses().runs, {50.0: Minimum(50.0), 5.0: Minimum(5.0, ((1, 1),))})
+    other = Courses(courses().runs, {50.0: Minimum(50.0), 5.0: Minimum(5.0, (1, 1))})
     assert parameters._same_minimum(other).verdict == "refuted"
     scene = Scene.random((3, 3, 3), 0, replicas=5)
     assert parameters._threshold(scene).verdict == "refined"

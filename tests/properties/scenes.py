@@ -99,8 +99,14 @@ def _present(lattice, replicas, absent, seed):
     return [part.astype(float) for part in found]
 
 
+def arrays_of(scene):
+    """What a scene takes, one array (R, *contacts) an axis; no viscosity of a law without."""
+    coefficients, *beside = map(scene.lattice.by_axis, scene.named_coefficients.values())
+    return {"coefficients": coefficients, "viscosity": beside[0] if beside else ()}
+
+
 def changed(scene, function, **changes):
     """The scene with `function` of every array of coefficients (R, *contacts) and its axis, and other changes."""
-    named = {"coefficients": scene.coefficient, "viscosity": scene.named_coefficients.get("viscosity", ())}
-    arrays = {name: tuple(function(values, axis) for axis, values in enumerate(of)) for name, of in named.items()}
+    named = arrays_of(scene).items()
+    arrays = {name: tuple(function(values, axis) for axis, values in enumerate(of)) for name, of in named}
     return replace(scene, **(arrays | changes))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from taichi_bearings.solvers import METHODS
 from tests.properties.answers import answer_of, assert_meet, between
-from tests.properties.scenes import cases, changed, coefficients, scenes, seeds
+from tests.properties.scenes import arrays_of, cases, changed, coefficients, scenes, seeds
 
 SHARES = st.sampled_from((0.5, 0.25, 0.125))
 POWERS = st.sampled_from((1.0, -1.0, 1e-3, 700.0))
@@ -35,9 +35,9 @@ def test_more_friction_anywhere_never_lowers_the_least_value(scene, seed, factor
 
 def mixed(scene, other, share):
     """Coefficients in between, and the rest of the scene."""
-    parts = ((scene.coefficient, other.coefficient), (scene.viscosity, other.viscosity))
-    coefficient, viscosity = (tuple(share * a + (1 - share) * b for a, b in zip(*pair, strict=True)) for pair in parts)
-    return replace(scene, coefficients=coefficient, viscosity=viscosity)
+    first, second = arrays_of(scene), arrays_of(other)
+    pairs = {name: zip(first[name], second[name], strict=True) for name in first}
+    return replace(scene, **{name: tuple(share * a + (1 - share) * b for a, b in of) for name, of in pairs.items()})
 
 
 @cases(0.7)
@@ -72,13 +72,9 @@ def test_what_joins_two_scenes_costs_no_more_than_its_contacts_at_full_slip(data
     together = between(answer_of(replace(one, **arrays)))
     lower, upper = (
         sum(ends)
-        for ends in zip(*(between(answer_of(replace(one, **coefficients_of(s)))) for s in (one, other)), strict=True)
+        for ends in zip(*(between(answer_of(replace(one, **arrays_of(s)))) for s in (one, other)), strict=True)
     )
     assert_meet(together, (lower, upper + full))
-
-
-def coefficients_of(scene):
-    return {"coefficients": scene.coefficient, "viscosity": scene.viscosity}
 
 
 @cases()

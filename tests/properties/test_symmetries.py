@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from taichi_bearings.solvers import METHODS
 from tests.properties.answers import answer_of, assert_meet, between, laws_of
-from tests.properties.scenes import SPHERES, cases, changed, scenes
+from tests.properties.scenes import SPHERES, arrays_of, cases, changed, scenes
 
 EVERY = st.sampled_from(tuple(METHODS))
 POWERS = st.integers(-20, 20).map(lambda power: 2.0**power)
@@ -23,12 +23,12 @@ def scaled(scene, unit, factor):
     to keep the share of friction and viscosity."""
     beside = {"friction": factor, "normal force": factor, "radius": 1 / factor, "spins": 1 / factor}[unit]
     objective = {"friction": 1, "normal force": 1, "radius": 1, "spins": 1}[unit]
-    coefficients = factor if unit == "friction" else 1.0
+    share = factor if unit == "friction" else 1.0
     if scene.law.name == "viscous":
         beside, objective = 1.0, {"friction": 1, "normal force": 0, "radius": 2, "spins": 2}[unit]
-    coefficient = tuple(values * coefficients for values in scene.coefficient)
-    viscosity = tuple(values * beside for values in scene.named_coefficients.get("viscosity", ()))
-    assume(all(part.min() >= 1e-15 and part.max() <= 1e15 for part in (*coefficient, *viscosity)))
+    factors = {"coefficients": share, "viscosity": beside}
+    arrays = {name: tuple(values * factors[name] for values in of) for name, of in arrays_of(scene).items()}
+    assume(all(part.min() >= 1e-15 and part.max() <= 1e15 for of in arrays.values() for part in of))
     driven = factor if unit == "spins" else 1.0
     changes = {
         "normal_force": scene.normal_force * (factor if unit == "normal force" else 1.0),
@@ -36,7 +36,7 @@ def scaled(scene, unit, factor):
         "spin_top": scene.spin_top * driven,
         "spin_bottom": scene.spin_bottom * driven,
     }
-    return replace(scene, coefficients=coefficient, viscosity=viscosity, **changes), objective, driven
+    return replace(scene, **arrays, **changes), objective, driven
 
 
 @pytest.mark.parametrize("unit", UNITS)
@@ -51,7 +51,7 @@ def test_powers_of_two_of_a_unit_change_no_bit(name, unit):
         assert two.objective[0] == one.objective[0] * factor**power
         assert two.lower_bound[0] == one.lower_bound[0] * factor**power
         assert (two.spin == one.spin * spin).all()
-        assert all((a == b).all() for a, b in zip(one.state, two.state, strict=True))
+        assert (one.state == two.state).all()
 
     holds()
 
@@ -89,8 +89,8 @@ def with_axes_exchanged(scene):
     """x and y: the spins, which are axial, too."""
     if scene.lattice.dimension == 2:
         return flipped(0)(scene)
-    named = {"coefficients": scene.coefficient, "viscosity": scene.named_coefficients.get("viscosity", ())}
-    arrays = {name: tuple(of[a].swapaxes(1, 2) for a in (1, 0, 2)) if of else () for name, of in named.items()}
+    named = arrays_of(scene).items()
+    arrays = {name: tuple(of[a].swapaxes(1, 2) for a in (1, 0, 2)) if of else () for name, of in named}
     x, y, z = scene.direction
     return replace(scene, **arrays, direction=(y, x, z))
 
@@ -147,7 +147,7 @@ def test_a_bearing_state_on_top_changes_no_slip(scene, method, shift):
     one, two = (answer_of(s, method) for s in (scene, other))
     assert_meet(between(one), between(two))
     if method in ("planar-cut", "linear-solver"):
-        assert all((a == b).all() for a, b in zip(one.slip, two.slip, strict=True))
+        assert (one.slip == two.slip).all()
 
 
 @cases()

@@ -15,6 +15,7 @@ from scipy import sparse
 
 from taichi_bearings.verifier.samples import Samples
 from tests.kernels.twins import is_driven, neighbours
+from tests.properties.scenes import arrays_of
 from tests.truth import oracle_or_skip
 from tests.verifier.laboratory import Laboratory
 
@@ -34,9 +35,9 @@ class Enclosure:
 
 def least(scene):
     """Enclosure of the least objective of a scene of one sample; the tightest there is."""
-    if scene.law.name == "viscous" and all((values > 0).all() for values in scene.coefficient):
+    if scene.law.name == "viscous" and (scene.coefficient > 0).all():
         driving = (scene.lattice.radius, scene.spin_top, scene.spin_bottom, scene.direction)
-        power = ORACLE.least_viscous_power([c[0] for c in scene.coefficient], *driving)
+        power = ORACLE.least_viscous_power(scene.lattice.by_axis(scene.coefficient[0]), *driving)
         return Enclosure(_exactly(power.lower()), _exactly(power.upper()))
     if scene.law.name == "coulomb" and len(turned(scene)) == 1:
         weight, _ = cut(scene)
@@ -78,7 +79,8 @@ def cut(scene):
     Contacts along the axis of the spins do not feel them. A flow in whole numbers is exact for doubles.
     """
     (component,), shape = turned(scene), scene.lattice.shape
-    exact = {(axis, lower): Fraction(scene.coefficient[axis][0][lower]) for lower, _, axis in neighbours(shape)}
+    weights = scene.lattice.by_axis(scene.coefficient[0])
+    exact = {(axis, lower): Fraction(weights[axis][lower]) for lower, _, axis in neighbours(shape)}
     unit = max(weight.denominator for weight in exact.values())  # powers of two
     graph, contacts = networkx.DiGraph(), []
     graph.add_nodes_from((BOTTOM, TOP))
@@ -104,9 +106,7 @@ def _states(scene, flow, contacts):
     rest.add_nodes_from(flow)
     below, above = networkx.descendants(rest, BOTTOM) | {BOTTOM}, networkx.ancestors(rest, TOP) | {TOP}
     part = {site: number for number, group in enumerate(networkx.strongly_connected_components(rest)) for site in group}
-    states = [np.full(scene.lattice.contact_shape(axis), NEVER) for axis in range(scene.lattice.dimension)]
-    for axis, state in enumerate(states):
-        state[scene.lattice.between_driven(axis) | (scene.coefficient[axis][0] == 0)] = DRIVEN
+    states = scene.lattice.by_axis(np.where(scene.idle[0], DRIVEN, NEVER))
     for axis, lower, *ends in contacts:
         a, b = ends
         if (a in below and b in above) or (b in below and a in above):
@@ -137,8 +137,9 @@ def kinematics(scene):
     direction = direction / np.abs(direction).max()
     direction = direction / np.linalg.norm(direction)
     free = {site: n for n, site in enumerate(s for s in np.ndindex(shape) if not is_driven(s, shape))}
-    there = ((c, scene.coefficient[c[2]][0][c[0]] > 0) for c in neighbours(shape))
-    acting = [c for c, held in there if held and not (is_driven(c[0], shape) and is_driven(c[1], shape))]
+    held = scene.lattice.by_axis(scene.coefficient[0] > 0)
+    there = (c for c in neighbours(shape) if held[c[2]][c[0]])
+    acting = [c for c in there if not (is_driven(c[0], shape) and is_driven(c[1], shape))]
     turning, fixed = sparse.lil_matrix((3 * len(acting), 3 * len(free))), np.zeros(3 * len(acting))
     for row, (lower, upper, axis) in enumerate(acting):
         turn = -np.cross(np.eye(3), np.eye(3)[axis]).T  # of a spin: -w x n
@@ -161,13 +162,13 @@ def by_clarabel(scene):
 
 def _strengths(scene, acting):
     """Friction that each contact bears, and viscosity in units of force over radius times jump."""
-    first = np.array([scene.coefficient[axis][0][lower] for lower, _, axis in acting])
+    first, *beside = (
+        np.array([of[axis][0][lower] for lower, _, axis in acting]) for of in arrays_of(scene).values() if of
+    )
     speed = scene.lattice.radius * abs(scene.spin_top - scene.spin_bottom)
     if scene.law.name == "viscous":
         return 0 * first, first * speed
-    beside = scene.named_coefficients.get("viscosity", ())
-    second = np.array([beside[axis][0][lower] if beside else 0.0 for lower, _, axis in acting])
-    return first * scene.normal_force, second * speed
+    return first * scene.normal_force, sum(beside, 0 * first) * speed
 
 
 def _minimised(slips, fixed, held, viscosity):
@@ -216,8 +217,8 @@ def _stored(scene, motion, spins, forces):
 
 def samples_of(scene, spin, spin_rounding, friction):
     """What judges take: arrays of the laboratory frame beside the numbers of the scene."""
+    arrays = arrays_of(scene)
     return Samples(
-        scene.lattice.shape, scene.law.name, scene.coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction,
-        scene.named_coefficients.get("viscosity", ()),
+        scene.lattice.shape, scene.law.name, arrays["coefficients"], scene.spin_top, scene.spin_bottom,
+        scene.direction, scene.normal_force, scene.lattice.radius, spin, spin_rounding, friction, arrays["viscosity"],
     )  # fmt: skip

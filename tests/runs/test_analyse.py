@@ -176,8 +176,7 @@ def test_a_viscous_state_has_no_network(solved):
 
 def test_contacts_that_are_not_decided_join_nothing(solved):
     solution = read_run_file(solved(shape=(4, 5, 7), seed=0)).solution
-    for state in solution.state:
-        state[state == 0] = 2
+    solution.state[solution.state == 0] = 2
     found = numbers_of(structure_of(solution))
     assert found["undecided"] > 0
     assert found["slipless"] == found["components"] == 0

@@ -80,15 +80,12 @@ def test_runs_and_scans_pool_together(scan, block):
     assert list(pooled([one, other], by="shape")) == ["4x3x4", "4x4", "8x8", "16x16"]
     assert [part.samples for part in pooled([one], by="seed").values()] == [1, 1, 1]
     assert list(pooled([one], by="initial")) == ["linear"]
-    values = np.concatenate([p[s == 1] for p, s in zip(stored.power_per_contact, stored.state, strict=True)])
+    power, state = stored.power_per_contact, stored.state
+    values = power[state == 1]
     unit = pooled([one], 3, "unit")[None]
     assert (unit.count == np.histogram(values / 25, unit.edges)[0]).all()
     mean = pooled([one], 3, "mean")[None]
-    own = [
-        np.concatenate([p[r][s[r] == 1] for p, s in zip(stored.power_per_contact, stored.state, strict=True)])
-        / (stored.power[r] / sum((s[r] != 3).sum() for s in stored.state))
-        for r in range(3)
-    ]
+    own = [power[r, state[r] == 1] / (stored.power[r] / (state[r] != 3).sum()) for r in range(3)]
     assert (mean.count == np.histogram(np.concatenate(own), mean.edges)[0]).all()
     with pytest.raises(InputError, match="20"):
         pooled([one, other], 7)

@@ -74,8 +74,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
                 found = summary[name]
                 found = "x".join(map(str, found)) if name == "shape" else np.nan if found is None else found
                 assert np.array_equal(values[row], found, equal_nan=isinstance(found, float)), (name, sample.label)
-        power = np.concatenate([values.ravel() for values in solution.power_per_contact])
-        state = np.concatenate([values.ravel() for values in solution.state])
+        power, state = solution.power_per_contact, solution.state
         edges = stored.histograms.edges
         first = round(20 * np.log10(edges[0]))
         expected = np.bincount(bin_of(power[(state == 1) & (power > 0)]) - first, minlength=len(edges) - 1)

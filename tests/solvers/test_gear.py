@@ -26,7 +26,7 @@ def state_after(scene, start, options, steps):
 
 def laplacian(scene, component, weighted=True):
     matrix, where = incidence(scene.lattice.shape)
-    weight = [(scene.coefficient[a][0][s] if weighted else 1.0) * (a != component) for a, s in where]
+    weight = [(scene.coefficients[a][0][s] if weighted else 1.0) * (a != component) for a, s in where]
     free = ~scene.lattice.is_driven.ravel()
     return (matrix.T.multiply(weight) @ matrix).toarray(), free
 

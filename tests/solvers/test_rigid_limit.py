@@ -89,7 +89,7 @@ def conic_step(scene, axes, before, weight):
     rows, offsets, cones = [], [], []
     cost = np.zeros(len(axes) * sites + contacts)
     for number, (axis, site) in enumerate(where):
-        cost[len(axes) * sites + number] = scene.coefficient[axis][0][site]
+        cost[len(axes) * sites + number] = scene.coefficients[axis][0][site]
         bound = sparse.csr_matrix(([-1.0], ([0], [len(axes) * sites + number])), shape=(1, len(cost)))
         rows.append(bound)
         offsets.append(0.0)
@@ -142,15 +142,14 @@ def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step, law):
     change = (method.staggered - before)[..., 1:-1]
     pull = torques(method.force, scene.lattice, method.spin_axes)[..., 1:-1]
     assert method.inertia * change == pytest.approx(duration * RADIUS * pull, rel=1e-7, abs=1e-9 * duration)
-    differences = contact_differences(method.staggered, scene.lattice, method.spin_axes)
-    for axis, (force, difference) in enumerate(zip(method.force, differences, strict=True)):
-        limit = scene.normal_force * scene.acting_coefficient[axis]
-        if law == "coulomb-viscous":
-            limit = (limit + scene.viscosities[axis] * RADIUS * vector_length(difference)) * (1 + 1e-14)
-        assert (vector_length(force) <= limit).all()
-        slips = vector_length(difference) > 1e-3
-        along = limit * difference / np.maximum(vector_length(difference), 1e-300)
-        assert force[:, slips] == pytest.approx(along[:, slips], abs=2e-3 * scene.normal_force)
+    difference = contact_differences(method.staggered, scene.lattice, method.spin_axes)
+    limit = scene.normal_force * scene.acting_coefficient
+    if law == "coulomb-viscous":
+        limit = (limit + scene.viscosities * RADIUS * vector_length(difference)) * (1 + 1e-14)
+    assert (vector_length(method.force) <= limit).all()
+    slips = vector_length(difference) > 1e-3
+    along = limit * difference / np.maximum(vector_length(difference), 1e-300)
+    assert method.force[:, slips] == pytest.approx(along[:, slips], abs=2e-3 * scene.normal_force)
 
 
 @pytest.mark.parametrize("relative_step", [1e-6, 1e-3, 0.1, 10.0, 1e3])
@@ -217,7 +216,7 @@ def test_viscous_decay_converges_to_the_matrix_exponential():
     scene = make_scene((3, 6), "viscous")
     spin = initial_spin(scene, "random")
     matrix, where = incidence((3, 6))
-    weight = [scene.coefficient[axis][0][site] for axis, site in where]
+    weight = [scene.coefficients[axis][0][site] for axis, site in where]
     laplacian, free = (matrix.T.multiply(weight) @ matrix).toarray(), ~scene.lattice.is_driven.ravel()
     start = begun(scene, spin).staggered.ravel()
     rate = -(RADIUS**2) / begun(scene, spin).inertia * laplacian
@@ -324,7 +323,7 @@ def test_without_a_jump_everything_comes_to_turn_like_the_planes(shape, spin_bot
     method = RigidLimit(error_tolerance=0.1).build()
     solution = solve(scene, method, spin, StopRule(1e-12))
     assert solution.status.reached
-    natural = scene.normal_force * sum(c.sum() for c in scene.acting_coefficient) * scene.lattice.radius * spin_bottom
+    natural = scene.normal_force * scene.acting_coefficient.sum() * scene.lattice.radius * spin_bottom
     assert solution.power[0] <= 1e-12 * natural
     for slot, component in enumerate(method.spin_axes):
         if component != scene.lattice.height_axis:

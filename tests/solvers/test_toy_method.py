@@ -49,17 +49,15 @@ class RelaxationMethod:
     def begin(self, scene, spin, fields):
         self.scene, self.axes, self.iteration = scene, scene.minimum_spin_axes, 0
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.axes), self.axes)
-        coefficient = tuple(scene.lattice.radius * c for c in scene.acting_coefficient)
-        self.share = self.options.eagerness / weights(coefficient, scene.lattice, self.axes)
+        self.damping = scene.lattice.radius * scene.acting_coefficient
+        self.share = self.options.eagerness / weights(self.damping, scene.lattice, self.axes)
         self.share[..., scene.lattice.is_driven] = 0.0
 
     def next_check(self, iteration):
         return iteration + 50
 
     def force(self):
-        differences = contact_differences(self.spin, self.scene.lattice, self.axes)
-        radius = self.scene.lattice.radius
-        return tuple(radius * c * d for c, d in zip(self.scene.acting_coefficient, differences, strict=True))
+        return self.damping * contact_differences(self.spin, self.scene.lattice, self.axes)
 
     def advance(self, steps):
         for _ in range(steps):

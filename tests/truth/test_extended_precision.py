@@ -106,7 +106,7 @@ def test_a_perturbation_chooses_between_minima():
 @pytest.mark.parametrize("entry", minima((3, 3, 3)), ids=name_of)
 def test_stored_minima_of_another_solver_are_met(entry):
     scene = scene_of(entry)
-    coefficient = [values[0] for values in scene.coefficient]
+    coefficient = scene.lattice.by_axis(scene.coefficient[0])
     truth = solve(coefficient, scene.normal_force, scene.lattice.radius, scene.spin_top, scene.spin_bottom)
     assert float(truth.power) == pytest.approx(entry["power_minimum"], rel=1e-14)
     slipping = np.concatenate([slip[state == SLIPPING] for slip, state in zip(truth.slip, truth.state, strict=True)])
