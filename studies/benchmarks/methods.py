@@ -20,8 +20,8 @@ from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.errors import InputError
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.memory import free_bytes
-from taichi_bearings.numerics.cholesky import Cholesky, dissect
-from taichi_bearings.numerics.cholesky.side_by_side import CholeskySideBySide
+from taichi_bearings.numerics.cholesky import dissect, tuning
+from taichi_bearings.numerics.cholesky.fronts import analyse
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -165,8 +165,9 @@ def factorisation(scene: Scene) -> tuple[float, int]:
     """Operations of one factorisation of the Newton matrix on the central path, and numbers of its factor."""
     axes = scene.minimum_spin_axes
     system = lattice_system(scene.lattice, axes, scene.driven_values(axes)[1] / (scene.jump or 1.0))
-    cholesky = CholeskySideBySide if scene.lattice.sites < InteriorPoint.alike_in_a_block else Cholesky
-    pattern = cholesky(dissect(scene.lattice.free_shape, axes), *system.couplings()).pattern
+    small = scene.lattice.sites < InteriorPoint.alike_in_a_block
+    price = tuning.LAUNCH_PRICE if small else tuning.CALLS_PRICE
+    pattern = analyse(dissect(scene.lattice.free_shape, axes), *system.couplings(), price)
     return pattern.operations, pattern.factor_entries
 
 

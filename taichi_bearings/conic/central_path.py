@@ -10,7 +10,6 @@ the torques that the forces leave, and cost less dual cost stays friction times 
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
@@ -47,34 +45,7 @@ def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: floa
     return stiffness
 
 
-class Matrix(Protocol):
-    """The matrices of one system in several samples S side by side."""
-
-    def rows(self, samples: int) -> ContactRows:
-        """Memory for their Newton steps; right-hand sides and solutions go to its spins."""
-        ...
-
-    def factorise_each(self, rows: ContactRows, wanted: np.ndarray, inertia: float, viscous: Viscous) -> np.ndarray:
-        """With the stiffnesses in the rows. True (S,) where that succeeds, of the `wanted` ones.
-
-        viscous : stiffnesses (entries, S) to add, as `stacked` gives them; None for none.
-        """
-        ...
-
-    def solve_each(self, rows: ContactRows) -> None:
-        """In place."""
-        ...
-
-    def factorise_given(self, stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-        """The same with stiffnesses (entries, S), and springs (unknowns, S) at the spins, that are in no rows."""
-        ...
-
-    def solve_given(self, right: np.ndarray) -> np.ndarray:
-        """Solutions, both (unknowns, S), after :meth:`factorise_given`."""
-        ...
-
-
-def newton_step(iterate: Iterate, matrix: Matrix) -> Iterate:
+def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     """The next point along the path.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
@@ -168,7 +139,7 @@ class Path:
     Their numbers stay in the rows from step to step, and do not depend on each other.
     """
 
-    def __init__(self, matrix: Matrix, samples: int = 1) -> None:
+    def __init__(self, matrix: NewtonMatrix, samples: int = 1) -> None:
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)
@@ -223,7 +194,7 @@ class Path:
         """
         rows = self._rows
         rows.run(kernels.prepare, (0, 0), WEAK)
-        going = self._matrix.factorise_each(rows, self.used, self._inertia, self._viscous)
+        going = self._matrix.factorise_rows(rows, self.used, self._inertia, self._viscous)
         taken, step = going.copy(), self._solved(0)
         target = self._target(step)
         rows.run(kernels.correct, (0, 1), target)
@@ -277,7 +248,7 @@ class Path:
             if not going.any():
                 break
             last = size
-            self._matrix.solve_each(rows)
+            self._matrix.solve_rows(rows)
             rows.spins[:] = step.spins + np.where(going, rows.spins, 0.0)
             step = self._expanded(step.slot)
         return step
@@ -289,7 +260,7 @@ class Path:
             forces = self._rows.two(pull) - self._viscosity * self._rows.two(kernels.SLIP)
             pull, self._rows.two(kernels.FORCE)[:] = kernels.FORCE, forces
         self._imbalance(pull, self._spins)
-        self._matrix.solve_each(self._rows)
+        self._matrix.solve_rows(self._rows)
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:

@@ -5,7 +5,7 @@ coefficient times the normal force, so that every number is of order one whateve
 as many slipping components form a group: the vectors (d, n) across its n contacts have d components (equations.md).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import combinations_with_replacement
@@ -178,21 +178,6 @@ class ContactSystem:
             chosen = chosen | (self.at(reached[:-1]) & among)
         return chosen
 
-    def _entries(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
-        """(first unknown, second unknown, place in `stacked` stiffness, sign) of all terms of the Laplacian, each pair
-        once."""
-        start = 0
-        for group in self.groups:
-            below, above, count = group.below, group.above, group.below.shape[1]
-            for i, j in combinations_with_replacement(range(len(below)), 2):
-                source = start + np.arange(count)
-                start += count
-                pairs = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
-                pairs += [(below[j], above[i], -1.0)] if i != j else []
-                for first, second, sign in pairs:
-                    free = (first >= 0) & (second >= 0)
-                    yield first[free], second[free], source[free], sign
-
     def rows(self, spins: np.ndarray, place: np.ndarray | None = None) -> ContactRows:
         """Memory for Newton steps of several samples side by side; see there for spins and place."""
         return ContactRows([g.operator for g in self.groups], [len(offset) for offset in self.offset], spins, place)
@@ -203,20 +188,19 @@ class ContactSystem:
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All terms of the Laplacian, each pair once: first and second unknown, place in `stacked` stiffness, sign."""
-        terms = [(first, second, source, np.full(len(first), sign)) for first, second, source, sign in self._entries()]
-        first, second, source, signs = (np.concatenate(parts) for parts in zip(*terms, strict=True))
+        found, start = [], 0
+        for group in self.groups:
+            below, above, count = group.below, group.above, group.below.shape[1]
+            for i, j in combinations_with_replacement(range(len(below)), 2):
+                source = start + np.arange(count)
+                start += count
+                pairs = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
+                pairs += [(below[j], above[i], -1.0)] if i != j else []
+                for first, second, sign in pairs:
+                    free = (first >= 0) & (second >= 0)
+                    found.append((first[free], second[free], source[free], np.full(free.sum(), sign)))
+        first, second, source, signs = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return first, second, source, signs
-
-    def laplacian_map(self, entry: Callable, entries: int) -> sparse.csr_matrix:
-        """Matrix from the stacked stiffnesses of all contacts to the stored entries of the weighted Laplacian.
-
-        entry : function (first unknowns, second unknowns) -> places among the `entries` stored ones.
-        """
-        terms = [(entry(first, second), source, sign) for first, second, source, sign in self._entries()]
-        places, sources = np.concatenate([t[0] for t in terms]), np.concatenate([t[1] for t in terms])
-        signs = np.concatenate([np.full(len(t[0]), t[2]) for t in terms])
-        columns = sum(len(g.below) * (len(g.below) + 1) // 2 * g.below.shape[1] for g in self.groups)
-        return sparse.csr_matrix((signs, (places, sources)), shape=(entries, columns))
 
 
 def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.ndarray]:
@@ -227,7 +211,7 @@ def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.n
 
 
 def stacked(stiffness: Arrays) -> np.ndarray:
-    """Upper triangles of the stiffnesses, (d, d, n) a group, in the order that `laplacian_map` expects."""
+    """Upper triangles of the stiffnesses, (d, d, n) a group, in the order that `terms` counts them."""
     return np.concatenate([k[i, j] for k in stiffness for i in range(len(k)) for j in range(i, len(k))])
 
 

@@ -59,7 +59,7 @@ class LastDecades:
         )
         smooth = None if point.smooth is None else point.smooth[tied.kept]
         left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth)
-        matrix = NewtonMatrix(tied.system, tied.order(0), self._matrix.memory)
+        matrix = NewtonMatrix(tied.system, tied.order, self._matrix.memory)
         return LastDecades(left, spins, tied.differences(spins), matrix)
 
     def further(self, tied: Contraction, rest: "LastDecades") -> "LastDecades":

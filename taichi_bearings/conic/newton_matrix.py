@@ -1,128 +1,135 @@
 """The matrix of a Newton step: a Laplacian over the spins with a d x d stiffness at every contact."""
 
-from collections.abc import Callable
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 
 import numpy as np
+from scipy import sparse
 
-from taichi_bearings.conic.contact_system import ContactSystem, stacked
+from taichi_bearings.conic.contact_system import ContactSystem, lattice_system, stacked
 from taichi_bearings.conic.grouped import Arrays, each
-from taichi_bearings.conic.rows import ContactRows
-from taichi_bearings.numerics.cholesky import FEW, Cholesky, NotPositiveDefinite, WholeCholesky
-from taichi_bearings.numerics.cholesky.factor import Memory, compile_fronts
-from taichi_bearings.numerics.cholesky.side_by_side import MANY, CholeskyAlone
+from taichi_bearings.conic.rows import ContactRows, Sums
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
 REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
-SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
-
-
-AnyCholesky = WholeCholesky | CholeskyAlone | Cholesky
-
-
-def cholesky_of(
-    unknowns: int, order: Callable[[], np.ndarray], couplings: tuple[np.ndarray, np.ndarray], memory: Memory | None
-) -> AnyCholesky:
-    """What is quickest for so many unknowns. order : of elimination. couplings : pairs that are coupled. memory : for
-    large ones."""
-    if unknowns <= FEW:
-        return WholeCholesky(unknowns)
-    return CholeskyAlone(order(), *couplings) if unknowns < MANY else Cholesky(order(), *couplings, memory)
-
-
-def factorise_raised(cholesky: AnyCholesky, values: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
-    """Factorise the matrix with these values at the entries of the pattern, and a spring at every spin, (unknowns,).
-
-    Raises NotPositiveDefinite if no addition to the diagonal helps. The values are changed.
-    """
-    if isinstance(inertia, np.ndarray):
-        inertia = inertia[cholesky.pattern.order]
-    diagonal = values[cholesky.pattern.diagonal] + inertia
-    for shift in SHIFTS:
-        values[cholesky.pattern.diagonal] = diagonal * (1 + shift)
-        try:
-            return cholesky.factorise(values)
-        except NotPositiveDefinite:
-            if shift == SHIFTS[-1] or not np.isfinite(diagonal).all():
-                raise
+SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
+Order = np.ndarray | Callable[[int], np.ndarray]
 
 
 class NewtonMatrix:
-    """Factorised weighted Laplacian of a contact system; the pattern is analysed once."""
+    """Factorised weighted Laplacians of a contact system in one sample or in several; patterns are analysed once.
 
-    def __init__(self, system: ContactSystem, order: np.ndarray, memory: Memory | None = None) -> None:
-        """order : of elimination of the unknowns of `system`. memory : that of a matrix which is not needed as long."""
-        self._system, self.memory = system, memory or Memory()
-        self._empty = system.unknowns == 0  # everything is tied to the driven planes
-        if self._empty:
-            return
-        self._cholesky = cholesky_of(system.unknowns, lambda: order, system.couplings(), self.memory)
-        pattern = self._cholesky.pattern
-        self._map = system.laplacian_map(pattern.entry, pattern.entries)
+    Several samples are alike, their numbers side by side, up to LANES of them, or they are parts of the system that no
+    contact joins. What becomes of one, bit by bit, does not depend on the others.
 
-    def compile(self) -> None:
-        """Compile what it needs, before the clock starts."""
-        if not self._empty and isinstance(self._cholesky, Cholesky):
-            compile_fronts()
+    Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by as
+    little as helps, and iterative refinement has to mend the rest.
+    """
+
+    def __init__(
+        self,
+        system: ContactSystem,
+        order: Order,
+        memory: Memory | None = None,
+        engine: Engine | None = None,
+        parts: Sequence[slice] | None = None,
+    ) -> None:
+        """order : of elimination of the unknowns of `system`, or of those of a part, counted from its first.
+
+        memory : of a matrix that is not needed as long as this one. engine : LAUNCH if there are to be several alike
+        samples, else the quickest. parts : unknowns of each sample; those of a single one if None.
+        """
+        self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
+        own_memory = self.memory if len(self._parts) == 1 else None
+        first, second, source, sign = system.terms()
+        part_of = np.searchsorted([part.start for part in self._parts], first, side="right") - 1
+        places, self._choleskys, self._entries, end = np.empty_like(first), list[Cholesky](), list[slice](), 0
+        for number, part in enumerate(self._parts):
+            own = np.flatnonzero(part_of == number) if parts else slice(None)
+            pairs = first[own] - part.start, second[own] - part.start
+            of_part = partial(order, number) if callable(order) else partial(np.asarray, order)
+            cholesky = Cholesky(part.stop - part.start, of_part, pairs, own_memory, engine)
+            places[own] = end + cholesky.pattern.entry(*pairs)
+            self._choleskys.append(cholesky)
+            self._entries.append(slice(end, end + cholesky.pattern.entries))
+            end += cholesky.pattern.entries
+        columns = sum(len(g.below) * (len(g.below) + 1) // 2 * g.below.shape[1] for g in system.groups)
+        self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
+        self._kept: dict[int, tuple[ContactRows, Sums]] = {}
+
+    def compile(self, samples: int = 1) -> None:
+        """Compile what so many alike samples need, and smaller systems, before the clock starts."""
+        _compile(self._choleskys[0].engine, samples)
+        _compile(Engine.LAUNCH, 1)
 
     def factorise(self, stiffness: Arrays, inertia: float | np.ndarray = 0.0) -> None:
-        """Factorise for symmetric positive stiffnesses, (d, d, n) a group, and a spring at every spin, (unknowns,).
-
-        Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by
-        as little as helps, and iterative refinement has to mend the rest.
-
-        Raises NotPositiveDefinite if nothing helps.
-        """
-        self.factorise_stacked(stacked(stiffness), inertia)
-
-    def factorise_stacked(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
-        """The same for upper triangles as `stacked` gives them."""
-        if self._empty:
-            return
-        factorise_raised(self._cholesky, self._map @ stiffness, inertia)
-
-    def rows(self, samples: int = 1) -> ContactRows:
-        """Memory for Newton steps of a single sample."""
-        return self._rows
-
-    @cached_property
-    def _rows(self) -> ContactRows:
-        return self._system.rows(np.zeros((max(1, self._system.unknowns), 1)))
+        """As :meth:`factorise_each`, of all samples. Raises NotPositiveDefinite if one of them is singular."""
+        if not self.factorise_each(stiffness, None, inertia).all():
+            raise NotPositiveDefinite
 
     def factorise_each(
-        self, rows: ContactRows, wanted: np.ndarray, inertia: float, viscous: np.ndarray | None = None
+        self, stiffness: Arrays, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
     ) -> np.ndarray:
-        """As that of NewtonMatrices."""
-        stiffness = rows.upper_stiffness()[:, 0]
-        try:
-            self.factorise_stacked(stiffness if viscous is None else stiffness + viscous[:, 0], inertia)
-        except NotPositiveDefinite:
-            return np.zeros(1, dtype=bool)
-        return wanted
+        """Factorise for symmetric positive stiffnesses, (d, d, n) a group, or (d, d, n, S) of alike samples, and a
+        spring at every spin, (unknowns,) or (unknowns, S).
 
-    def factorise_given(self, stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-        """As that of NewtonMatrices."""
-        try:
-            self.factorise_stacked(stiffness[:, 0], inertia[:, 0])
-        except NotPositiveDefinite:
-            return np.zeros(1, dtype=bool)
-        return np.ones(1, dtype=bool)
+        True (S,) for `wanted` samples, all if None, where that succeeds, if need be with a raised diagonal.
+        """
+        values = _side_by_side(self._map @ stacked(stiffness))
+        samples = values.shape[1]
+        regular = np.ones(max(samples, len(self._parts)), dtype=bool) if wanted is None else wanted.copy()
+        for number, (part, cholesky, entries) in enumerate(
+            zip(self._parts, self._choleskys, self._entries, strict=True)
+        ):
+            own = slice(None) if len(self._parts) == 1 else slice(number, number + 1)
+            if not regular[own].any():
+                continue
+            factor, pattern = cholesky.factor(samples), cholesky.pattern
+            factor.entries[: pattern.entries, :samples] = values[entries]
+            springs = _side_by_side(inertia[part])[pattern.order] if isinstance(inertia, np.ndarray) else inertia
+            factor.entries[pattern.diagonal, :samples] += springs
+            of_lanes = np.append(regular[own], np.zeros(factor.entries.shape[1] - samples, dtype=bool))
+            regular[own] = _raised(factor, pattern.diagonal, of_lanes)[:samples]
+        return regular
 
-    def solve_given(self, right: np.ndarray) -> np.ndarray:
-        """As that of NewtonMatrices."""
-        return self.solve(right[:, 0])[:, None]
+    def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
+        """Solutions, (unknowns,) or (unknowns, S), of the factorised systems; 0 in parts that are not `wanted`."""
+        columns = _side_by_side(right)
+        found = np.zeros(columns.shape)
+        for number, (part, cholesky) in enumerate(zip(self._parts, self._choleskys, strict=True)):
+            if wanted is None or wanted[number]:
+                found[part] = cholesky.solve(columns[part])
+        return found.reshape(right.shape)
 
-    def solve_each(self, rows: ContactRows) -> None:
+    def rows(self, samples: int = 1) -> ContactRows:
+        """Memory for Newton steps of a single sample or of LANES; right-hand sides and solutions go to its spins."""
+        if samples not in self._kept:
+            rows = self._system.rows(self._choleskys[0].factor(samples).solution, self._choleskys[0].pattern.place)
+            self._kept[samples] = rows, rows.stiffness_sums(self._map)
+        return self._kept[samples][0]
+
+    def factorise_rows(
+        self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
+    ) -> np.ndarray:
+        """As :meth:`factorise_each`, for the stiffnesses in the rows, and `viscous` ones to add, as `stacked` gives
+        them, (entries, S)."""
+        factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
+        rows.add_stiffnesses(self._kept[rows.samples][1], factor.entries)
+        if viscous is not None:
+            factor.entries[: self._map.shape[0]] += self._map @ viscous
+        if inertia:
+            factor.entries[diagonal] += inertia
+        return _raised(factor, diagonal, wanted)
+
+    def solve_rows(self, rows: ContactRows) -> None:
         """In place."""
-        rows.spins[: self._system.unknowns, 0] = self.solve(rows.spins[: self._system.unknowns, 0])
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution of the factorised system, (unknowns,)."""
-        return right if self._empty else self._cholesky.solve(right)
+        self._choleskys[0].factor(rows.samples).substitute()
 
     def forget(self) -> None:
         """Give the memory of a large factor back, until it is factorised anew."""
-        if not self._empty:
-            self._cholesky.forget()
+        for cholesky in self._choleskys:
+            cholesky.forget()
 
     def balanced(self, dual: Arrays, stiffness: Arrays, load: np.ndarray | float = 0.0) -> Arrays:
         """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
@@ -134,6 +141,38 @@ class NewtonMatrix:
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))
         return dual
+
+
+def _side_by_side(values: np.ndarray) -> np.ndarray:
+    """Numbers (n, S) from (n,) of one sample, or from themselves."""
+    return values if values.ndim == 2 else values[:, None]
+
+
+def _raised(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Factorise with the diagonal raised as little as helps; True (S,) for `wanted` matrices where it does."""
+    regular = factor.factorise()
+    if (regular | ~wanted).all():
+        return regular & wanted
+    numbers, shift = factor.entries[diagonal], np.zeros(len(wanted))
+    hopeless = ~(wanted & np.isfinite(numbers).all(axis=0))
+    for further in SHIFTS:
+        shift[~regular] = further
+        factor.entries[diagonal] = numbers * (1 + shift)
+        regular = factor.factorise()
+        if (regular | hopeless).all():
+            break
+    return regular & wanted
+
+
+@lru_cache
+def _compile(engine: Engine, samples: int) -> None:
+    """Compile the kernels of one or of several samples, on a tiny lattice: they are the same for all."""
+    lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
+    system = lattice_system(lattice, spin_axes, np.ones(2))
+    matrix = NewtonMatrix(system, dissect(lattice.free_shape, spin_axes), engine=engine)
+    rows = matrix.rows(samples)
+    matrix.factorise_rows(rows, np.zeros(samples, dtype=bool))
+    matrix.solve_rows(rows)
 
 
 def resisted(stiffness: Arrays, change: Arrays) -> Arrays:

@@ -12,7 +12,7 @@ from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.contact_system import ContactGroup
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic
-from taichi_bearings.conic.newton_blocks import NewtonBlocks
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square, square_root, subtract
 
 STEPS, ENOUGH = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
@@ -27,7 +27,7 @@ Places = tuple[np.ndarray, ...]
 
 def polished(
     tied: Contraction,
-    matrix: NewtonBlocks,
+    matrix: NewtonMatrix,
     friction: Arrays,
     spins: Pair,
     difference: Arrays,
@@ -49,7 +49,7 @@ def polished(
 
 
 def _balanced(
-    system: "_PreciseSystem", matrix: NewtonBlocks, friction: Arrays, unknown: Pair, going: np.ndarray
+    system: "_PreciseSystem", matrix: NewtonMatrix, friction: Arrays, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
     """Newton's method until the torques do not fall any more, and where that leads anywhere; (samples,).
 
@@ -72,7 +72,7 @@ def _balanced(
         if anew.any():
             stiffness = each(friction_stiffness, friction, difference, FAINT)
             going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
-        step = matrix.solve_each(-torques, going)
+        step = matrix.solve(-torques, going)
         change = owners.largest(system.contracted.change(step).length() / slip)
         going = going & (change <= LONGEST)
         fine, factorised = fine & (going | ~before), change < FAITHFUL
@@ -81,7 +81,7 @@ def _balanced(
 
 
 def _fitted(
-    system: "_PreciseSystem", matrix: NewtonBlocks, unknown: Pair, tracked: Arrays, chosen: np.ndarray
+    system: "_PreciseSystem", matrix: NewtonMatrix, unknown: Pair, tracked: Arrays, chosen: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
     """The spins of the chosen samples corrected so that they have the tracked differences, relative to the size of
     these; and where that succeeds."""
@@ -90,7 +90,7 @@ def _fitted(
     for _ in range(2):
         now = system.differences(unknown)
         missing = each(lambda w, z, pair: exactly(w * (z - pair[0] - pair[1])), weight, tracked, now)
-        corrected = add(unknown, exactly(matrix.solve_each(system.torques(missing), fitted)))
+        corrected = add(unknown, exactly(matrix.solve(system.torques(missing), fitted)))
         unknown = _chosen(fitted[system.owners.spins], corrected, unknown)
     return unknown, fitted
 

@@ -20,14 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Matrix, friction_stiffness
+from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cone import inner
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, apart, each, power, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.last_decades import LastDecades
-from taichi_bearings.conic.newton_blocks import NewtonBlocks
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import AT_LIMIT, Borne, bear, borne_nearby, nearly_borne, roughly_borne
@@ -98,13 +97,12 @@ class Resolved:
 class Surroundings:
     """What samples of one lattice share. system : of each; order : of elimination of its unknowns.
 
-    matrix, matrices : of one of them, and of several at once. top : (C,), imposed on the top, in twice the precision.
+    matrix : of one of them, or of several at once. top : (C,), imposed on the top, in twice the precision.
     """
 
     system: ContactSystem
     order: np.ndarray
     matrix: NewtonMatrix
-    matrices: Matrix
     top: Pair
 
 
@@ -265,7 +263,7 @@ def _borne(
         friction = together([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
         critical = together([found.critical for _, found in some])
-        duals, fine = nearly_borne(lattice.system, lattice.matrices, friction, dual, slipping, critical, heads)
+        duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, critical, heads)
         for (number, found), whole, inside in zip(some, apart(duals, len(some)), fine, strict=True):
             borne, at_limit = Borne(dual=whole), found.slipping | found.critical
             if not inside:
@@ -313,7 +311,8 @@ class _Slipping:
         self.samples, whole = len(iterates), lattice.system.copies(len(iterates))
         self.tied = Contraction(whole, lattice.order, together([~mask for mask in slipping]), self.samples)
         self.slipping = self.everywhere(each(np.ones_like, self.tied.kept, bool))
-        self.matrix = NewtonBlocks(self.tied, lattice.matrix.memory)
+        parts = [self.tied.span(sample) for sample in range(self.samples)]
+        self.matrix = NewtonMatrix(self.tied.system, self.tied.order, lattice.matrix.memory, parts=parts)
         self.friction = together([iterate.friction for iterate in iterates])[self.tied.kept]
         self.balanced = np.zeros(self.samples, dtype=bool)
         self.spins: Pair
@@ -339,7 +338,7 @@ class _Slipping:
             if not going.any():
                 return at_rest
             going = self.matrix.factorise_each(each(friction_stiffness, self.friction, self.difference, HARDLY), going)
-            step = self.matrix.solve_each(torques, going)
+            step = self.matrix.solve(torques, going)
             change, slip = system.change(step), self.difference.length()
             turned = each(inner, self.difference + change, self.difference) <= 0
             resting = turned & (slip < COLLAPSED * first) & owners.at_contacts(going)

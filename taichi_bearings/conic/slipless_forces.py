@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Matrix, balance, newton_step
-from taichi_bearings.conic.contact_system import ContactSystem, stacked
+from taichi_bearings.conic.central_path import balance, newton_step
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
-from taichi_bearings.numerics.cholesky.factor import Memory
+from taichi_bearings.numerics.cholesky import Memory
 
 STEPS = 40
 SLACK = 1e-2  # of the bounds at the start, in units of the motion
@@ -90,7 +90,7 @@ def bear(
 @np.errstate(all="ignore")
 def nearly_borne(
     system: ContactSystem,
-    matrix: Matrix,
+    matrix: NewtonMatrix,
     friction: Arrays,
     dual: Arrays,
     slipping: Arrays,
@@ -109,10 +109,10 @@ def nearly_borne(
     side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
     at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
-    regular = matrix.factorise_given(stacked(isotropic(side, springs)), still)
+    regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
     for _ in range(REFINEMENTS if at_limit is None else MORE_REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side if at_limit is None else each(_at_limit, side, at_limit)
-        side = side - springs * system.change(matrix.solve_given(system.torques(side)))
+        side = side - springs * system.change(matrix.solve(system.torques(side)))
     whole = one_by_one(side)
     within = ~critical | (whole.length() < (1 + AT_LIMIT) * friction)
     inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)

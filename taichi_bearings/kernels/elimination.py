@@ -1,15 +1,19 @@
 """Cholesky factors of a matrix, or of several of one pattern side by side: then each number is a vector, one a matrix.
 
-The fronts of the elimination tree one after the other, children first (numerics/cholesky/side_by_side.py). A front is
-stored column by column: m columns of own unknowns with all their n rows, then the update that it leaves for its border,
-b columns of b rows of which the lower triangle counts. A number goes through the same operations in the same order
-whether its matrix is alone or not.
+Fronts of the elimination tree, children before parents; numerics/cholesky/layout.py says where they lie. A front is
+stored column by column: m columns of own unknowns with all their n rows, then the update that it leaves for its
+border, b columns in panels of SHEET columns, each of the rows from its own first one on; lower triangles count. Small
+matrices are eliminated here, in one launch; fronts of large ones are gathered here, and eliminated by BLAS. A number
+goes through the same operations in the same order whether its matrix is alone or not.
 
 The innermost loops, and those of `gather`, step by a number that stands in the tables, be it 1: of known step LLVM
 would unroll them eight times over, which takes every process seconds and makes none of them faster.
 """
 
+from collections.abc import Callable
+
 from taichi_bearings.compiler import ti
+from taichi_bearings.kernels.team import LEAST_CHUNK
 
 PANEL = 4  # columns, and rows or vectors of rows, that are worked on together: their numbers fit into registers
 LANES = 8  # matrices side by side, or rows of one alone: what an AVX-512 instruction works on at once
@@ -17,13 +21,16 @@ VALUES = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 TABLES = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
-# Where the tables begin in the array of integers is written at its start, after the number of fronts; then a 1
-FRONTS, PLACES, MAPS, BORDERS, STEP, HEADER = 0, 1, 2, 3, 4, 5
+# At the start of the array of integers: the number of fronts, where the other tables begin (places of entries within
+# their fronts; of the border of each front, its rows in the front of the parent, and where they are in vectors; work
+# for `assemble`; branches for substitutions), the columns of a panel of an update, and a 1
+FRONTS, PLACES, MAPS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 2, 3, 4, 5, 6, 7, 8
 # A row of the table of fronts: own unknowns and border, where columns and update begin, first and last entry, its first
-# child and the next child of its parent, or -1, where its part of maps and borders begins, first own unknown, numbers
-# from one column and one column of the update to the next, and the row at which columns of the update begin
+# child and the next child of its parent, or -1, where its part of maps and slots begins, first own unknown, numbers
+# from one column and one column of the update to the next, the row at which columns of the update begin, and where its
+# border begins in vectors
 OWN, BORDER, COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, SHARE, FIRST = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-HEIGHT, UPDATE_HEIGHT, SKIP, WIDTH = 10, 11, 12, 13
+HEIGHT, UPDATE_HEIGHT, SKIP, REST, WIDTH = 10, 11, 12, 13, 14
 
 
 @ti.func
@@ -38,34 +45,55 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 
 @ti.func
+def sheets_before(tables: ti.template(), at, column):
+    """Columns of the update in panels before that of a column of the front."""
+    before, width = 0, tables[SHEET]
+    if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
+        before = (column - tables[at + OWN]) // width * width
+    return before
+
+
+@ti.func
 def column_of(tables: ti.template(), at, column):
     """Where row 0 of a column of a front would stand."""
-    start = tables[at + COLUMNS] + column * tables[at + HEIGHT]
-    own = tables[at + OWN]
+    own, start = tables[at + OWN], tables[at + COLUMNS] + column * tables[at + HEIGHT]
     if column >= own:
-        start = tables[at + UPDATE] + (column - own) * tables[at + UPDATE_HEIGHT] - tables[at + SKIP]
+        before, pitch = sheets_before(tables, at, column), tables[at + UPDATE_HEIGHT]
+        start = tables[at + UPDATE] + (column - own) * (pitch - before) - tables[at + SKIP] - before
+        if before > 0:
+            start += before * before - before * (before - tables[SHEET]) // 2
     return start
 
 
 @ti.func
-def gather(alone: ti.template(), tables: ti.template(), at, entries: ti.template(), numbers: ti.template()):
-    """Fill a front with its entries and with what its children leave."""
-    columns, step = tables[at + COLUMNS], tables[STEP]
-    column, rows = 0, tables[at + OWN] + tables[at + BORDER]
-    while column < rows:
-        begin, unit = column_of(tables, at, column), ti.static(LANES if alone else 1)
-        clear(alone, numbers, begin + column - column % unit, begin + tables[at + HEIGHT], step)
+def gather(
+    alone: ti.template(), unit: ti.template(), tables: ti.template(), at, first, end, entries: ti.template(),
+    numbers: ti.template(),
+):  # fmt: skip
+    """Fill the columns first ... end-1 of a front with its entries and with what its children leave.
+
+    unit : rows that make a vector.
+    """
+    columns, height, step = tables[at + COLUMNS], tables[at + HEIGHT], tables[STEP]
+    column = first
+    while column < end:
+        begin = column_of(tables, at, column)
+        clear(alone, numbers, begin + column - column % unit, begin + height, step)
         column += step
     entry, entries_end = tables[at + ENTRIES], tables[at + ENTRIES_END]
     while entry < entries_end:
-        numbers[columns + tables[tables[PLACES] + entry]] = entries[entry]
+        place = tables[tables[PLACES] + entry]
+        if first * height <= place and place < end * height:
+            numbers[columns + place] = entries[entry]
         entry += step
     next_child = tables[at + CHILD]
     while next_child >= 0:
         child = HEADER + next_child * WIDTH
         own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + SHARE]
         j = 0
-        while j < length:
+        while j < length and tables[places + j] < first:
+            j += step
+        while j < length and tables[places + j] < end:
             start, source = column_of(tables, at, tables[places + j]), column_of(tables, child, own + j) + own
             i = j
             while i < length:
@@ -142,7 +170,7 @@ def panel(
     same for these columns, from where row 0 would stand; whether they are own.
     """
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + COLUMNS]
-    pitch = height if j < own else tables[at + UPDATE_HEIGHT]
+    pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
     start = column_of(tables, at, j)
     shape = [begin, begin + ti.min(j, own) * height, height, start, pitch, j < own]
     first = corner(numbers, shape, j, wide)
@@ -177,8 +205,9 @@ def eliminate(tables: TABLES, entries: VECTORS, numbers: VECTORS):
     """Factorise. A pivot that is not positive leaves an inverse that is not finite, in its matrix alone."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
-        gather(False, tables, HEADER + front * WIDTH, entries, numbers)
-        reduce(tables, HEADER + front * WIDTH, numbers, numbers, 1)
+        at = HEADER + front * WIDTH
+        gather(False, 1, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers)
+        reduce(tables, at, numbers, numbers, 1)
 
 
 @ti.kernel
@@ -186,122 +215,27 @@ def eliminate_alone(tables: TABLES, entries: VALUES, numbers: VALUES, vectors: V
     """The same for one matrix. vectors : the numbers, LANES at a time."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
-        gather(True, tables, HEADER + front * WIDTH, entries, numbers)
-        reduce(tables, HEADER + front * WIDTH, numbers, vectors, LANES)
+        at = HEADER + front * WIDTH
+        gather(True, LANES, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers)
+        reduce(tables, at, numbers, vectors, LANES)
 
 
-@ti.func
-def forward(
-    numbers: ti.template(), solution: ti.template(), work: ti.template(), where: ti.template(), wide: ti.template()
-):
-    """Solve for `wide` own unknowns, and take what they are to the own ones behind and to the border.
+def _assembly(serial: bool) -> Callable:
+    """Kernel that fills fronts of one matrix, on one thread or on several."""
+    chunk = 1 if serial else LEAST_CHUNK
 
-    where : place of their first pivot, and from one column to the next; row of the first, end of all own; border; 1.
-    """
-    start, height, row, end, border, step = where
-    value = [solution[row + c] for c in ti.static(range(wide))]
-    for c in ti.static(range(wide)):
-        for p in ti.static(range(c)):
-            value[c] = value[c] - numbers[start + p * height + c] * value[p]
-        value[c] = value[c] * numbers[start + c * height + c]
-        solution[row + c] = value[c]
-    i = wide
-    while i < end - row:
-        rest = solution[row + i]
-        for c in ti.static(range(wide)):
-            rest = rest - numbers[start + c * height + i] * value[c]
-        solution[row + i] = rest
-        i += step
-    i = 0
-    while i < border:
-        total = work[i]
-        for c in ti.static(range(wide)):
-            total = total + numbers[start + c * height + end - row + i] * value[c]
-        work[i] = total
-        i += step
+    @ti.kernel
+    def run(tables: TABLES, entries: VALUES, numbers: VALUES, begin: int, end: int):
+        """Items begin ... end-1 of the work: each a front, and its first and last column."""
+        if ti.static(serial):
+            ti.loop_config(serialize=True)
+        for turn in range(begin * chunk, end * chunk):
+            if turn % chunk == 0:
+                item = tables[ITEMS] + 3 * (turn // chunk)
+                at = HEADER + tables[item] * WIDTH
+                gather(True, 1, tables, at, tables[item + 1], tables[item + 2], entries, numbers)
+
+    return run
 
 
-@ti.func
-def backward(
-    numbers: ti.template(), solution: ti.template(), work: ti.template(), where: ti.template(), wide: ti.template()
-):
-    """The same the other way, once border and own unknowns behind are known."""
-    start, height, row, end, border, step = where
-    rest = [solution[row + c] for c in ti.static(range(wide))]
-    i = 0
-    while i < border:
-        known = work[i]
-        for c in ti.static(range(wide)):
-            rest[c] = rest[c] - numbers[start + c * height + end - row + i] * known
-        i += step
-    i = wide
-    while i < end - row:
-        known = solution[row + i]
-        for c in ti.static(range(wide)):
-            rest[c] = rest[c] - numbers[start + c * height + i] * known
-        i += step
-    for back in ti.static(range(wide)):
-        c = ti.static(wide - 1 - back)
-        for p in ti.static(range(c + 1, wide)):
-            rest[c] = rest[c] - numbers[start + c * height + p] * rest[p]
-        rest[c] = rest[c] * numbers[start + c * height + c]
-        solution[row + c] = rest[c]
-
-
-@ti.func
-def substituted(
-    alone: ti.template(), tables: ti.template(), numbers: ti.template(), solution: ti.template(), work: ti.template()
-):
-    for turn in range(2 * tables[FRONTS]):
-        down = turn < tables[FRONTS]
-        at = HEADER + (turn if down else 2 * tables[FRONTS] - 1 - turn) * WIDTH
-        own, border, first = tables[at + OWN], tables[at + BORDER], tables[at + FIRST]
-        places, height, end = tables[BORDERS] + tables[at + SHARE], tables[at + HEIGHT], first + own
-        step = tables[STEP]
-        if down:
-            clear(alone, work, 0, border, step)
-            k = 0
-            while k < own:
-                start = tables[at + COLUMNS] + k * (height + 1)
-                if k + PANEL <= own:
-                    forward(numbers, solution, work, [start, height, first + k, end, border, step], PANEL)
-                    k += PANEL
-                else:
-                    forward(numbers, solution, work, [start, height, first + k, end, border, step], 1)
-                    k += 1
-            i = 0
-            while i < border:
-                to = tables[places + i]
-                solution[to] = solution[to] - work[i]
-                i += step
-        else:
-            i = 0
-            while i < border:
-                work[i] = solution[tables[places + i]]
-                i += step
-            k = own
-            while k > 0:
-                if k % PANEL == 0:
-                    k -= PANEL
-                    start = tables[at + COLUMNS] + k * (height + 1)
-                    backward(numbers, solution, work, [start, height, first + k, end, border, step], PANEL)
-                else:
-                    k -= 1
-                    start = tables[at + COLUMNS] + k * (height + 1)
-                    backward(numbers, solution, work, [start, height, first + k, end, border, step], 1)
-
-
-@ti.kernel
-def substitute(tables: TABLES, numbers: VECTORS, solution: VECTORS, work: VECTORS):
-    """Solve in place, forward and backward. work : as many vectors as the longest border has."""
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        substituted(False, tables, numbers, solution, work)
-
-
-@ti.kernel
-def substitute_alone(tables: TABLES, numbers: VALUES, solution: VALUES, work: VALUES):
-    """The same for one matrix."""
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        substituted(True, tables, numbers, solution, work)
+assemble, assemble_serially = _assembly(False), _assembly(True)

@@ -1,156 +1,169 @@
-"""Solve with the factor of an elimination tree: every front has a vector of its own, for its rows, and its parent takes
-what is left of it. So fronts that are not above each other can be solved at once, and their order leaves no trace.
+"""Solve with the factor of an elimination tree, of one matrix or of several side by side.
+
+A vector holds the unknowns in the order of elimination and then, front after front, what each leaves for its border:
+its parent takes that, and nobody writes where another does. So fronts that are not above each other can be solved at
+once, and neither their order nor the number of threads or of matrices leaves a trace.
 """
 
+from collections.abc import Callable
+
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.elimination import LANES, TABLES, VALUES, VECTORS
+from taichi_bearings.kernels.elimination import (
+    BORDER,
+    BRANCHES,
+    CHILD,
+    COLUMNS,
+    FIRST,
+    FRONTS,
+    HEADER,
+    HEIGHT,
+    OWN,
+    PANEL,
+    REST,
+    SHARE,
+    SIBLING,
+    SLOTS,
+    STEP,
+    TABLES,
+    VALUES,
+    VECTORS,
+    WIDTH,
+    clear,
+)
 from taichi_bearings.kernels.team import LEAST_CHUNK
 
-# LANES rows, or columns, are worked on together; vectors of fronts begin at multiples of it.
-# A row of the table of fronts: own unknowns, rows, where own columns, vector and the table of places begin, the place
-# of the first own unknown in the order of elimination, its first child, the next child of its parent, and that, or -1
-OWN, HEIGHT, COLUMNS, VECTOR, MAP, FIRST, CHILD, SIBLING, PARENT, WIDTH = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-
 
 @ti.func
-def rows_of(values: ti.template(), place):
-    """LANES numbers one after the other."""
-    result = ti.Vector.zero(ti.f64, LANES)
-    at = place & 0x7FFFFFFF  # never negative: the loads are merged
-    for m in range(LANES):
-        result[m] = values[at + m]
-    return result
+def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
+    """Solve for `wide` own unknowns, and take what they are from the own ones behind and from the border.
 
-
-@ti.func
-def forward(
-    factor: ti.template(), vector: ti.template(), blocks: ti.template(), start, height, rows, k,
-    wide: ti.template(),
-):  # fmt: skip
-    """Solve for `wide` unknowns from the k-th on, and take what they are to the rows below.
-
-    start : place of row 0 of the first column. rows : of the vector, first place.
+    where : place of their first pivot, and from one column to the next; row of the first, end of all own; where the
+    border begins, and its length; 1.
     """
-    value = [vector[rows + k + c] for c in ti.static(range(wide))]
+    start, height, row, end, rest, border, step = where
+    value = [vector[row + c] for c in ti.static(range(wide))]
     for c in ti.static(range(wide)):
         for p in ti.static(range(c)):
-            value[c] = value[c] - factor[start + p * height + k + c] * value[p]
-        value[c] = value[c] / factor[start + c * height + k + c]
-        vector[rows + k + c] = value[c]
-    i = k + wide
-    while i % LANES != 0 and i < height:
-        rest = vector[rows + i]
+            value[c] = value[c] - numbers[start + p * height + c] * value[p]
+        value[c] = value[c] * numbers[start + c * height + c]
+        vector[row + c] = value[c]
+    i = wide
+    while i < end - row:
+        left = vector[row + i]
         for c in ti.static(range(wide)):
-            rest = rest - factor[start + c * height + i] * value[c]
-        vector[rows + i] = rest
-        i += 1
-    while i < height:  # the last rows may be those of no one
-        left = blocks[(rows + i) // LANES]
+            left = left - numbers[start + c * height + i] * value[c]
+        vector[row + i] = left
+        i += step
+    i = 0
+    while i < border:
+        left = vector[rest + i]
         for c in ti.static(range(wide)):
-            left = left - rows_of(factor, start + c * height + i) * value[c]
-        blocks[(rows + i) // LANES] = left
-        i += LANES
+            left = left - numbers[start + c * height + end - row + i] * value[c]
+        vector[rest + i] = left
+        i += step
 
 
 @ti.func
-def backward(
-    factor: ti.template(), vector: ti.template(), blocks: ti.template(), start, height, rows, k,
-    wide: ti.template(),
-):  # fmt: skip
-    """The same the other way, once the rows below are known."""
-    rest = [vector[rows + k + c] for c in ti.static(range(wide))]
-    i = k + wide
-    while i % LANES != 0 and i < height:
+def backward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
+    """The same the other way, once border and own unknowns behind are known."""
+    start, height, row, end, rest, border, step = where
+    left = [vector[row + c] for c in ti.static(range(wide))]
+    i = 0
+    while i < border:
+        known = vector[rest + i]
         for c in ti.static(range(wide)):
-            rest[c] = rest[c] - factor[start + c * height + i] * vector[rows + i]
-        i += 1
-    sums = [ti.Vector.zero(ti.f64, LANES) for _ in ti.static(range(wide))]
-    while i + LANES <= height:
-        known = blocks[(rows + i) // LANES]
+            left[c] = left[c] - numbers[start + c * height + end - row + i] * known
+        i += step
+    i = wide
+    while i < end - row:
+        known = vector[row + i]
         for c in ti.static(range(wide)):
-            sums[c] = sums[c] + rows_of(factor, start + c * height + i) * known
-        i += LANES
-    while i < height:
-        for c in ti.static(range(wide)):
-            rest[c] = rest[c] - factor[start + c * height + i] * vector[rows + i]
-        i += 1
+            left[c] = left[c] - numbers[start + c * height + i] * known
+        i += step
     for back in ti.static(range(wide)):
         c = ti.static(wide - 1 - back)
-        for m in ti.static(range(LANES)):
-            rest[c] = rest[c] - sums[c][m]
         for p in ti.static(range(c + 1, wide)):
-            rest[c] = rest[c] - factor[start + c * height + k + p] * rest[p]
-        rest[c] = rest[c] / factor[start + c * height + k + c]
-        vector[rows + k + c] = rest[c]
+            left[c] = left[c] - numbers[start + c * height + p] * left[p]
+        left[c] = left[c] * numbers[start + c * height + c]
+        vector[row + c] = left[c]
 
 
 @ti.func
-def down(
-    tables: ti.template(), at, order, maps, factor: ti.template(), right: ti.template(),
-    vector: ti.template(), blocks: ti.template(),
-):  # fmt: skip
+def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
     """A front, once its children are done."""
-    own, height, rows = tables[at + OWN], tables[at + HEIGHT], tables[at + VECTOR]
-    for i in range(own):
-        vector[rows + i] = right[tables[order + tables[at + FIRST] + i]]
-    for i in range(own, height):
-        vector[rows + i] = ti.cast(0.0, ti.f64)
-    child = tables[at + CHILD]
-    while child >= 0:
-        skip, places = tables[child + VECTOR] + tables[child + OWN], maps + tables[child + MAP]
-        for i in range(tables[child + HEIGHT] - tables[child + OWN]):
-            to = rows + tables[places + i]
-            vector[to] = vector[to] + vector[skip + i]
-        child = tables[child + SIBLING]
+    own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST], tables[at + REST]
+    height, step = tables[at + HEIGHT], tables[STEP]
+    clear(alone, vector, rest, rest + border, step)
+    next_child = tables[at + CHILD]
+    while next_child >= 0:
+        child = HEADER + next_child * WIDTH
+        slots, left, i = tables[SLOTS] + tables[child + SHARE], tables[child + REST], 0
+        while i < tables[child + BORDER]:
+            to = tables[slots + i]
+            vector[to] = vector[to] + vector[left + i]
+            i += step
+        next_child = tables[child + SIBLING]
     k = 0
     while k < own:
-        start = tables[at + COLUMNS] + k * height
-        if k + LANES <= own:
-            forward(factor, vector, blocks, start, height, rows, k, LANES)
-            k += LANES
+        start = tables[at + COLUMNS] + k * (height + 1)
+        if k + PANEL <= own:
+            forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], PANEL)
+            k += PANEL
         else:
-            forward(factor, vector, blocks, start, height, rows, k, 1)
+            forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], 1)
             k += 1
 
 
 @ti.func
-def up(
-    tables: ti.template(), at, order, maps, factor: ti.template(), right: ti.template(),
-    vector: ti.template(), blocks: ti.template(),
-):  # fmt: skip
+def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
     """A front, once its parent is done."""
-    own, height, rows = tables[at + OWN], tables[at + HEIGHT], tables[at + VECTOR]
-    if tables[at + PARENT] >= 0:
-        above, places = tables[tables[at + PARENT] + VECTOR], maps + tables[at + MAP]
-        for i in range(height - own):
-            vector[rows + own + i] = vector[above + tables[places + i]]
+    own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST], tables[at + REST]
+    height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + SHARE]
+    i = 0
+    while i < border:
+        vector[rest + i] = vector[tables[slots + i]]
+        i += step
     k = own
     while k > 0:
-        if k % LANES == 0:
-            k -= LANES
-            backward(factor, vector, blocks, tables[at + COLUMNS] + k * height, height, rows, k, LANES)
+        if k % PANEL == 0:
+            k -= PANEL
+            start = tables[at + COLUMNS] + k * (height + 1)
+            backward(numbers, vector, [start, height, first + k, first + own, rest, border, step], PANEL)
         else:
             k -= 1
-            backward(factor, vector, blocks, tables[at + COLUMNS] + k * height, height, rows, k, 1)
-    for i in range(own):
-        right[tables[order + tables[at + FIRST] + i]] = vector[rows + i]
+            start = tables[at + COLUMNS] + k * (height + 1)
+            backward(numbers, vector, [start, height, first + k, first + own, rest, border, step], 1)
+
+
+def _substitution(together: bool) -> Callable:
+    """Kernel that solves in place, forward and backward, on one thread."""
+    kind = VECTORS if together else VALUES
+
+    @ti.kernel
+    def run(tables: TABLES, numbers: kind, vector: kind):
+        ti.loop_config(serialize=True)
+        for turn in range(2 * tables[FRONTS]):
+            if turn < tables[FRONTS]:
+                down(not together, tables, HEADER + turn * WIDTH, numbers, vector)
+            else:
+                up(tables, HEADER + (2 * tables[FRONTS] - 1 - turn) * WIDTH, numbers, vector)
+
+    return run
+
+
+substitute, substitute_alone = _substitution(True), _substitution(False)
 
 
 @ti.kernel
-def substitute(
-    forth: int, tables: TABLES, begin: int, end: int, branches: int, order: int,
-    maps: int, factor: VALUES, right: VALUES, vector: VALUES, blocks: VECTORS,
-):  # fmt: skip
-    """Branches begin ... end-1 of the tree, each the fronts from one entry of the table of branches to the next.
-
-    right : the right-hand side, in the end the solution. branches, order, maps : where these tables begin.
-    """
+def substitute_branches(tables: TABLES, numbers: VALUES, vector: VALUES, forth: int, begin: int, end: int):
+    """The same for one matrix on several threads, half of it: branches begin ... end-1 of the tree, each the fronts
+    from one number in the table of branches to the next."""
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
         if item % LEAST_CHUNK == 0:
-            branch = branches + 2 * (item // LEAST_CHUNK)
+            branch = tables[BRANCHES] + 2 * (item // LEAST_CHUNK)
             first, last = tables[branch], tables[branch + 1]
             for n in range(first, last):
                 if forth:
-                    down(tables, n * WIDTH, order, maps, factor, right, vector, blocks)
+                    down(True, tables, HEADER + n * WIDTH, numbers, vector)
                 else:
-                    up(tables, (first + last - 1 - n) * WIDTH, order, maps, factor, right, vector, blocks)
+                    up(tables, HEADER + (first + last - 1 - n) * WIDTH, numbers, vector)

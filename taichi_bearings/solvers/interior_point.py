@@ -21,11 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Matrix, Path, balance, flowing
+from taichi_bearings.conic.central_path import Path, balance, flowing
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.matrices import NewtonMatrices, compile_eliminations
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import APART, Resolved, Surroundings, resolve
 from taichi_bearings.conic.rows import compile_passes
@@ -33,7 +32,7 @@ from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
+from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect
 from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
@@ -88,7 +87,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
     return together([f if s.resolved is None else next(known) for f, s in zip(each_found, samples, strict=True)])
 
 
-_Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None, Matrix | None]
+_Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None]
 
 
 def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
@@ -108,10 +107,8 @@ def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
 def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
     system, order = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
     if not any(jump):  # nothing turns, and nothing is to be solved
-        return system, order, None, None
-    matrix = NewtonMatrix(system, order)
-    matrices = NewtonMatrices(system, order) if lattice.sites < SMALL else matrix
-    return system, order, matrix, matrices
+        return system, order, None
+    return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < SMALL else None)
 
 
 class InteriorPointMethod:
@@ -129,14 +126,13 @@ class InteriorPointMethod:
         self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])
         jump = self.top[0]
         self.frustrated = bool((jump != 0).any())
-        self.system, self.order, matrix, matrices = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
-        if matrix is not None and matrices is not None:
-            self.matrix, self.matrices = matrix, matrices
+        self.system, self.order, matrix = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
+        if matrix is not None:
+            self.matrix = matrix
             compile_passes()  # all before the clock starts
-            matrix.compile()
-            compile_eliminations(1)  # the last one may be alone
-            if isinstance(matrices, NewtonMatrices) and scene.replicas > 1:
-                compile_eliminations(LANES)
+            matrix.compile()  # the last sample may be alone
+            if self._small and scene.replicas > 1:
+                matrix.compile(LANES)
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
@@ -179,8 +175,8 @@ class InteriorPointMethod:
         Samples near the end of their paths wait for others: together their states are settled in half the time.
         """
         waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
-        together = isinstance(self.matrices, NewtonMatrices) and len(waiting) > 1
-        path, going = Path(self.matrices, LANES if together else 1), dict[int, tuple[_Sample, int]]()
+        together = self._small and len(waiting) > 1
+        path, going = Path(self.matrix, LANES if together else 1), dict[int, tuple[_Sample, int]]()
         at_end: list[tuple[_Sample, int]] = []
         with one_thread():  # fronts are shared among threads here, not inside the library
             try:
@@ -263,7 +259,7 @@ class InteriorPointMethod:
         return balanced.gap
 
     def _settle(self, samples: list[_Sample]) -> None:
-        lattice = Surroundings(self.system, self.order, self.matrix, self.matrices, self.top)
+        lattice = Surroundings(self.system, self.order, self.matrix, self.top)
         with stage("settling contact states"):
             resolved = resolve([s.iterate for s in samples], [s.before for s in samples], lattice, self._small)
         for sample, found in zip(samples, resolved, strict=True):

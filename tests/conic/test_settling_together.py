@@ -7,10 +7,10 @@ from taichi_bearings.conic import resolution
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Grouped, apart, each, isotropic, one_by_one, side_by_side, together, where
-from taichi_bearings.conic.newton_blocks import NewtonBlocks
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.slipless_forces import _held
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.cholesky import dissect, factor
+from taichi_bearings.numerics.cholesky import dissect, tuning
 from taichi_bearings.numerics.cholesky.fronts import analyse
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.solvers import interior_point
@@ -75,7 +75,7 @@ def test_sets_dissected_anew_take_fewer_operations(monkeypatch):
     contraction, operations = Contraction(whole, dissect(scene.lattice.free_shape, AXES), tied), []
     for many in (np.inf, 1):
         monkeypatch.setattr("taichi_bearings.conic.contraction.MANY", many)
-        pattern = analyse(contraction.order(0), *contraction.system.couplings(), factor.PRICE)
+        pattern = analyse(contraction.order(0), *contraction.system.couplings(), tuning.CALLS_PRICE)
         operations.append(pattern.operations)
     assert operations[1] < 0.75 * operations[0]
 
@@ -107,22 +107,27 @@ def test_largest_numbers_are_found_sample_by_sample(contraction):
     assert owners.largest_of_spins(spins).tolist() == [spins[owners.spins == n].max(initial=0.0) for n in range(4)]
 
 
+def blocks_of(tied):
+    parts = [tied.span(sample) for sample in range(tied.owners.samples)]
+    return NewtonMatrix(tied.system, tied.order, parts=parts)
+
+
 def test_a_singular_block_is_no_matter_to_the_others(system, order, tied, contraction):
     owners, rng = contraction.owners, np.random.default_rng(3)
     strength = each(lambda own: rng.uniform(1, 2, len(own)), owners.contacts)
     strength = where(owners.at_contacts(np.array([False, True, False, False])), 0.0, strength)
-    blocks, right = NewtonBlocks(contraction), rng.random(contraction.unknowns)
+    blocks, right = blocks_of(contraction), rng.random(contraction.unknowns)
     stiffness = isotropic(contraction.system.offset, strength)
     assert blocks.factorise_each(stiffness, np.array([True, True, False, True])).tolist() == [True, False, False, True]
     assert blocks.factorise_each(stiffness, np.ones(4, dtype=bool)).tolist() == [True, False, True, True]
-    found = blocks.solve_each(right, np.array([True, False, True, False]))
+    found = blocks.solve(right, np.array([True, False, True, False]))
     assert (found[contraction.span(1)] == 0).all()
     for number in (0, 2):
         own, alone = contraction.span(number), Contraction(system, order, tied[number])
         of_sample = Grouped(s[o == number] for s, o in zip(strength, owners.contacts, strict=True))
-        block = NewtonBlocks(alone)
+        block = blocks_of(alone)
         block.factorise_each(isotropic(alone.system.offset, of_sample), np.ones(1, dtype=bool))
-        assert (found[own] == block.solve_each(right[own], np.ones(1, dtype=bool))).all()
+        assert (found[own] == block.solve(right[own], np.ones(1, dtype=bool))).all()
 
 
 def test_values_go_side_by_side_and_back(system):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings import interrupts
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
@@ -118,7 +118,7 @@ def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, optio
     duration, strikes = (10.0, (1, 3, 5)) if options.name.startswith("implicit") else (0.01, (3, 20, 50))
     scene, stop = Scene.random((3, 3, 3), seed=5), StopRule(duration=duration)
     recording = Recording(np.linspace(0, duration, 3))
-    spin, factorise, written = initial_spin(scene, "random"), NewtonMatrix.factorise_stacked, []
+    spin, factorise, written = initial_spin(scene, "random"), DenseFactor.factorise, []
     undisturbed = solve(scene, options.build(), spin, stop, (), None, recording, Checkpoints(1e9, lambda _: None))
     count = itertools.count()
 
@@ -127,7 +127,7 @@ def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, optio
             strike()
         return factorise(self, *given)
 
-    monkeypatch.setattr(NewtonMatrix, "factorise_stacked", struck)
+    monkeypatch.setattr(DenseFactor, "factorise", struck)
     found, state = None, None
     for _ in range(len(strikes) + 1):
         found = solve(scene, options.build(), spin, stop, (), None, recording, Checkpoints(1e9, written.append, state))

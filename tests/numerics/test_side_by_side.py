@@ -5,9 +5,9 @@ import pytest
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.conic.grouped import each
-from taichi_bearings.conic.matrices import NewtonMatrices
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
-from taichi_bearings.numerics.cholesky import dissect
+from taichi_bearings.numerics.cholesky import Engine, dissect
 from tests.numerics.test_cholesky import SCENES, assembled, random_stiffness, system_of
 from tests.scenes import make_scene
 
@@ -19,7 +19,8 @@ def matrices_of(options, leaf, samples=8, seed=4):
     scene, rng = make_scene(**options), np.random.default_rng(seed)
     system = system_of(scene)
     stiffness = [random_stiffness(system, rng) for _ in range(samples)]
-    matrices = NewtonMatrices(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf))
+    order = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf)
+    matrices = NewtonMatrix(system, order, engine=Engine.LAUNCH)
     return system, matrices, stiffness, rng.standard_normal((system.unknowns, samples))
 
 
@@ -29,10 +30,10 @@ def solved(matrices, stiffness, right, inertia=0.0):
     for sample, of_sample in enumerate(stiffness):
         upper = each(lambda k: np.stack([k[i, j] for i in range(len(k)) for j in range(i, len(k))]), of_sample)
         rows.put(kernels.STIFFNESS, sample, upper)
-    regular = matrices.factorise_each(rows, np.arange(rows.samples) < count, inertia)
+    regular = matrices.factorise_rows(rows, np.arange(rows.samples) < count, inertia)
     assert not regular[count:].any()
     rows.spins[rows.place, :count] = right
-    matrices.solve_each(rows)
+    matrices.solve_rows(rows)
     return regular[:count], rows.spins[rows.place, :count].copy()
 
 

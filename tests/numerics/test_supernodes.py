@@ -7,9 +7,9 @@ from scipy import sparse
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.kernels import elimination_tree
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.cholesky import dissect, factor, side_by_side
+from taichi_bearings.numerics.cholesky import dissect, tuning
 from taichi_bearings.numerics.cholesky.fronts import analyse
-from taichi_bearings.numerics.cholesky.supernodes import Price, supernodes
+from taichi_bearings.numerics.cholesky.supernodes import supernodes
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 
@@ -48,7 +48,7 @@ def test_the_tree_is_that_of_the_factor(size, share):
 @pytest.mark.parametrize(("size", "share"), PATTERNS)
 def test_parts_hold_the_factor_and_come_after_their_children(size, share, price):
     coupled = random_pattern(size, share, seed=3 + size)
-    parts = supernodes(sparse.csr_matrix(coupled), Price(*price))
+    parts = supernodes(sparse.csr_matrix(coupled), tuning.Price(*price))
     assert sorted(parts.order.tolist()) == list(range(size))
     assert sum(parts.own) == size
     full = filled(coupled[np.ix_(parts.order, parts.order)])
@@ -68,9 +68,9 @@ def test_parts_hold_the_factor_and_come_after_their_children(size, share, price)
 @pytest.mark.parametrize(
     ("shape", "price", "most_operations", "most_entries", "fronts"),
     [
-        ((10, 10, 10), side_by_side.PRICE, 4.1e6, 90_000, 160),
-        ((16, 16, 16), side_by_side.PRICE, 9.0e7, 700_000, 700),
-        ((32, 32, 32), factor.PRICE, 8.6e9, 1.7e7, 2_000),
+        ((10, 10, 10), tuning.LAUNCH_PRICE, 4.1e6, 90_000, 160),
+        ((16, 16, 16), tuning.LAUNCH_PRICE, 9.0e7, 700_000, 700),
+        ((32, 32, 32), tuning.CALLS_PRICE, 8.6e9, 1.7e7, 2_000),
     ],
 )
 def test_dense_blocks_hold_few_zeros(shape, price, most_operations, most_entries, fronts):

@@ -206,7 +206,7 @@ def test_auto_keeps_a_stalled_answer_that_no_other_method_goes_on_from():
 
 def test_small_lattices_keep_what_their_samples_share(monkeypatch):
     made, new = [], NewtonMatrix.__init__
-    monkeypatch.setattr(NewtonMatrix, "__init__", lambda self, *of: made.append(1) or new(self, *of))
+    monkeypatch.setattr(NewtonMatrix, "__init__", lambda self, *of, **more: made.append(1) or new(self, *of, **more))
     interior_point._kept_skeleton.cache_clear()
     first, other, again = (minimum_of(make_scene((5, 6, 7), seeds=(seed,)), 1e-4, settle=False) for seed in (1, 2, 1))
     assert len(made) == 1

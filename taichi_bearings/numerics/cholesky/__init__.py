@@ -6,7 +6,6 @@ its cost. METIS and minimum degree do not find this; dissection.py builds it in.
 """
 
 from taichi_bearings.numerics.cholesky.dissection import dissect
-from taichi_bearings.numerics.cholesky.factor import Cholesky, NotPositiveDefinite
-from taichi_bearings.numerics.cholesky.whole import FEW, WholeCholesky
+from taichi_bearings.numerics.cholesky.factor import Cholesky, Engine, Factor, Memory, NotPositiveDefinite
 
-__all__ = ["FEW", "Cholesky", "NotPositiveDefinite", "WholeCholesky", "dissect"]
+__all__ = ["Cholesky", "Engine", "Factor", "Memory", "NotPositiveDefinite", "dissect"]

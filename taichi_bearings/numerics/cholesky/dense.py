@@ -15,7 +15,8 @@ from typing import Any
 from scipy.linalg import cython_blas, cython_lapack
 
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.numerics.cholesky.fronts import PANEL, panelled_size
+from taichi_bearings.numerics.cholesky import tuning
+from taichi_bearings.numerics.cholesky.layout import update_size
 
 
 def _routine(module: object, name: str) -> Callable:
@@ -34,8 +35,6 @@ _LEFT_OUT, _LOWER, _RIGHT, _TRANSPOSED = (ctypes.byref(ctypes.c_char(letter)) fo
 _ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (1.0, -1.0))
 _address = ctypes.c_void_p
 REAL = 8  # bytes
-OWN_PANEL = 64  # own columns of a front that are worked on together
-WORTH_SHARING = 1e7  # operations of a front from which several threads share it
 
 
 @cache
@@ -54,36 +53,25 @@ class Task:
 
 
 class DenseFront:
-    """Elimination of a front: of its own columns, (own + border, own) in Fortran order, and of its panelled update.
+    """Elimination of a front: of its own columns, and of the update of its border.
 
-    columns, update : addresses. Only lower triangles count. Own columns are worked on in panels, too: each takes away
-    what those before it have found, and is then divided. So several threads can share a front, and no call lasts long.
+    Own columns are worked on in panels, too: each takes away what those before it have found, and is then divided. So
+    several threads can share a front, and no call lasts long.
     """
 
-    def __init__(self, own: int, border: int, columns: int, update: int) -> None:
+    def __init__(self, own: int, border: int, height: int, pitch: int, columns: int, update: int) -> None:
+        """height, pitch : numbers from one own column, and one of the update, to the next. columns, update : addresses
+        of their diagonals. Only lower triangles count."""
         self.cost = own**3 / 3 + own**2 * border + own * border**2
-        self._fault, self._stopped, self._shared = ctypes.c_int(0), False, self.cost > WORTH_SHARING
-        self._own = [self._of_own(first, own, own + border, columns) for first in range(0, own, OWN_PANEL)]
+        self._fault, self._stopped = ctypes.c_int(0), False
+        self._shared = self.cost > tuning.SHARED_FRONT_OPERATIONS
+        firsts = range(0, own, tuning.PANEL_COLUMNS)
+        self._own = [_of_own(first, own, own + border - first, height, columns, self._fault) for first in firsts]
         self._below = []
-        for first in range(0, border if own else 0, PANEL):
-            place = update + REAL * (panelled_size(border) - panelled_size(border - first))
-            self._below.append(_of_update(own, border - first, own + border, columns + REAL * (own + first), place))
+        for first in range(0, border, tuning.SHEET_COLUMNS):
+            left, place = columns + REAL * (own + first), update + REAL * update_size(first, pitch)
+            self._below.append(_of_update(own, border - first, height, left, pitch - first, place))
         self._done = [Event() for _ in self._own] if self._shared else []
-
-    def _of_own(self, first: int, own: int, height: int, columns: int) -> "_OwnPanel":
-        width, rows = min(OWN_PANEL, own - first), height - first
-        corner = columns + REAL * first * (height + 1)
-        ld, at = _count(height), _address(corner)
-        products = []
-        for before in range(0, first, OWN_PANEL):
-            left = _address(columns + REAL * (before * height + first))
-            products.append(_product(rows, width, OWN_PANEL, left, left, ld, at, ld))
-        divide = (
-            _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
-            at, ld, _address(corner + REAL * width), ld,
-        )  # fmt: skip
-        factor = (_LOWER, _count(width), at, ld, ctypes.byref(self._fault))
-        return _OwnPanel(products, factor, divide if rows > width else None)
 
     def tasks(self) -> list[Task]:
         """What eliminates the front. Any threads may share the tasks of fronts that are ready, if begun in order."""
@@ -156,17 +144,38 @@ class _OwnPanel:
     divide: tuple | None
 
 
-def _of_update(own: int, rows: int, height: int, left: int, target: int) -> list[tuple[Callable, tuple]]:
-    """Calls that take from a panel of the update what the own columns hold in its rows, from the address `left` on."""
-    width, ld, to = min(PANEL, rows), _count(height), _address(target)
+def _of_own(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> _OwnPanel:
+    """Calls for the panel of own columns from `first` on, `rows` rows from its diagonal down.
+
+    height : numbers from one column to the next. fault : what becomes of a pivot that is not positive."""
+    width = min(tuning.PANEL_COLUMNS, own - first)
+    corner = columns + REAL * first * (height + 1)
+    ld, at = _count(height), _address(corner)
+    products = []
+    for before in range(0, first, tuning.PANEL_COLUMNS):
+        left = _address(columns + REAL * (before * height + first))
+        products.append(_product(rows, width, tuning.PANEL_COLUMNS, left, left, ld, at, ld))
+    divide = (
+        _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
+        at, ld, _address(corner + REAL * width), ld,
+    )  # fmt: skip
+    factor = (_LOWER, _count(width), at, ld, ctypes.byref(fault))
+    return _OwnPanel(products, factor, divide if rows > width else None)
+
+
+def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[tuple[Callable, tuple]]:
+    """Calls that take from a panel of the update what the own columns hold in its rows, from the address `left` on.
+
+    height, pitch : numbers from one own column and one of the panel to the next."""
+    width, ld, to = min(tuning.SHEET_COLUMNS, rows), _count(height), _address(target)
     square = (
-        _LOWER, _LEFT_OUT, _count(width), _count(own), _MINUS_ONE, _address(left), ld, _ONE, to, _count(rows)
+        _LOWER, _LEFT_OUT, _count(width), _count(own), _MINUS_ONE, _address(left), ld, _ONE, to, _count(pitch)
     )  # fmt: skip
     if rows == width:
         return [(_dsyrk, square)]
     below = _product(
         rows - width, width, own, _address(left + REAL * width), _address(left), ld,
-        _address(target + REAL * width), _count(rows),
+        _address(target + REAL * width), _count(pitch),
     )  # fmt: skip
     return [(_dsyrk, square), (_dgemm, below)]
 

@@ -7,14 +7,13 @@ that plane may stay with either side. A region is therefore one box for each com
 
 import numpy as np
 
+from taichi_bearings.numerics.cholesky.tuning import LEAF_UNKNOWNS
+
 Box = tuple[tuple[int, ...], tuple[int, ...]]  # lower corner, upper corner (exclusive)
 Region = dict[int, Box]  # spin component -> box of spheres
 
 
-LEAF = 20  # unknowns of a region that is not divided
-
-
-def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF) -> np.ndarray:
+def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNOWNS) -> np.ndarray:
     """Order of elimination (unknowns,) for a cubic lattice of free spheres: regions before what separates them.
 
     shape : free spheres along each axis; unknown number = sphere * components + position in `spin_axes`.

@@ -1,142 +1,275 @@
-"""Numeric factorisation and solves: fronts assembled by Taichi, eliminated by LAPACK and BLAS on several threads."""
+"""Cholesky factorisations of one matrix or of several of one pattern, by whatever is quickest for their size."""
 
 import weakref
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from enum import Enum
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from taichi_bearings import runtime
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.assembly import assemble
+from taichi_bearings.kernels import elimination, substitution
+from taichi_bearings.kernels.elimination import LANES
+from taichi_bearings.launch import prepared
+from taichi_bearings.memory import aligned_zeros, refuse_beyond
+from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.dense import REAL, DenseFront
-from taichi_bearings.numerics.cholesky.fronts import Pattern, analyse
-from taichi_bearings.numerics.cholesky.storage import Batch, Storage
-from taichi_bearings.numerics.cholesky.substitution import Substitution
-from taichi_bearings.numerics.cholesky.supernodes import Price
-
-SERIAL = 500_000  # numbers of a batch below which one worker assembles faster than a team
-WORTH_FORGETTING = 10_000_000  # entries of a factor whose memory is given back
-PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
-WORTH_A_THREAD = 3e6  # operations of a batch from which several threads share it
+from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, analyse
+from taichi_bearings.numerics.cholesky.layout import Batch, Layout
 
 
 class NotPositiveDefinite(ArithmeticError):
     """The matrix is not positive definite to working precision."""
 
 
+class Engine(Enum):
+    """How a matrix is factorised: as one dense block; front by front in a single launch, several matrices at once if
+    need be; or by calls of BLAS for all fronts, which threads share."""
+
+    BLOCK = "block"
+    LAUNCH = "launch"
+    CALLS = "calls"
+
+    @classmethod
+    def quickest(cls, unknowns: int) -> "Engine":
+        """For a matrix alone."""
+        if unknowns <= tuning.BLOCK_UNKNOWNS:
+            return cls.BLOCK
+        return cls.LAUNCH if unknowns < tuning.LAUNCH_UNKNOWNS else cls.CALLS
+
+
 class Memory:
-    """Memory for one factor at a time: who factorises next takes it from who did before.
+    """Memory for one factor by calls at a time: who factorises next takes it from who did before.
 
     The first touch of new memory costs as much as a factorisation, at 32^3.
     """
 
-    _holder: "weakref.ref[Cholesky] | None"
+    _holder: "weakref.ref[Factor] | None"
 
     def __init__(self) -> None:
         self.free()
 
     def free(self) -> None:
-        self._reals, self._holder = np.zeros(0), None
+        self._numbers, self._holder = np.zeros(0), None
 
-    def is_held_by(self, cholesky: "Cholesky") -> bool:
-        return self._holder is not None and self._holder() is cholesky
+    def is_held_by(self, factor: "Factor") -> bool:
+        return self._holder is not None and self._holder() is factor
 
-    def taken_by(self, cholesky: "Cholesky", storage: Storage) -> np.ndarray:
-        """Zeros, as many as it needs or more. Raises MemoryError if there is no room for them."""
-        if len(self._reals) < storage.size:
+    def taken_by(self, factor: "Factor", size: int, what: str) -> np.ndarray:
+        """Zeros, as many as these or more. Raises MemoryError if there is no room for them."""
+        if len(self._numbers) < size:
             self.free()
-            self._reals = storage.new_reals()
+            refuse_beyond(8 * size, what)
+            self._numbers = aligned_zeros(size, LANES)
         else:
-            self._reals[: storage.size] = 0.0
-        self._holder = weakref.ref(cholesky)
-        return self._reals
+            self._numbers[:size] = 0.0
+        self._holder = weakref.ref(factor)
+        return self._numbers
 
 
 class Cholesky:
-    """Cholesky factorisation of a symmetric positive definite matrix.
+    """Cholesky factorisation of one or up to LANES symmetric positive definite matrices of one pattern.
 
-    order : of elimination, (unknowns,). first, second : coupled unknowns, pairwise. memory : to share with others.
-    Values are given for the entries (pattern.row, pattern.column); where they go, `pattern.entry` tells.
+    What becomes of a matrix, bit by bit, depends neither on the others, nor on whether there are any, nor on threads.
+    Values are given for the entries of the pattern; where they go, `pattern.entry` tells.
     """
 
-    def __init__(self, order: np.ndarray, first: np.ndarray, second: np.ndarray, memory: Memory | None = None) -> None:
-        self.pattern = analyse(order, first, second, PRICE)
-        self._storage, self._memory = Storage(self.pattern), memory or Memory()
-        self._substitution = Substitution(self.pattern, self._storage.factor)
-        self._elimination: _Elimination | None = None
+    pattern: Pattern | BlockPattern
 
-    @property
-    def size(self) -> int:
-        return self.pattern.size
+    def __init__(
+        self,
+        unknowns: int,
+        order: Callable[[], np.ndarray],
+        couplings: tuple[np.ndarray, np.ndarray],
+        memory: Memory | None = None,
+        engine: Engine | None = None,
+    ) -> None:
+        """order : of elimination, (unknowns,). couplings : first and second of the unknowns that are coupled. memory :
+        to share with others. engine : LAUNCH for several matrices; the quickest for one if None."""
+        self.engine, self._memory = engine or Engine.quickest(unknowns), memory or Memory()
+        if self.engine is Engine.BLOCK:
+            self.pattern = BlockPattern(unknowns)
+        else:
+            price = tuning.LAUNCH_PRICE if self.engine is Engine.LAUNCH else tuning.CALLS_PRICE
+            self.pattern = analyse(order(), *couplings, price)
+        self._factors = dict[int, Factor]()
 
-    def factorise(self, values: np.ndarray) -> None:
-        """Factorise the matrix with these values at the entries of the pattern.
+    def factor(self, samples: int = 1) -> "Factor":
+        """That of a single matrix, or those of up to LANES."""
+        lanes = 1 if samples == 1 else LANES
+        if lanes not in self._factors:
+            if isinstance(self.pattern, BlockPattern):
+                self._factors[lanes] = DenseFactor(self.pattern)
+            elif self.engine is Engine.LAUNCH:
+                self._factors[lanes] = LaunchedFactor(self.pattern, lanes)
+            else:
+                self._factors[lanes] = CalledFactor(self.pattern, self._memory)
+        return self._factors[lanes]
 
-        Raises NotPositiveDefinite if a pivot is not positive.
-        """
-        if self._elimination is None or not self._memory.is_held_by(self):
-            reals = self._memory.taken_by(self, self._storage)
-            if self._elimination is None or self._elimination.reals is not reals:
-                self._elimination = _Elimination(self.pattern, self._storage, self._substitution, reals)
-        self._elimination.eliminate(values)
+    def factorise(self, values: np.ndarray) -> np.ndarray:
+        """Factorise the matrices with these values (entries, S) at the entries of the pattern; True (S,) for those that
+        are positive definite to working precision."""
+        factor, samples = self.factor(values.shape[1]), values.shape[1]
+        factor.entries[: len(values), :samples] = values
+        return factor.factorise()[:samples]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution of the factorised system for one right-hand side, (size,)."""
-        assert self._elimination is not None
-        assert self._memory.is_held_by(self)
-        look_up()
-        return self._elimination.solve(right)
+        """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
+        factor, (unknowns, samples) = self.factor(right.shape[1]), right.shape
+        np.take(right, self.pattern.order, axis=0, out=factor.solution[:unknowns, :samples], mode="clip")
+        factor.substitute()
+        return factor.solution[:, :samples].take(self.pattern.place, axis=0)
 
     def forget(self) -> None:
         """Give the memory of the factor back, if it is large."""
-        if self.pattern.factor_entries > WORTH_FORGETTING:
-            self._elimination = None
-            self._memory.free()
+        if self.pattern.factor_entries > tuning.LARGE_FACTOR_NUMBERS:
+            for factor in self._factors.values():
+                factor.forget()
 
 
-@lru_cache
-def compile_fronts() -> None:
-    """Compile the kernels of large factorisations, on a single unknown: they are the same for all."""
-    none = np.zeros(0, dtype=np.int64)
-    cholesky = Cholesky(np.zeros(1, dtype=np.int64), none, none)
-    cholesky.factorise(np.ones(1))
-    cholesky.solve(np.ones(1))
-    assemble(False, 0, 0, cholesky._storage.tables, np.zeros(1))  # the one above was serial
+class Factor:
+    """Numbers of one matrix or of LANES.
+
+    entries : (entries or more, samples), of the matrices, at those of the pattern. solution : (unknowns or more,
+    samples), right-hand sides and then solutions, in the pattern's order.
+    """
+
+    entries: np.ndarray
+    solution: np.ndarray
+
+    def factorise(self) -> np.ndarray:
+        """Factorise; True (samples,) for matrices that are positive definite to working precision."""
+        raise NotImplementedError
+
+    def substitute(self) -> None:
+        """Solve the factorised systems in place."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Give memory back that others may take."""
 
 
-class _Elimination:
-    """The numbers of a factorisation, and the calls that work on them."""
+class DenseFactor(Factor):
+    """A matrix so small that an elimination tree costs more calls than it saves arithmetic, as one dense block."""
 
-    def __init__(self, pattern: Pattern, storage: Storage, substitution: Substitution, reals: np.ndarray) -> None:
-        self._tables, self.reals, self._entries = storage.tables, reals, pattern.entries
-        self.solve = substitution.of(self.reals)
-        columns, updates = (
-            (self.reals.ctypes.data + REAL * places).tolist() for places in (storage.factor, storage.update)
+    def __init__(self, pattern: BlockPattern) -> None:
+        self.entries, self.solution = np.zeros((max(1, pattern.entries), 1)), np.zeros((max(1, pattern.size), 1))
+        self._size, self._factor = pattern.size, np.zeros((0, 0))
+
+    def factorise(self) -> np.ndarray:
+        look_up()
+        if not self._size:
+            return np.ones(1, dtype=bool)
+        matrix = self.entries.reshape(self._size, self._size, order="F")
+        self._factor, fault = dpotrf(matrix, lower=True, clean=False)
+        return np.array([fault == 0])
+
+    def substitute(self) -> None:
+        if self._size:
+            self.solution[:, 0] = dpotrs(self._factor, self.solution[:, 0], lower=True)[0]
+
+
+class LaunchedFactor(Factor):
+    """A single launch factorises all fronts, and one solves with them."""
+
+    def __init__(self, pattern: Pattern, lanes: int) -> None:
+        layout, samples = Layout(pattern, LANES // lanes), "" if lanes == 1 else f" in {lanes} samples"
+        refuse_beyond(8 * lanes * layout.size, f"the factorisation of {pattern.size:,} unknowns{samples}")
+        self.entries, self._numbers, vector = (
+            _vectors(n, lanes) for n in (pattern.entries, layout.size, layout.vector)
         )
-        dense = [
-            DenseFront(front.own, len(front.border), own, update)
-            for front, own, update in zip(pattern.fronts, columns, updates, strict=True)
-        ]
-        self._work = [_Work(batch, [dense[n] for n in batch.fronts]) for batch in storage.batches]
+        self.solution, self._pivots = vector[: pattern.size], layout.pivots
+        of_all = layout.tables, self.entries, self._numbers, vector
+        if lanes > 1:
+            tables, entries, numbers, vector = of_all
+            self._eliminate = prepared(elimination.eliminate, tables, entries, numbers)
+            self._substitute = prepared(substitution.substitute, tables, numbers, vector)
+        else:
+            tables, entries, numbers, vector = (part.reshape(-1) for part in of_all)
+            self._eliminate = prepared(
+                elimination.eliminate_alone, tables, entries, numbers, numbers.reshape(-1, LANES)
+            )
+            self._substitute = prepared(substitution.substitute_alone, tables, numbers, vector)
 
-    def eliminate(self, values: np.ndarray) -> None:
-        self.reals[: self._entries] = values
+    def factorise(self) -> np.ndarray:
+        look_up()
+        self._eliminate()
+        return np.isfinite(self._numbers[self._pivots]).all(axis=0)
+
+    def substitute(self) -> None:
+        look_up()
+        self._substitute()
+
+
+class CalledFactor(Factor):
+    """Fronts are assembled by a kernel and eliminated by LAPACK and BLAS on several threads, and so is the solving."""
+
+    def __init__(self, pattern: Pattern, memory: Memory) -> None:
+        self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
+        self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
+        self.solution = self._vector[: pattern.size]
+        self._numbers, self._work, self._halves = np.zeros(0), list[_Work](), list[Callable[[], None]]()
+
+    def factorise(self) -> np.ndarray:
+        self._hold()
         for work in self._work:
             look_up()
-            batch = work.batch
-            assemble(batch.entries < SERIAL, batch.begin, batch.end, self._tables, self.reals)
+            work.assemble()
             if not work.eliminate():
-                raise NotPositiveDefinite
+                return np.zeros(1, dtype=bool)
+        pivots = self._numbers[self._layout.pivots]
+        self._numbers[self._layout.pivots] = 1 / pivots  # as all substitutions want them
+        return np.array([np.isfinite(pivots).all()])
+
+    def _hold(self) -> None:
+        """Have the memory, and be ready to work in it."""
+        if self._memory.is_held_by(self):
+            return
+        layout = self._layout
+        numbers = self._memory.taken_by(self, layout.size, f"the factorisation of {self._size:,} unknowns")
+        if numbers is self._numbers:
+            return
+        self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers)
+        places = (numbers.ctypes.data + REAL * of for of in (layout.columns, layout.update))
+        of_fronts = layout.own, layout.border, layout.height, layout.update_height, *places
+        fronts = [DenseFront(*front) for front in zip(*(of.tolist() for of in of_fronts), strict=True)]
+        prepared(elimination.assemble, *arrays, 0, 0)  # compiles it, before large batches want it
+        self._work = [_Work(batch, [fronts[n] for n in batch.fronts], arrays) for batch in layout.batches]
+        halves = [(1, stage) for stage in layout.stages] + [(0, stage) for stage in reversed(layout.stages)]
+        self._halves = [
+            prepared(substitution.substitute_branches, layout.tables, numbers, self._vector.ravel(), forth, *stage)
+            for forth, stage in halves
+        ]
+
+    def forget(self) -> None:
+        self._numbers, self._work, self._halves = np.zeros(0), [], []
+        self._memory.free()
+
+    def substitute(self) -> None:
+        assert self._memory.is_held_by(self)
+        look_up()
+        for start in self._halves:
+            start()
+
+
+def _vectors(count: int, lanes: int) -> np.ndarray:
+    """Zeros (count or more, lanes), whole vectors at addresses for SIMD."""
+    count = -(-count * lanes // LANES) * LANES // lanes
+    return aligned_zeros(count * lanes, LANES).reshape(count, lanes)
 
 
 class _Work:
     """The fronts of a batch and the tasks that eliminate them."""
 
-    def __init__(self, batch: Batch, fronts: list[DenseFront]) -> None:
-        self.batch, self._fronts = batch, fronts
-        self._cost = sum(front.cost for front in fronts)
+    def __init__(self, batch: Batch, fronts: list[DenseFront], arrays: tuple[np.ndarray, ...]) -> None:
+        """arrays : tables, entries and numbers."""
+        alone = batch.numbers < tuning.SHARED_ASSEMBLY_NUMBERS
+        kernel = elimination.assemble_serially if alone else elimination.assemble
+        self.assemble = prepared(kernel, *arrays, *batch.items)
+        self._fronts, self._cost = fronts, sum(front.cost for front in fronts)
         tasks = [task for front in fronts for task in front.tasks()]
         self._tasks = [task.work for task in sorted(tasks, key=lambda task: (task.urgency, task.turn))]
 
@@ -145,7 +278,7 @@ class _Work:
         for front in self._fronts:
             front.get_ready()
         threads = min(runtime.current().threads, len(self._tasks))
-        if threads == 1 or self._cost < WORTH_A_THREAD:
+        if threads == 1 or self._cost < tuning.SHARED_BATCH_OPERATIONS:
             return _work_off(self._tasks)
         queue = iter(self._tasks)  # shared
         others = [_pool().submit(_work_off, queue) for _ in range(threads - 1)]

@@ -7,21 +7,12 @@ added into the front of the parent. Fronts of one depth do not depend on each ot
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.numerics.cholesky.supernodes import Price, supernodes
-
-Integers = TypeVar("Integers", int, np.ndarray)
-PANEL = 256  # columns of an update that are stored and worked on together
-
-
-def panelled_size(width: Integers) -> Integers:
-    """Numbers stored of a lower triangle of this width: panels of PANEL columns, from the diagonal down."""
-    panels, rest = width // PANEL, width % PANEL
-    return PANEL * (panels * width - PANEL * panels * (panels - 1) // 2) + rest * rest
+from taichi_bearings.numerics.cholesky.supernodes import supernodes
+from taichi_bearings.numerics.cholesky.tuning import Price
 
 
 @dataclass(frozen=True)
@@ -92,6 +83,33 @@ class Pattern:
         a, b = self.place[first], self.place[second]
         wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
         return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
+
+
+@dataclass(frozen=True)
+class BlockPattern:
+    """All entries of a matrix of this size are stored, unknowns in their order; the lower triangle counts."""
+
+    size: int
+
+    @property
+    def order(self) -> np.ndarray:
+        return np.arange(self.size)
+
+    place = order
+
+    @property
+    def entries(self) -> int:
+        return self.size**2
+
+    factor_entries = entries
+
+    @property
+    def diagonal(self) -> np.ndarray:
+        return np.arange(self.size) * (self.size + 1)
+
+    def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Where the entries that couple the unknowns `first` and `second` are stored."""
+        return np.minimum(first, second) * self.size + np.maximum(first, second)
 
 
 def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Price) -> Pattern:

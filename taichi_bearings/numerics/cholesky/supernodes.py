@@ -12,15 +12,7 @@ from scipy import sparse
 
 from taichi_bearings import runtime
 from taichi_bearings.kernels import elimination_tree
-
-
-@dataclass(frozen=True)
-class Price:
-    """What a part costs beside its arithmetic, in operations: as such, a number of its columns, one of its update."""
-
-    part: float
-    column: float
-    update: float
+from taichi_bearings.numerics.cholesky.tuning import Price
 
 
 @dataclass(frozen=True)
