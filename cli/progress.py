@@ -205,7 +205,7 @@ def describe_scan(progress: Any, samples: bool = False) -> str:
     left = progress.seconds_left
     if progress.done + progress.failed == progress.total:
         return "  ".join([*words, "writing"])
-    words.append(f"{duration(left)} left" if left is not None else "time left unknown")
+    words += [f"{duration(left)} left"] if left is not None else []
     if samples and progress.running:
         words.append("now " + "; ".join(sample.label for sample in progress.running[:2]))
         words += [f"and {len(progress.running) - 2} more"] if len(progress.running) > 2 else []

@@ -23,10 +23,10 @@ from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
 from taichi_bearings.scans.estimate import (
     WORKER_START,
+    WorkLeft,
     bytes_of,
     paying_workers,
     seconds_of,
-    total_seconds,
     units_of,
     unused_keys,
 )
@@ -48,6 +48,7 @@ from taichi_bearings.scene import Status
 if TYPE_CHECKING:
     from distributed import Client
 
+FORECASTS = 50.0  # times as long as the time left takes to compute passes until it is computed anew, at least
 REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
 REACHED = [status.value for status in Status if status.reached]
 LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
@@ -57,7 +58,8 @@ LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and h
 class ScanProgress:
     """Where a scan stands. done : samples with a result, those of earlier calls (`before`) included; failed : others.
 
-    running : samples in work, the first of each unit. seconds : since the start of this call.
+    running : samples in work, the first of each unit. seconds : since the start of this call. seconds_left : None while
+    they are not known.
     """
 
     total: int
@@ -66,14 +68,12 @@ class ScanProgress:
     failed: int = 0
     running: list[Sample] = field(default_factory=list)
     seconds: float = 0.0
+    seconds_left: float | None = None
     _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=400))
-
-    _first: float | None = None
 
     def note(self, seconds: float) -> None:
         """Remember when how many were done, for the rate."""
         self.seconds = seconds
-        self._first = seconds if self._first is None else self._first
         self._recent.append((seconds, self.done + self.failed))
 
     @property
@@ -83,13 +83,6 @@ class ScanProgress:
             return 0.0
         (first, before), (last, now) = self._recent[0], self._recent[-1]
         return (now - before) / max(last - first, 1e-9)
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Time left at that rate; None while it is not known: first results of several workers come at once."""
-        if self._first is None or self.seconds < 1.5 * self._first:
-            return None
-        return (self.total - self.done - self.failed) / self.rate if self.rate > 0 else None
 
 
 Monitor = Callable[[ScanProgress], None]
@@ -175,13 +168,13 @@ def estimate(
         plan, wanted = _with_wishes_of(folder, plan, wishes)
         missing, structure = missing_samples(plan, folder, wanted, part)[0], wanted.structure
     number = _number_of_workers(missing, workers, structure)
-    work = total_seconds(missing, structure)
+    seconds = WorkLeft(units_of(missing, structure, number), {}, structure).expected(number)
     return {
         "samples": len(ours.samples),
         "scanned": list(plan.scanned),
         "missing": len(missing),
         "workers": number,
-        "seconds": None if work is None else (work / number + WORKER_START if missing else 0.0),
+        "seconds": seconds + WORKER_START if seconds else seconds,
         "bytes": number * max((bytes_of(group[0].settings) for group in groups_of(missing)), default=0.0),
     }
 
@@ -232,7 +225,8 @@ def scan(
         course = _Course(plan, part, folder, records, missing, monitor, began, journals)
         try:
             with closing(engine), Journal(course.journal) as journal, awaited() as stopped:
-                course.follow(units_of(missing, wanted.structure, engine.workers or 1), engine, journal, stopped)
+                units = units_of(missing, wanted.structure, engine.workers or 1)
+                course.follow(units, WorkLeft(units, records, wanted.structure), engine, journal, stopped)
             course.write_files()
         except FileError as error:
             kept = len(records)
@@ -300,6 +294,7 @@ class _Course:
         self.missing = {sample.key: sample for sample in missing}
         self.open = set(self.missing)  # samples that still lack something
         self.written, self.writing = time.monotonic(), 0.0
+        self.next_forecast = 0.0
         self.removed: list[Path] = []
         self.others = journals - self._own_bytes()
 
@@ -319,12 +314,19 @@ class _Course:
         """What is made from the journal; parts of a scan leave that to the merge."""
         return [self.folder / name for name in ("scan.h5", "scan.csv")] if self.part is None else []
 
-    def follow(self, units: Sequence[Unit], engine: Engine, journal: Journal, stopped: threading.Event) -> None:
+    def follow(
+        self, units: Sequence[Unit], work: WorkLeft, engine: Engine, journal: Journal, stopped: threading.Event
+    ) -> None:
+        def retry(sample: Sample, reason: str) -> None:
+            _say(f"sample {sample.label} failed and is tried again: {reason}")
+            work.retry(sample)
+
         def keep(finished: list[Record]) -> None:
             news = [record for record in finished if not (is_failed(record) and self._has_result(record["key"]))]
             journal.append(news)
             self.records |= {record["key"]: record for record in news}
             for record in finished:
+                work.finish(self.missing[record["key"]])
                 if is_failed(record):
                     self.progress.failed += 1
                     _say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
@@ -334,14 +336,19 @@ class _Course:
             self.progress.note(time.monotonic() - self.began)
 
         def look() -> bool:
-            self.progress.seconds = time.monotonic() - self.began
-            self.progress.running = [unit[0] for unit in engine.running]
+            self.progress.seconds = now = time.monotonic() - self.began
+            running = engine.running
+            self.progress.running = [unit[0] for unit in running]
+            work.look(running, engine.workers, now)
+            if now >= self.next_forecast:
+                self.progress.seconds_left = work.seconds_left(engine.workers, now)
+                self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
             self.monitor(self.progress)
             if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
                 self._write_meanwhile()
             return not stopped.is_set()
 
-        for finished in run_samples(units, engine, self._retry, failure):
+        for finished in run_samples(units, engine, retry, failure):
             if finished:
                 keep(finished)
             elif not look():
@@ -349,9 +356,6 @@ class _Course:
 
     def _has_result(self, key: str) -> bool:
         return key in self.records and not is_failed(self.records[key])
-
-    def _retry(self, sample: Sample, reason: str) -> None:
-        _say(f"sample {sample.label} failed and is tried again: {reason}")
 
     def _write_meanwhile(self) -> None:
         began = time.monotonic()

@@ -70,15 +70,14 @@ def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
     assert any(line.endswith("…") for line in lines) == (columns < 140)
 
 
-def test_the_first_results_of_two_workers_foretell_nothing():
+def test_a_time_left_that_is_not_known_is_not_shown():
     progress = ScanProgress(50, 0)
-    for seconds, done in ((9.5, 1), (9.7, 2), (11.0, 3), (12.1, 4)):
+    for seconds, done in ((9.5, 1), (12.1, 4)):
         progress.done = done
         progress.note(seconds)
-        assert progress.seconds_left is None
-    progress.done = 10
-    progress.note(15.0)
-    assert progress.seconds_left == pytest.approx(40 / (9 / 5.5))
+    assert describe_scan(progress) == "4 of 50 samples  1.15/s"
+    progress.seconds_left = 40.2
+    assert describe_scan(progress) == "4 of 50 samples  1.15/s  40 s left"
 
 
 def test_a_scan_whose_samples_are_done_is_writing():

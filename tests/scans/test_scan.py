@@ -345,8 +345,9 @@ def test_samples_of_two_precisions_get_workers_of_their_own(plan_of, tmp_path):
 def test_units_hold_like_samples_of_about_a_second(plan_of):
     plan = plan_of("[scan]\nshape = [[10, 10], [10, 10, 10], [24, 24, 24]]\nseed = { start = 0, stop = 300 }\n")
     units = units_of(plan.samples)
-    assert [sample for unit in units for sample in unit] == list(plan.samples)
+    assert sorted(sample.key for unit in units for sample in unit) == sorted(sample.key for sample in plan.samples)
     assert {len({s.settings.shape for s in unit}) for unit in units} == {1}
+    assert [unit[0].settings.shape for unit in units[:3]] == [(10, 10), (10, 10, 10), (24, 24, 24)]  # one of each kind
     sizes = {shape: max(len(u) for u in units if u[0].settings.shape == shape) for shape in ((10, 10), (24, 24, 24))}
     assert sizes == {(10, 10): 150, (24, 24, 24): 1}
 
