@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.plain_files import parse_json
 
 ATTRIBUTE = "sha256"
 
@@ -67,7 +68,9 @@ def check(path: Path, file: h5py.File) -> None:
     What is missing altogether is for those to notice who need it.
     """
     for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
-        digests = json.loads(group.attrs.get(ATTRIBUTE, "{}"))
+        digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
+        if not isinstance(digests, dict):
+            raise FileError(f"{path} is damaged or was changed: its {ATTRIBUTE} is no table of checksums")
         for name in _names(group):  # each thing once, whatever names it is given
             if name in digests and digests[name] != _digest(group, name):
                 where = f"{group.name.strip('/')}/{name}".strip("/")

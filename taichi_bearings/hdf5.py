@@ -12,7 +12,6 @@ import mmap
 import os
 import re
 import signal
-import stat
 import subprocess
 import sys
 import warnings
@@ -26,11 +25,11 @@ import numpy as np
 from h5py._objects import phil
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.plain_files import ALL, LEAST, opened
 
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
 """What HDF5 and NumPy raise at damaged files."""
 PACKED, SPARE = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
-ALL, LEAST = 16, 2**26  # bytes that all data may claim together for one of the file, and in any case
 ROOM, TIMES = 64 * 2**20, 4  # bytes of memory for looking through a file, and for each byte of it
 SECONDS, PACE = 5.0, 20e6  # processor time for that, and bytes that need another second of it
 FAILS = "it is damaged, HDF5 fails at it"
@@ -48,9 +47,8 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
 def look_through(path: Path) -> None:
     """FileError if HDF5 would hang or crash on a file, or if that leads out of itself or claims more than it can hold;
     OSError if it is not there."""
-    found = os.stat(path)
-    if not stat.S_ISREG(found.st_mode):
-        raise FileError(f"{path} is not a regular file")
+    with opened(path) as file:
+        found = os.fstat(file.fileno())
     reason = _reason_found(os.path.abspath(path), found.st_size, found.st_mtime_ns, found.st_ino)
     if reason:
         raise FileError(f"{path} is not read: {reason}")
@@ -143,7 +141,7 @@ def reason_against(path: str, size: int) -> str:
                     return (
                         f"{name} in it claims to hold {claimed:,} bytes, more than is read of a file of {size:,} bytes"
                     )
-                if h5py.check_string_dtype(item.dtype):
+                if item.dtype.hasobject:  # any number of its entries can share one list or text of any length
                     item[()]
     except MemoryError:
         return "it takes more memory than a file of its size can need"

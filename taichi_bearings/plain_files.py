@@ -22,6 +22,7 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 MOST_JSON = 2**24  # bytes of a summary or report
 MOST_PARTS = 200_000  # lists and tables in it
 MOST_LINE = 2**20  # bytes of a line of a journal
+ALL, LEAST = 16, 2**25  # bytes that may be claimed for each one that is there, and in any case
 
 
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
@@ -35,12 +36,42 @@ def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise _no_file(path)
-    reads = flags & (os.O_WRONLY | os.O_RDWR) == 0
-    return os.fdopen(descriptor, "rb") if reads else os.fdopen(descriptor, "wb", buffering=0)
+    if flags & (os.O_WRONLY | os.O_RDWR):
+        return os.fdopen(descriptor, "wb", buffering=0)
+    file = os.fdopen(descriptor, "rb")
+    try:
+        _refuse_holes(descriptor, path)
+    except BaseException:
+        file.close()
+        raise
+    return file
 
 
 def _no_file(path: Path) -> FileError:
     return FileError(f"{path} is not a regular file")
+
+
+def _refuse_holes(descriptor: int, path: Path) -> None:
+    """FileError for a large file that is mostly holes: a few bytes on a disk read as any number of zeros."""
+    size = os.fstat(descriptor).st_size
+    if size <= LEAST or not hasattr(os, "SEEK_DATA"):
+        return
+    end = stored = 0
+    while end < size:
+        try:
+            start = os.lseek(descriptor, end, os.SEEK_DATA)
+            end = os.lseek(descriptor, start, os.SEEK_HOLE)
+        except OSError:  # nothing but a hole follows
+            start = end = size
+        stored += end - start
+        if end > max(ALL * stored, LEAST):
+            raise FileError(f"{path} claims to hold {size:,} bytes, and nearly all of them are holes")
+    os.lseek(descriptor, 0, os.SEEK_SET)
+
+
+def real_path(path: Path) -> Path:
+    """Where a name leads to, all links followed; links that lead nowhere or in a circle as far as they go."""
+    return Path(os.path.realpath(path))
 
 
 def read_whole(path: Path, most: int) -> bytes:
@@ -73,13 +104,17 @@ def read_lines(path: Path) -> Iterator[bytes]:
 
 def read_json(path: Path) -> Any:
     """What a file of JSON holds; FileError if it is none, or takes much memory."""
-    content = read_whole(path, MOST_JSON)
     try:
-        if content.count(b"[") + content.count(b"{") > MOST_PARTS:
-            raise ValueError("it has too many lists and tables")
-        return json.loads(content.decode())
+        return parse_json(read_whole(path, MOST_JSON).decode())
     except (ValueError, RecursionError) as error:
         raise FileError(f"{path} is not JSON: {str(error).splitlines()[0]}") from None
+
+
+def parse_json(text: str) -> Any:
+    """What a text of JSON holds; ValueError or RecursionError if it is none, or takes much memory."""
+    if len(text) > MOST_JSON or text.count("[") + text.count("{") > MOST_PARTS:
+        raise ValueError("it is too long, or has too many lists and tables")
+    return json.loads(text)
 
 
 def new_file(path: Path) -> tuple[IO[bytes], Path]:

@@ -15,7 +15,7 @@ import numpy as np
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.plain_files import new_file, write_all
+from taichi_bearings.plain_files import new_file, real_path, write_all
 
 Buffer = bytes | memoryview
 
@@ -44,14 +44,14 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
 
 def refuse_link_out(path: Path) -> None:
     """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
-    if path.is_symlink() and path.resolve().parent != path.parent.resolve():
+    if path.is_symlink() and real_path(path).parent != real_path(path.parent):
         raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
 
 
 def replace_file(path: Path, content: Buffer) -> None:
     """Replace `path` by a file with this content in one move; WriteError if that cannot be done."""
     refuse_link_out(path)
-    path, temporary = path.resolve(), None  # a link stays one
+    path, temporary = real_path(path), None  # a link stays one
     try:
         file, temporary = new_file(path)
         with file:

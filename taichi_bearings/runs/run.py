@@ -23,6 +23,7 @@ from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
+from taichi_bearings.plain_files import real_path
 from taichi_bearings.proof.contact_state import ContactState, counts, critical, separate
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
@@ -380,7 +381,7 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
     """
     path = path.parent if path.name == "run.h5" else path
-    path = path if path.name and not path.is_symlink() else path.resolve()
+    path = path if path.name and not path.is_symlink() else real_path(path)
     checkpoint_of(path)
     changes = dict(changes or {})
     for key in changes:

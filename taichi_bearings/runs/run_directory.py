@@ -18,7 +18,7 @@ from pathlib import Path
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import make_folder, refuse_link_out, refuse_standing, write_text
-from taichi_bearings.plain_files import locked, read_whole, remove, remove_leftover
+from taichi_bearings.plain_files import locked, read_whole, real_path, remove, remove_leftover
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
 """Hidden names beside the file or directory `name`: its lock, a new one on its way, an old one on its way out."""
@@ -69,7 +69,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
     """
     refuse_name(path)
     if path.is_symlink() or path.name in ("", ".."):
-        path = path.resolve()
+        path = real_path(path)
     made = [folder for folder in path.parents if not folder.exists()]  # nearest first
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, made)

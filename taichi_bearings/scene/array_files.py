@@ -8,7 +8,8 @@ import numpy as np
 
 from taichi_bearings.checksums import check
 from taichi_bearings.errors import FileError
-from taichi_bearings.hdf5 import PACKED, open_hdf5
+from taichi_bearings.hdf5 import open_hdf5
+from taichi_bearings.plain_files import ALL, LEAST, opened
 
 LAYOUT = 1  # version of run.h5
 
@@ -26,18 +27,16 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         if path.suffix == ".npy":
             if len(names) > 1:
                 raise FileError(f"{path} holds one array but {', '.join(names)} are needed; use npz or HDF5")
+            opened(path).close()  # no file of holes
             mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # none longer than its file
             if mapped.dtype.itemsize == 0:  # and so without limit
                 raise ValueError
             return {names[0]: np.array(mapped)}
         if path.suffix == ".npz":
-            with zipfile.ZipFile(path) as stored:
-                members = {name: f"{name}.npy" for name in names}
-                there = stored.namelist()
-                return {
-                    name: _member(stored, member if member in there else f"{short_name(name)}.npy", path.stat().st_size)
-                    for name, member in members.items()
-                }
+            with opened(path) as file, zipfile.ZipFile(file) as stored:
+                there, most = stored.namelist(), max(ALL * path.stat().st_size, LEAST)
+                members = (f"{name}.npy" if f"{name}.npy" in there else f"{short_name(name)}.npy" for name in names)
+                return {name: _member(path, stored, member, most) for name, member in zip(names, members, strict=True)}
         with open_hdf5(path) as file:
             if file.attrs.get("schema_version", LAYOUT) != LAYOUT:
                 found = file.attrs["schema_version"]
@@ -56,16 +55,21 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         ) from None
 
 
-def _member(stored: zipfile.ZipFile, name: str, size: int) -> np.ndarray:
-    """An array of an npz file of this size; ValueError if it claims more than it can hold. Nothing is unpickled."""
+def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.ndarray:
+    """An array of an npz file; FileError if it claims more than so many bytes. Nothing is unpickled."""
     found, read = stored.getinfo(name), np.lib.format
     if found.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError
     with stored.open(found) as file:
-        header = read.read_array_header_1_0 if read.read_magic(file) == (1, 0) else read.read_array_header_2_0
-        shape, _, dtype = header(file)
-        if dtype.itemsize == 0 or math.prod(shape) * dtype.itemsize > min(found.file_size, PACKED * size):
+        if read.read_magic(file) != (1, 0):  # only tables of many columns have longer headers
             raise ValueError
+        shape, _, dtype = read.read_array_header_1_0(file)
+        claimed = math.prod(shape) * dtype.itemsize
+        if dtype.itemsize == 0 or claimed > found.file_size:
+            raise ValueError
+        if claimed > most:
+            words = f"{most:,} bytes, the most that is read of a packed file of its size; numpy.savez packs nothing"
+            raise FileError(f"{name} in {path} claims to hold more than {words}")
     with stored.open(found) as file:
         return np.asarray(read.read_array(file, allow_pickle=False))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,6 +34,9 @@ TEXTS = ("status", "coefficients", "method", "arch", "precision")  # attributes 
 WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "critical", "iterations", "tied_contacts")
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique")  # in a list with gaps they are numbers
 REPORTED = ("slip", "power", "force", "state")
+MOST_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
+A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z)|#|\Z)""")
+"""A key without dots and its value, which is no table: keys of many dots take memory like their length squared."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +150,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     others = [name for name in file if name not in known]
     for axis in axes:
         others += [f"contact/{axis}/{name}" for name in file[f"contact/{axis}"] if name not in (*names, "friction")]
-    return StoredRun(path, samples, attributes, settings, reported, history, others, _changed(file))
+    return StoredRun(path, samples, attributes, settings, reported, history, others, _changed(path, file))
 
 
 def _shape(path: Path, stored: Any) -> tuple[int, ...]:
@@ -193,11 +197,15 @@ def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarr
     return np.asarray(stored[()])
 
 
-def _changed(file: h5py.File) -> tuple[str, ...] | None:
+def _changed(path: Path, file: h5py.File) -> tuple[str, ...] | None:
     """By checksums alone: what is missing is seen by those who need it."""
     if "sha256" not in file.attrs:
         return None
-    return tuple(name for name, digest in json.loads(file.attrs["sha256"]).items() if _differs(file, name, digest))
+    text = str(file.attrs["sha256"])
+    digests = json.loads(text) if len(text) <= MOST_TEXT and text.count("[") + text.count("{") <= MOST_SUMS else None
+    if not isinstance(digests, dict):
+        raise FileError(f"{path} has checksums that are no table of names and sums")
+    return tuple(name for name, digest in digests.items() if _differs(file, name, digest))
 
 
 def _differs(file: h5py.File, name: str, digest: str) -> bool:
@@ -222,6 +230,10 @@ def _settings(path: Path, text: str) -> dict[str, Any]:
         import tomllib
     else:
         import tomli as tomllib
+    if len(text) > MOST_TEXT or not all(map(A_LINE.match, text.split("\n"))):
+        raise FileError(
+            f"the scene in {path} is longer than {MOST_TEXT:,} letters, or not a key and a value on each line"
+        )
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -53,7 +53,7 @@ def forged(path: Path, rng: np.random.Generator) -> Forgery | None:
             name = str(rng.choice([n for n in file.attrs if n not in ("scene", "sha256")]))
             old = file.attrs[name]
             new = _other(old.item() if np.ndim(old) == 0 and not isinstance(old, str) else old, rng)
-            rounded = name == "gap" and np.shape(new) == () and type(new) is float and abs(new - old) < ROUNDED
+            rounded = name == "gap" and _is_within_rounding(old, new)
             return (
                 None
                 if new is None or rounded
@@ -63,6 +63,11 @@ def forged(path: Path, rng: np.random.Generator) -> Forgery | None:
             return _line_changed(str(file.attrs["scene"]), rng)
         name = str(rng.choice(sets))
         return _data_changed(name, file[name][()], rng)
+
+
+def _is_within_rounding(old, new) -> bool:
+    kinds = {np.asarray(values).dtype.kind for values in (old, new)}
+    return kinds == {"f"} and np.shape(new) == np.shape(old) and bool((np.abs(np.subtract(new, old)) < ROUNDED).all())
 
 
 def _other(old, rng: np.random.Generator):

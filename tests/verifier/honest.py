@@ -7,6 +7,7 @@ one that is refuted, with its settings, and how many there were of each method a
 """
 
 import argparse
+import contextlib
 import sys
 import tempfile
 import time
@@ -96,16 +97,17 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     asked, done, refuted = parser.parse_args(), Counter(), 0
     began, number = time.perf_counter(), asked.first
-    while done.total() < asked.runs:
-        given = drawn(asked.seed, number)
-        with tempfile.TemporaryDirectory() as folder:
-            found = contradictions(given, Path(folder) / "run")
-        if found is not None:
-            done[given["law"], given["method"]] += 1
-        if found:
-            refuted += 1
-            print(f"{number}: {given}\n    " + "\n    ".join(found), flush=True)
-        number += 1
+    with contextlib.suppress(KeyboardInterrupt):  # what was run until then is told
+        while done.total() < asked.runs:
+            given = drawn(asked.seed, number)
+            with tempfile.TemporaryDirectory() as folder:
+                found = contradictions(given, Path(folder) / "run")
+            if found is not None:
+                done[given["law"], given["method"]] += 1
+            if found:
+                refuted += 1
+                print(f"{number}: {given}\n    " + "\n    ".join(found), flush=True)
+            number += 1
     for (law, method), count in sorted(done.items()):
         print(f"{law:16} {method:24} {count:5}")
     print(f"{done.total()} honest runs verified in {time.perf_counter() - began:.0f} s, {refuted} refuted")
