@@ -249,7 +249,7 @@ class CundallStrackMethod:
         return np.sum([replica_sum(f * d) for f, d in zip(force, differences, strict=True)], axis=0)
 
     def _energy(self, staggered: np.ndarray, force: tuple[np.ndarray, ...]) -> Energy:
-        """The books at the end of the last step.
+        """The energy balance at the end of the last step.
 
         The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
         the integration, of Gear's and of this rule.

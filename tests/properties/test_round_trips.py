@@ -138,7 +138,7 @@ def test_coefficients_survive_their_file(scene):
                     file[f"{kind}/{axis}"] = values
         for file in ("short.npz", "long.h5"):
             for kind, values in scene.named_coefficients.items():
-                assert same(read_coefficients(place / file, scene.lattice.dimension, kind), values)
+                assert same(read_coefficients(place / file, kind), values)
 
 
 COUNTS = st.integers(0, 2**31 - 1)
