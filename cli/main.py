@@ -21,7 +21,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "histogram": "Distribution of the power per contact of runs and scans.",
     "plot": "One figure from a run or a scan.",
     "list": "Runs and scans in a folder, with what they hold.",
-    "view": "A page of a run that turns in the browser, in one file.",
+    "view": "An interactive 3D page of a run, in one HTML file.",
     "export": "A file of a run for ParaView.",
     "movie": "A film of the snapshots of a dynamics.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
@@ -29,6 +29,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
     "info": "Versions, devices, precision and cache.",
 }
+INTERRUPTED = "bearings: interrupted; nothing is kept but what was complete"
 
 
 class LazyGroup(Group):
@@ -65,7 +66,7 @@ def show_version(context: click.Context, _: click.Parameter, wanted: bool) -> No
     help="Show the version and exit.",
 )
 def bearings() -> None:
-    """Frustrated bearings: touching spheres on a lattice, their state of least dissipation and the way to it.
+    """Frustrated bearings: touching spheres on a lattice, their state of least dissipation and the dynamics to it.
 
     \b
     Example:
@@ -84,7 +85,7 @@ def main() -> None:
     try:
         code = _exit_code()
     except KeyboardInterrupt:
-        click.echo("interrupted", err=True)
+        click.echo(INTERRUPTED, err=True)
         code = 130
     interrupts.ignored()
     sys.exit(code)
@@ -97,7 +98,8 @@ def _exit_code() -> int:
     except click.ClickException as error:
         error.show()
         return 2
-    except click.Abort:
+    except click.Abort as error:  # which click makes of a KeyboardInterrupt
+        click.echo(str(error.__cause__ or "") or INTERRUPTED, err=True)
         return 130
     except BearingsError as error:
         click.echo(f"bearings: {error}", err=True)

@@ -64,7 +64,7 @@ def command(kind: str, run: str, replica: int, time: float | None, out: str | No
     spins    the spins as colour; 3D: from outside and two cuts
     power    where the power is dissipated
     history  power, lower bound and gap as the run went on
-    energy   a dynamics: energy injected, dissipated, kinetic, in springs, and what the books miss
+    energy   a dynamics: energy injected, dissipated, kinetic, in springs, and what their balance misses
 
     and the figures of `bearings analyse`:
 

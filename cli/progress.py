@@ -2,14 +2,17 @@
 
 import math
 import os
+import shutil
 import stat
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+import click
 import numpy as np
 from taichi_bearings_cli.time_left import TimeLeft
 
@@ -162,6 +165,22 @@ def duration(seconds: float) -> str:
     if seconds < 6000:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"
+
+
+def tell(text: str, err: bool = False) -> None:
+    """Print a report; on a terminal lines that are too long for it are broken between words."""
+    if (sys.stderr if err else sys.stdout).isatty():
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(_broken(line, width) for line in text.splitlines())
+    click.echo(text, err=err)
+
+
+def _broken(line: str, width: int) -> str:
+    """A line in lines of that width, the further ones indented; words longer than that stay whole."""
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    return textwrap.fill(
+        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, replace_whitespace=False
+    )
 
 
 HEARTBEAT = 30.0  # seconds between two lines in a log file

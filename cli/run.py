@@ -1,6 +1,9 @@
 """bearings run"""
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,19 +61,48 @@ def command(
     from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.errors import InputError
-    from taichi_bearings.runs import run as study
-    from taichi_bearings.runs.settings import RunSettings, read_toml
-
     given = {key: value for key, value in options.items() if value is not None}
-    if resume:
-        if scene or out or force:
-            raise InputError(f"resume is {resume!r}: a resumed run keeps its scene and its directory; leave them out")
-        with Display(STARTED) as display:
-            found = study.resume(Path(resume), given)
-            verdict = _verdict(found, verify)
-        _finish(context, found, resume, verdict, display.times(), as_json)
-    values = read_toml(Path(scene)) if scene else {}
+    with Display(STARTED) as display:
+        with _interrupts_told():
+            solve, place = _resumed(resume, scene or out or force, given) if resume else _new(scene, out, force, given)
+            found = solve()
+        verdict = _verdict(found, verify)
+    _finish(context, found, place, verdict, display.times(), as_json)
+
+
+@contextmanager
+def _interrupts_told() -> Iterator[None]:
+    """An interrupt inside, where there is no result yet, is a KeyboardInterrupt with a sentence."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        kept = f"`bearings run --resume {error}` goes on from the last checkpoint" if error.args else "nothing is kept"
+        raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
+
+
+Task = tuple[Callable[[], Any], str | None]  # what solves, and where its directory is asked to be
+
+
+def _resumed(run: str, others: Any, given: dict[str, Any]) -> Task:
+    """To go on with a run. others : what else was given that such a run keeps."""
+    from taichi_bearings.errors import InputError
+    from taichi_bearings.runs.run import resume
+
+    if others:
+        raise InputError(f"resume is {run!r}: a resumed run keeps its scene and its directory; leave them out")
+    return partial(resume, Path(run), given), run
+
+
+def _new(scene: str | None, out: str | None, force: bool, given: dict[str, Any]) -> Task:
+    """To solve the scene of a file with these options."""
+    from taichi_bearings.errors import InputError
+    from taichi_bearings.runs.run import run
+    from taichi_bearings.runs.settings import RunSettings
+    from taichi_bearings.scene import Scene
+
+    values = _values_of(scene) if scene else {}
+    if "coefficients" in given:  # the file stored how it drew its own
+        values = {key: value for key, value in values.items() if key not in Scene.DRAWN}
     stored_out = values.pop("out", None)
     if values.pop("force", False) is not False:
         raise InputError(f"force in {scene}: a file replaces nothing; give --force on the command line")
@@ -78,10 +110,21 @@ def command(
         raise InputError(f"out is {stored_out!r}; it must be a text")
     out = out or stored_out
     settings = RunSettings.from_mapping(values | given, scene or "the options")
-    with Display(STARTED) as display:
-        found = study.run(settings, Path(out) if out else None, force)
-        verdict = _verdict(found, verify)
-    _finish(context, found, out, verdict, display.times(), as_json)
+    return partial(run, settings, Path(out) if out else None, force), out
+
+
+def _values_of(scene: str) -> dict[str, Any]:
+    """The settings in a scene file or of a run, by key."""
+    from taichi_bearings.errors import InputError
+    from taichi_bearings.runs.run_file import refuse_scan
+    from taichi_bearings.runs.settings import read_toml
+
+    if not scene.endswith(".toml"):
+        refuse_scan(Path(scene))
+    values = read_toml(Path(scene))
+    if "scan" in values:
+        raise InputError(f"{scene} describes a scan, not a run; `bearings scan {scene}` solves it")
+    return values
 
 
 def _verdict(found: Any, asked: bool) -> dict[str, Any] | None:
@@ -102,17 +145,19 @@ def _finish(
     as_json: bool,
 ) -> None:
     """Print the summary and leave with the exit code that the status asks for; 1 too if the run is not in `out`."""
+    from taichi_bearings_cli.progress import tell
+
     summary = found.summary
     for sentence in summary["warnings"]:
-        click.echo(f"bearings: warning: {sentence}", err=True)
+        tell(f"bearings: warning: {sentence}", err=True)
     if as_json:
         click.echo(json.dumps(summary | ({"verification": verdict} if verdict else {}), allow_nan=False))
     else:
-        click.echo(describe(summary, times))
+        tell(describe(summary, times))
         if verdict:
             from taichi_bearings_cli.verify import describe as describe_verdict
 
-            click.echo(describe_verdict(verdict))
+            tell(describe_verdict(verdict))
     if found.solution.interrupted:
         context.exit(130)
     is_verified = verdict is None or verdict["verified"]
@@ -131,16 +176,19 @@ def describe(summary: dict[str, Any], times: str) -> str:
         lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
     least = "its potential proven" if "potential" in summary else "proven"
+    kind = "sample" if summary["coefficients"] else "seed"
     keys = ("power", "gap", "slipping", "slipless", "undecided", "critical")
     known = [summary.get("tied_contacts") or [0] * len(seeds), *(summary[key] for key in keys)]
-    rows = zip(seeds, *(v if isinstance(v, list) else [v] for v in known), strict=True)
-    for number, (seed, tied, power, gap, slipping, slipless, undecided, critical) in enumerate(rows):
+    names = range(len(seeds)) if summary["coefficients"] else seeds
+    rows = zip(names, *(v if isinstance(v, list) else [v] for v in known), strict=True)
+    for number, (name, tied, power, gap, slipping, slipless, undecided, critical) in enumerate(rows):
         if number == 10 and len(seeds) > 11:
-            lines.append(f"  ... and {len(seeds) - 10} more seeds, in summary.json")
+            lines.append(f"  ... and {len(seeds) - 10} more {kind}s, in summary.json")
             break
+        label = "" if summary["coefficients"] and len(seeds) == 1 else f"{kind} {name}: "
+        within = "exactly" if power == gap == 0 else f"within {_number(gap, '.1e')}"
         lines.append(
-            f"  seed {seed}: P = {_number(power, '.12g')}, {least} within {_number(gap, '.1e')}; "
-            f"of {summary['contacts']:,} contacts "
+            f"  {label}P = {_number(power, '.12g')}, {least} {within}; of {summary['contacts']:,} contacts "
             f"{slipping:,} slip, {slipless:,} do not, {_others(undecided, critical, tied)}"
         )
     if len(seeds) == 1:
@@ -171,7 +219,8 @@ def _separation(summary: dict[str, Any]) -> list[str]:
     largest, smallest = summary["largest_slipless_slip"], summary["smallest_slipping_slip"]
     if not LAWS[summary["law"]].holds or largest is None or smallest is None:
         return []
-    words = f"slipless contacts slip at most {largest:.1e}, slipping ones at least {smallest:.1e}"
+    slow = f"slip at most {largest:.1e}" if largest > 0 else "do not slip at all"
+    words = f"slipless contacts {slow}, slipping ones at least {smallest:.1e}"
     if summary["states_proven"]:
         return [f"{words}; the contact states are proven"]
     if summary["separation_decades"] is None:

@@ -164,7 +164,8 @@ def describe(report: dict[str, Any]) -> str:
     lines += [f"  {item['sample']}: {item['error']}" for item in report["failures"][:10]]
     lines += [f"  ... and {report['failed'] - 10:,} more: see the column error"] if report["failed"] > 10 else []
     if report["warned"]:
-        lines.append(f"{counted(report['warned'], 'sample')} not quite what one may think: see the column warnings")
+        have = "has" if report["warned"] == 1 else "have"
+        lines.append(f"{counted(report['warned'], 'sample')} {have} warnings: see the column `warnings`")
     incomplete = report.get("incomplete_parts", [])
     lines += [f"part {item['part']} lacks {item['missing']:,} samples" for item in incomplete[:20]]
     lines += [f"... and {len(incomplete) - 20:,} more parts"] if len(incomplete) > 20 else []

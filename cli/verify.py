@@ -33,13 +33,16 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
       bearings verify outputs/a
     """
     from taichi_bearings_cli import STARTED
-    from taichi_bearings_cli.progress import Display
+    from taichi_bearings_cli.progress import Display, tell
 
     from taichi_bearings.runs.verify import verify
 
     with Display(STARTED) as display:
         report = verify(Path(run))
-    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report, display.times()))
+    if as_json:
+        click.echo(json.dumps(report, allow_nan=False))
+    else:
+        tell(describe(report, display.times()))
     context.exit(0 if report["verified"] else 1)
 
 
@@ -48,15 +51,16 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     shape, law = "x".join(map(str, report["shape"])), LAWS[report["law"]]
     status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
     lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
-    names = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
+    keys = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
     seeds = report["seed"] if isinstance(report["gap"], list) else [report["seed"]]
-    columns = [report[n] if isinstance(report["gap"], list) else [report[n]] for n in names]
-    rows = list(zip(seeds, *columns, strict=True))
-    for seed, power, bound, gap, states, unique, reason in rows[:10]:
+    columns = [report[n] if isinstance(report["gap"], list) else [report[n]] for n in keys]
+    names = [f"seed {seed}" if report["coefficients"] == "drawn" else f"sample {n}" for n, seed in enumerate(seeds)]
+    rows = list(zip(names, *columns, strict=True))
+    for sample, power, bound, gap, states, unique, reason in rows[:10]:
         if power is None:
-            lines.append(f"  seed {seed}: nothing can be proven")
+            lines.append(f"  {sample}: nothing can be proven")
             continue
-        lines.append(f"  seed {seed}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
+        lines.append(f"  {sample}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
         proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]
         if states["unproven"]:
             proven.append(f"{states['unproven']:,} unproven" + (f" ({reason})" if reason else ""))
@@ -64,7 +68,7 @@ def describe(report: dict[str, Any], times: str = "") -> str:
             proven.append("there is only one")
         lines.append(f"    contacts: {'; '.join(proven)}")
     if len(rows) > 10:
-        lines.append(f"  ... and {len(rows) - 10} more seeds")
+        lines.append(f"  ... and {len(rows) - 10} more samples")
     if isinstance(report["gap"], float):
         balanced = "in balance" if report["balanced"] else "not in balance, which the bound pays for"
         inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"

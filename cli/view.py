@@ -17,7 +17,7 @@ from taichi_bearings_cli.options import FILES, json_option
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(run: str, replica: int, opened: bool, out: str | None, force: bool, as_json: bool) -> None:
-    """A page of RUN, a run directory or its run.h5, that turns in any browser: one HTML file that needs no network.
+    """An interactive 3D page of RUN, a run directory or its run.h5: one HTML file for any browser, without a network.
 
     Spheres, slipless network, slipping contacts, minimum cut, rigid domains, a path and the bottlenecks are layers to
     switch. Slice them, move the slip threshold and the least power, point at a sphere or a contact for its numbers, and

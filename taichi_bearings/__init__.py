@@ -4,7 +4,7 @@
 
     scene = tb.Scene.random((10, 10, 10), seed=3, spin_bottom=0.1)  # or tb.Scene(coefficients=(x, y, z))
     best = tb.solve(scene, tolerance=1e-9)
-    way = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=10)
+    course = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=10)
     net = tb.analyse(best)
 
 Scene : what is solved. solve, solve_many : to a :class:`Result`. load : one from a file. analyse : what it is made of.

@@ -163,7 +163,7 @@ class Result:
     )
     warnings = property(
         lambda self: self._run.summary["warnings"],
-        doc="What the answer is not, as one may think: sentences with a number; an empty list if there is none.",
+        doc="Warnings, sentences with a number; an empty list if there is none.",
     )
     summary = property(lambda self: self._run.summary, doc="All numbers by name, as `bearings run --json` prints them.")
 
@@ -175,18 +175,18 @@ class Result:
 
     @property
     def history(self) -> dict[str, np.ndarray]:
-        """The way to the answer: columns (checks,); of several samples (R, checks), but for these three.
+        """The trajectory to the answer: columns (checks,); of several samples (R, checks), but for these three.
 
         iteration. seconds : wall time, s. time : simulated time of a dynamics. power, lower_bound : energy/time.
         unbalanced_torque : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
-        dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps books.
+        dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps an energy balance.
         """
         columns = self._run.solution.history.items()
         return {name: values if values.ndim == 1 else self._of_samples(values.T) for name, values in columns}
 
     @property
     def snapshots(self) -> Snapshots | None:
-        """Spins of a dynamics on its way, where they were asked for: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
+        """Spins of a dynamics at the times asked for, if any: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
         1/time; of several samples (R, S, ...)."""
         kept = self._run.solution.snapshots
         return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
@@ -377,6 +377,8 @@ def _settings(
             )
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
     values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
+    if scene.lattice.dimension == 2:
+        del values["direction"]  # which has no meaning there
     values |= scene.drawn or {"coefficients": "run.h5"}
     if isinstance(method, MethodOptions):
         declared = options_of(method)

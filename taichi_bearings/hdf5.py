@@ -65,7 +65,7 @@ def _reason_found(path: str, size: int, *_: int) -> str:
             command, capture_output=True, timeout=10 * (SECONDS + size / PACE), env=os.environ | {"PYTHONPATH": paths}
         )
     except subprocess.TimeoutExpired:
-        return "it is damaged, HDF5 comes to no end with it"
+        return "it is damaged: reading it does not terminate"
     return done.stdout.decode(errors="replace").strip() if done.returncode == 0 else FAILS
 
 
@@ -88,7 +88,7 @@ def _asked_of_a_fork(path: str, size: int) -> str:
             os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
         hangs = os.WTERMSIG(status) == signal.SIGPROF
-        return "it is damaged, HDF5 " + ("comes to no end with it" if hangs else "crashes on it")
+        return "it is damaged: reading it " + ("does not terminate" if hangs else "crashes HDF5")
     return words if status == 0 else FAILS
 
 
@@ -117,7 +117,7 @@ def _answer(path: str, size: int, pipe: int) -> NoReturn:
 def reason_against(path: str, size: int) -> str:
     """Why a file must not be read, in words; empty if it can be, or if HDF5 itself refuses it."""
     if _has_endless_heap(path):
-        return "it is damaged, HDF5 comes to no end with it"
+        return "it is damaged: reading it does not terminate"
     try:
         file = h5py.File(path, "r")
     except UNREADABLE:

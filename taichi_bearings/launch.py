@@ -1,11 +1,13 @@
 """Kernels that are started again and again with the same arguments."""
 
+import logging
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings import runtime
+from taichi_bearings import compiler, runtime
 from taichi_bearings.compiler import ti
 
 
@@ -14,7 +16,7 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
 
     Taichi looks at all arguments anew for every start, for 0.1 ms, in which a pass over the contacts of a small sample
     could be done. What it finds out is kept here, by its inner functions; where the compiler has others, the kernel is
-    started as ever.
+    started as ever, and a warning says that small samples take longer.
     """
     runtime.current()  # starts it
     try:
@@ -30,9 +32,20 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         machine_code = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
         start = program.launch_kernel
     except AttributeError:
+        _warn_of_slow_starts()
         return lambda: kernel(*arguments)
 
     def started(keep: tuple = arguments) -> None:
         start(machine_code, context)
 
     return started
+
+
+@cache
+def _warn_of_slow_starts() -> None:
+    """Once in a process."""
+    logging.getLogger(__name__).warning(
+        "bearings: kernels of this version of %s cannot be prepared once, so each start takes 0.1 ms more: the results "
+        "are the same, but small samples can take many times as long",
+        compiler.name(),
+    )

@@ -127,7 +127,7 @@ class Option:
     """One thing that can be given.
 
     default : None where it is left to what uses it. unit : "1" for a pure number.
-    methods, laws : True for a method or law that uses it; None for all.
+    methods, laws : True for a method or law that uses it; None for all. dimensions : of the lattices that use it.
     of_solving : it says how a system is solved, not which one it is.
     not_scanned : why a scan cannot vary it: it changes no result; empty if it can.
     unset : wherever a run is described None stands for the default, as if it were not given.
@@ -139,6 +139,7 @@ class Option:
     unit: str = "1"
     methods: Callable[[Any], bool] | None = None
     laws: Callable[[Any], bool] | None = None
+    dimensions: tuple[int, ...] = (2, 3)
     of_solving: bool = False
     not_scanned: str = ""
     unset: bool = False

@@ -85,8 +85,6 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     Raises DeviceError if the device is absent, or if the runtime already runs with another choice.
     """
     global _current, _owner
-    if arch not in ARCHITECTURES:
-        raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}{meant(arch, ARCHITECTURES)}")
     if precision not in PRECISIONS:
         raise DeviceError(
             f"precision is {precision!r}; allowed are {', '.join(PRECISIONS)}{meant(precision, PRECISIONS)}"
@@ -95,10 +93,8 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         raise DeviceError(f"threads is {threads}; it must be 1 or more, or 0 for all")
     from taichi_bearings.compiler import ti
 
-    if arch == "auto":
-        arch = automatic_arch(precision)
-    elif arch != "cpu" and not usable(arch, precision):
-        raise DeviceError(_what_is_missing(arch, precision))
+    refuse_absent(arch, precision)
+    arch = automatic_arch(precision) if arch == "auto" else arch
     wanted = Runtime(arch, precision, min(threads or available_threads(), available_threads(), MOST_THREADS), debug)
     if _current is not None:
         if _owner != os.getpid():
@@ -148,8 +144,15 @@ def _out_of_memory() -> Iterator[None]:
         raise MemoryError(str(error).partition("] ")[2] or str(error)) from None
 
 
+def refuse_absent(arch: str, precision: str) -> None:
+    """DeviceError, with the reason in one sentence, for a device that is not here or has not this precision."""
+    if arch not in ARCHITECTURES:
+        raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}{meant(arch, ARCHITECTURES)}")
+    if arch in GPUS and not usable(arch, precision):
+        raise DeviceError(_what_is_missing(arch, precision))
+
+
 def _what_is_missing(arch: str, precision: str) -> str:
-    """Why there is no such device, in one sentence."""
     lacking = [device.name for device in devices.find(arch) if not device.has_f64]
     if lacking and precision == "f64":
         return f"arch is {arch!r} but {lacking[0]} has no double precision; use --precision f32 or --arch cpu"

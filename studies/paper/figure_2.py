@@ -141,9 +141,9 @@ def _falls(scene: Scene, run: Run, stiffer: Run, rigid: Run) -> Claim:
     return Claim(
         f"3x3x3: from {STARTS[run.start]} the power decreases monotonically.",
         f"P ends at {_range(run.power[-1] / run.power[0])} of P_0. Where it falls, in {falls.sum()} of "
-        f"{counted(len(fall), 'sample')}, it rises on the way by up to {most:.2g} times the whole fall (limit "
-        f"for a monotonic one: {MONOTONIC:g}). The rigid curve, which P follows within {apart.max():.1e} P_0, rises by "
-        f"{rigid.largest_rise.max():.1e} P_0. With {STIFFER:g} times the damping A_t, which slows the "
+        f"{counted(len(fall), 'sample')}, it rises along the trajectory by up to {most:.2g} times the whole fall "
+        f"(limit for a monotonic one: {MONOTONIC:g}). The rigid curve, which P follows within {apart.max():.1e} P_0, "
+        f"rises by {rigid.largest_rise.max():.1e} P_0. With {STIFFER:g} times the damping A_t, which slows the "
         f"creep of contacts that take up load, it is {with_less:.2g} times (limit for creep: a fifth of that).",
         bool(most <= MONOTONIC or creeps),
         {

@@ -2,7 +2,7 @@
 
 The stationary state minimises P = F_n sum mu |v|. Springs and dampers are not in it, and F_n is a factor. Rigid
 friction, I d(omega)/dt = -dP/d(omega), knows F_n as a factor of the time alone, so curves are compared at equal F_n t.
-What is left of K_t and A_t is the way there: contacts that hold stretch by up to mu F_n / K_t and creep at up to
+What depends on K_t and A_t is the trajectory: contacts that hold stretch by up to mu F_n / K_t and creep at up to
 mu F_n / A_t.
 """
 
@@ -194,7 +194,7 @@ def _same_way(courses: Courses) -> Claim:
     loaded = max(float(apart[name].max()) for name in ("F_n = 5", "F_n = 500"))
     words = "; ".join(f"{name} {values.mean():.2g}, at most {values.max():.2g}" for name, values in apart.items())
     return Claim(
-        "For other F_n and greater K_t and A_t no significant differences are observed: on the way, too.",
+        "For other F_n and greater K_t and A_t no significant differences are observed: on the trajectory, too.",
         f"Largest difference of P / P_0 from the course with the paper's values, at equal F_n t; mean over the samples "
         f"and largest: {words} (limit: {SIGNIFICANT:g} in every sample for greater K_t and A_t; where other F_n alone "
         "exceed it the claim is refined). The stretch mu F_n / K_t of a contact that holds must be small: more normal "

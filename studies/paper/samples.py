@@ -15,7 +15,7 @@ TIGHT = StopRule(1e-12)
 
 
 def solved(scene: Scene, method: MethodOptions, rule: StopRule = TIGHT, start: str = "linear") -> Solution:
-    """Where a method ends; KeyboardInterrupt if it was stopped on the way."""
+    """Where a method ends; KeyboardInterrupt if it was stopped before."""
     return uninterrupted(solve(scene, method.build(), initial_spin(scene, start), rule))
 
 

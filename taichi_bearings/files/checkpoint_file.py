@@ -16,7 +16,7 @@ NAME = "checkpoint.h5"
 
 
 def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> None:
-    """Replace the checkpoint of a run directory in one move: a process killed on the way leaves the earlier one.
+    """Replace the checkpoint of a run directory in one move: a process killed meanwhile leaves the earlier one.
 
     scene : the settings as TOML. arrays : none before the first step.
     """

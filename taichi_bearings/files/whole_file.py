@@ -16,6 +16,7 @@ from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.plain_files import new_file, real_path, write_all
+from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
 
@@ -124,8 +125,8 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
     """
     try:
         with open_hdf5(path) as file:
-            if file.attrs.get("schema") != schema:
-                raise FileError(f"{path} is not {kind}: it was not written by taichi_bearings as such")
+            if (stored := file.attrs.get("schema")) != schema:
+                raise FileError(f"{path} is not {kind}: its schema is {shown(stored)}, not {schema!r}")
             found = file.attrs.get("schema_version")
             if found is None:
                 raise FileError(f"{path} is damaged or was changed: it has lost its layout version")

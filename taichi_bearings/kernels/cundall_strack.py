@@ -32,7 +32,7 @@ class CundallStrackSteps:
     elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
     spins stand at the end of the last step; the force is that at its predicted end.
 
-    With fields `work` and `impulse` energy books are kept too: sums over the steps, without the last one and with it.
+    With fields `work` and `impulse` an energy balance is kept too: sums over the steps, without the last and with it.
     work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
     """
 

@@ -28,11 +28,11 @@ def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figu
     """The four accounts, and below them what they leave unexplained, against time.
 
     An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
-    InputError if the run keeps no energy books.
+    InputError if the run keeps no energy balance.
     """
     history, scene = solution.history, solution.scene
     if "energy_residual" not in history:
-        raise InputError("the run keeps no energy books; run a dynamics with --energy")
+        raise InputError("the run keeps no energy balance; run a dynamics with --energy")
     width = page.inches("single")
     figure = new_figure(width, 1.0 * width + 0.2, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))

@@ -1,4 +1,4 @@
-"""How close to slipping contacts are, how their forces are distributed, and the way of the torque in one plane."""
+"""How close to slipping contacts are, how their forces are distributed, and the torque that flows through one plane."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Where an answer is right and yet not what one may think: sentences with a number, none where there is nothing to say.
+"""Warnings: where an answer could be misread, a sentence with a number says so; none where there is nothing to say.
 
 They are `warnings` in the summary of a run, and lines on stderr.
 """
@@ -13,7 +13,7 @@ from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE
 from taichi_bearings.words import counted
 
-ELASTIC = 1e-2  # of the way of the planes, that springs may take up
+ELASTIC = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
 UNFINISHED = {
     Status.STEP_LIMIT: "the limit of iterations came",
     Status.TIME_LIMIT: "the time limit came",
@@ -25,6 +25,24 @@ UNFINISHED = {
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
     return [sentence for of in CAVEATS for sentence in of(solution, settings)]
+
+
+def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Why no contact need slip."""
+    scene = solution.scene
+    if scene.jump == 0:
+        yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
+    elif not scene.jump_pair[0][list(scene.minimum_spin_axes)].any():
+        yield (
+            "the least power is 0: the imposed spins point along the height, contacts along the height do not feel "
+            "such spins, and every layer turns in a bearing state of its own"
+        )
+    elif cut := int(scene.is_cut_off.sum()):
+        of = f" in {cut:,} of {scene.replicas:,} samples" if scene.replicas > 1 else ""
+        yield (
+            f"the least power is 0{of}: contacts are absent, and no chain of those that are left and feel the imposed "
+            "spins joins bottom and top"
+        )
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
@@ -105,11 +123,11 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     largest = float(np.nanmax(share, initial=0.0))
     if largest > ELASTIC:
         yield (
-            f"springs are stretched by up to {largest:.1e} of the way that the planes have turned past each other; "
+            f"springs are stretched by up to {largest:.1e} of the distance that the planes have slid past each other; "
             f"a stiffness {largest / ELASTIC:.2g} times as large, or as much more time, keeps that below {ELASTIC:g}"
         )
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _unfinished, _undecided, _mingled, _tied, _step, _springs,
+    _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
 )  # fmt: skip

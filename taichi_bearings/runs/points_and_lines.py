@@ -1,6 +1,6 @@
 """One sample of a stored run as points and lines: every sphere and every contact a row, what is known of it a column.
 
-What turns in the browser and in ParaView is drawn from these. The structure is the one that `bearings analyse` has
+The interactive 3D page and ParaView draw these. The structure is the one that `bearings analyse` has
 left in the run, if it went by the contact states of the run; else it is computed.
 """
 

@@ -20,7 +20,6 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.interrupts import awaited
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
@@ -32,15 +31,16 @@ from taichi_bearings.runs.run_directory import (
     in_use,
     run_directory,
 )
-from taichi_bearings.runs.run_file import StoredRun, write_run_file
+from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.array_files import read_coefficients, short_name
+from taichi_bearings.scene.array_files import lattice_shape, read_coefficients, short_name
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
 from taichi_bearings.stages import stage
+from taichi_bearings.words import counted
 
 
 def build_scene(settings: RunSettings) -> Scene:
@@ -51,20 +51,18 @@ def build_scene(settings: RunSettings) -> Scene:
         drawn = {key: getattr(settings, key) for key in ("seed", "distribution", "replicas")}
         drawn |= {"viscosity": settings.viscosity} if has_viscosities else {}
         return Scene.random(settings.shape, **drawn, **given)
-    file, lattice = Path(settings.coefficients), Lattice(settings.shape, settings.radius)
+    file = Path(settings.coefficients)
     given["seeds"] = tuple(range(settings.seed, settings.seed + settings.replicas))
-    coefficients = read_coefficients(file, lattice.dimension)
-    if coefficients[0].ndim == lattice.dimension and settings.replicas > 1:
-        raise InputError(
-            f"replicas is {settings.replicas}, but the coefficients file holds a single sample; it must be 1"
-        )
+    coefficients = read_coefficients(file)
+    if (shape := lattice_shape(coefficients)) != settings.shape:
+        own, asked = ("x".join(map(str, sides)) for sides in (shape, settings.shape))
+        raise InputError(f"shape is {asked}, but the coefficients in {file} are of {own} spheres; leave out the shape")
+    samples = len(coefficients[0]) if coefficients[0].ndim > len(shape) else 1
+    if samples != settings.replicas:
+        held = counted(samples, "sample") if samples > 1 else "a single sample"
+        raise InputError(f"replicas is {settings.replicas}, but {file} holds {held}; it must be {samples}")
     if has_viscosities:
-        given["viscosity"] = read_coefficients(file, lattice.dimension, "viscosity")
-    if coefficients[0].shape[-lattice.dimension :] != lattice.contact_shape(0):
-        raise InputError(
-            f"coefficients along x in {file} have shape {coefficients[0].shape}; this lattice needs "
-            f"{lattice.contact_shape(0)}"
-        )
+        given["viscosity"] = read_coefficients(file, "viscosity", len(shape))
     return Scene(coefficients, **given)
 
 
@@ -85,14 +83,18 @@ def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
 
 
 def row_of(settings: RunSettings) -> type[MethodOptions]:
-    """The method that the settings lead to. Raises InputError for a scene that cannot be."""
+    """The method that the settings lead to. Raises InputError for a scene that cannot be, or that it cannot solve."""
     return _row_of(replace(settings, seed=0))
 
 
 @lru_cache(maxsize=4096)
 def _row_of(settings: RunSettings) -> type[MethodOptions]:
     Distribution.parse(settings.distribution)
-    return method_row(settings, build_scene(replace(settings, distribution="constant:1")))
+    scene = build_scene(replace(settings, distribution="constant:1"))
+    row = method_row(settings, scene)
+    if reason := row.refusal(scene):
+        raise InputError(reason)
+    return row
 
 
 def method_options(settings: RunSettings, row: type[MethodOptions]) -> MethodOptions:
@@ -174,6 +176,7 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
 
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
+    runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
     if unused := settings.unused(row):
         if strict:
@@ -380,6 +383,7 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
     """
+    refuse_scan(path)
     path = path.parent if path.name == "run.h5" else path
     path = path if path.name and not path.is_symlink() else real_path(path)
     checkpoint_of(path)
@@ -413,7 +417,7 @@ def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) 
 def _solve_with_checkpoints(
     path: Path, job: Job, stored: RunSettings, arrays: Mapping[str, np.ndarray] | None, monitors: Sequence[Any]
 ) -> Run:
-    """Solve in a run directory that is there already and in our use, and complete it.
+    """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.
 
     stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
     """
@@ -426,7 +430,10 @@ def _solve_with_checkpoints(
             logging.getLogger(__name__).warning("bearings: %s; the run goes on", error)
 
     every = stored.checkpoint_every or np.inf
-    solution = solve_job(job, monitors, Checkpoints(every, write, arrays))
+    try:
+        solution = solve_job(job, monitors, Checkpoints(every, write, arrays))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(str(path)) from None
     found = Run(job.settings, solution, job.spin, path, _command())
 
     def complete() -> Run:

@@ -21,12 +21,12 @@ from taichi_bearings.files.whole_file import make_folder, refuse_link_out, refus
 from taichi_bearings.plain_files import locked, read_whole, real_path, remove, remove_leftover
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
-"""Hidden names beside the file or directory `name`: its lock, a new one on its way, an old one on its way out."""
+"""Hidden names beside the file or directory `name`: its lock, an unpublished new one, an old one to be removed."""
 
 
 @dataclass
 class RunDirectory:
-    """A run directory on its way: its files go to `partial`, and :meth:`publish` gives that the name `path`."""
+    """A run directory before it is published: its files go to `partial`, which :meth:`publish` names `path`."""
 
     path: Path
     partial: Path
@@ -54,7 +54,7 @@ class RunDirectory:
         free = (self.path.with_name(f"{self.path.name}-{number}") for number in itertools.count(2))
         taken, self.path, self.replaced = self.path, next(path for path in free if not os.path.lexists(path)), None
         logging.getLogger(__name__).warning(
-            "bearings: %s has come into being meanwhile and stays; the result goes to %s", taken, self.path
+            "bearings: %s was created meanwhile and is kept; the result is written to %s", taken, self.path
         )
         return False
 
@@ -176,7 +176,7 @@ def _swap(one: Path, other: Path) -> bool:
 def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
     """A folder for files that go together into a directory, which stands and is in our use; others there stay.
 
-    Once all are written a kill on the way no longer matters: :func:`in_use` then moves the rest.
+    Once all are written a kill no longer matters: :func:`in_use` then moves the rest.
     outdated : names of files in the directory that go.
     """
     folder = path / PARTIAL

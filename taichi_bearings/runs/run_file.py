@@ -12,10 +12,11 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
+from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import ROUNDING
@@ -23,6 +24,7 @@ from taichi_bearings.scene.solution import ROUNDING
 SCHEMA = "taichi_bearings.run"
 SCHEMA_VERSION = 1
 AXES = "xyz"
+SCAN = "scan.h5"  # beside the settings and the journal of a scan
 
 CONTACT_SETS = {  # name -> (attribute of Solution, unit, description)
     "slip": ("slip", "length/time", "slip speed |v|"),
@@ -44,7 +46,7 @@ HISTORY_UNITS = {
     "spring_energy": ("energy", "energy in the elongations of the contacts"),
     "injected_energy": ("energy", "work of the driven spheres since the start"),
     "dissipated_energy": ("energy", "energy dissipated at the contacts since the start"),
-    "energy_residual": ("1", "what the energy books leave unexplained, relative to the energy gone through them"),
+    "energy_residual": ("1", "what the energy balance leaves unexplained, relative to the energy turned over"),
     "unbalanced_torque": ("force*length", "largest torque left over on a free sphere"),
 }
 
@@ -127,8 +129,36 @@ class StoredRun:
         return self.attributes[name]
 
 
+def refuse_scan(path: Path) -> None:
+    """FileError for a scan where a run is wanted, and for a file of settings; it names the command that fits."""
+    if path.suffix == ".toml" and path.is_file():
+        kind, command = ("a scan", "scan") if "scan" in read_toml(path) else ("a run", "run")
+        raise FileError(f"{path} describes {kind} and holds no result; `bearings {command} {path}` solves it")
+    folder = path.parent if path.name == SCAN else path
+    if _is_in(folder, SCAN, JOURNAL, "scan.toml") and not _is_in(path, "run.h5", CHECKPOINT):
+        raise FileError(
+            f"{path} is a scan, not a run; `bearings scan {folder}` goes on with it, `bearings plot scan {folder}` and "
+            f"`bearings histogram {folder}` draw it"
+        )
+
+
+def refuse_run(path: Path) -> None:
+    """FileError for a run where a scan is wanted; it names the command that fits."""
+    folder = path if path.is_dir() else path.parent
+    if path.name == "run.h5" or (_is_in(folder, "run.h5", CHECKPOINT) and not path.is_file()):
+        raise FileError(
+            f"{folder} is a run, not a scan; `bearings run {folder}` solves it again, `bearings plot spins {folder}` "
+            "draws it"
+        )
+
+
+def _is_in(folder: Path, *names: str) -> bool:
+    return any((folder / name).is_file() for name in names)
+
+
 def read_run_file(run: Path) -> StoredRun:
     """Read a run directory or its run.h5; FileError if it is missing, damaged or of an unknown version."""
+    refuse_scan(run)
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
         unfinished = path.with_name(CHECKPOINT).is_file()

@@ -32,6 +32,7 @@ from taichi_bearings.options import (
     real,
 )
 from taichi_bearings.plain_files import read_whole
+from taichi_bearings.scene.array_files import lattice_shape, read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.solvers.table import METHODS, MethodOptions, Springs
 from taichi_bearings.words import meant
@@ -80,12 +81,14 @@ class RunSettings:
     )
     spin_top: float = option(1.0, REAL, "Imposed spin of the top.", unit="1/time")
     spin_bottom: float = option(0.0, REAL, "Imposed spin of the bottom.", unit="1/time")
-    direction: tuple[float, ...] = option((1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.")
+    direction: tuple[float, ...] = option(
+        (1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.", dimensions=(3,)
+    )
     coefficients: str | None = option(
         None,
         FILE,
         "Read the coefficients instead of drawing them: an npz file with arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z "
-        "(NX,NY,NZ-1), or a run. docs/scenes.md says more.",
+        "(NX,NY,NZ-1), or a run, which bring the shape. docs/scenes.md says more.",
     )
     distribution: str = option(
         "uniform:0.1,1.0",
@@ -178,7 +181,14 @@ class RunSettings:
             if key not in cls.keys():
                 hint = meant(key, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
                 raise InputError(f"unknown key {key!r} in {source}{hint}")
-        return cls(**values)
+        settings = cls(**values)
+        return settings if "shape" in values else settings.in_shape_of_coefficients()
+
+    def in_shape_of_coefficients(self) -> "RunSettings":
+        """The settings with the shape of the coefficients file; FileError if that cannot be read."""
+        if self.coefficients is None:
+            return self
+        return replace(self, shape=lattice_shape(read_coefficients(Path(self.coefficients))))
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
@@ -192,13 +202,20 @@ class RunSettings:
         return {key: value for key, value in self.values.items() if value != table[key].default}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
-        """The given keys that this method or the law does not use, each with a sentence that says so."""
-        table, law = settings_table(), LAWS[self.law]
-        return {
+        """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""
+        table, law, given = settings_table(), LAWS[self.law], self.given
+        unused = {
             key: f"{key} is {value}, but {method.name} with the law {law.name} does not use it; it needs {needs}"
-            for key, value in self.given.items()
+            for key, value in given.items()
             if (needs := _missing(table[key], method, law))
         }
+        flat = [key for key in given if len(self.shape) not in table[key].dimensions]
+        unused |= {
+            key: f"{key} is {given[key]}, but spins of discs point along z; it needs three sides" for key in flat
+        }
+        drawn = [key for key in ("distribution", "viscosity") if key in given and self.coefficients is not None]
+        words = f"but the coefficients are those of {self.coefficients}; leave one of the two out"
+        return unused | {key: f"{key} is {given[key]}, {words}" for key in drawn}
 
 
 def _missing(item: Option, method: type[MethodOptions], law: Law) -> str:

@@ -11,6 +11,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.hdf5 import look_through
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.runs.run_file import refuse_scan
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.claims import is_drawn
@@ -27,6 +28,7 @@ def verify(path: Path) -> dict[str, Any]:
     """
     began = time.perf_counter()
     with stage("reading"):
+        refuse_scan(path)
         file = path / "run.h5" if path.is_dir() else path
         if file.is_file():
             look_through(file)

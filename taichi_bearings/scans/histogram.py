@@ -32,6 +32,7 @@ from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
 from taichi_bearings.scans.systems import disorder_of, numbered
+from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
@@ -101,8 +102,11 @@ class Source:
         if normalise == "mean":
             mean = self.mean_power()
             return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
-        if (self.column("law") != "coulomb").any():
-            raise InputError("normalise is 'unit', F_n R omega_T, which the viscous law does not know; use 'mean'")
+        if flowing := sorted(set(self.column("law").tolist()) - {COULOMB.name}):
+            raise InputError(
+                f"normalise is 'unit', F_n R omega_T, which measures powers of the law {COULOMB.name} alone, not of "
+                f"{' or '.join(map(str, flowing))}; use 'mean'"
+            )
         with np.errstate(over="ignore"):
             unit = self.numbers("normal_force") * self.numbers("radius") * np.abs(self.numbers("spin_top"))
         if not ((unit > 0) & (unit < np.inf)).all():

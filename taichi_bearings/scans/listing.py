@@ -22,7 +22,12 @@ RUN, SCAN = "run", "scan"
 RESULTS = {"run.h5", "summary.json", "checkpoint.h5", "scan.h5", NAME}
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
 NEEDED = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
-FURTHER = {"gap": float, "power_normalised": float, "states_proven": bool}  # None where a run has none
+FURTHER = {
+    "gap": float,
+    "power_normalised": float,
+    "states_proven": bool,
+    "coefficients": str,
+}  # None where a run has none
 LARGEST = 1e300  # of a number
 UNITS = ("B", "kB", "MB", "GB", "TB")
 
@@ -170,6 +175,7 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
         _listed(values[k]) for k in ("power", "gap", "status", "states_proven", "seed")
     )
     seed = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]}-{seeds[-1]}"
+    seed = "coefficients given" if values["coefficients"] else seed
     mean = sum(powers) / len(powers)
     power = f"P = {mean:.9g}" if len(powers) == 1 else f"mean P = {mean:.6g}"
     known = [gap for gap in gaps if isinstance(gap, int | float)]

@@ -11,6 +11,7 @@ from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.run import row_of
+from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import (
     MOST_TEXT,
     RunSettings,
@@ -140,6 +141,9 @@ Tables = tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]
 
 def _read(path: Path, overrides: Sequence[str] = ()) -> Tables:
     """Keys for all samples; those that vary alone; those of each table that advance together."""
+    refuse_run(path)
+    if path.suffix in (".h5", ".hdf5"):
+        raise FileError(f"{path} holds results and describes no scan; `bearings scan {path.parent}` goes on with one")
     document = read_toml(path)
     scan = document.pop("scan", {})
     if not isinstance(scan, Mapping):
@@ -227,6 +231,8 @@ def _samples(
         if base is None:  # the first one is checked for unknown keys
             base = RunSettings.from_mapping({**document, **given}, str(path))
         settings = replace(base, **given)
+        if "coefficients" in given and "shape" not in {*document, *given}:
+            settings = settings.in_shape_of_coefficients()
         point = {name: getattr(settings, name) for name in scanned}
         key = sample_key(settings)
         if key in met:

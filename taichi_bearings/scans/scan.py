@@ -17,9 +17,10 @@ from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 from taichi_bearings.interrupts import awaited
+from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runs.run_file import read_run_file
-from taichi_bearings.runtime import available_threads
+from taichi_bearings.runtime import available_threads, refuse_absent
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
 from taichi_bearings.scans.estimate import (
     WORKER_START,
@@ -162,6 +163,8 @@ def estimate(
     part: Part | None = None,
 ) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
+    for group in groups_of(plan.samples):
+        row_of(group[0].settings)  # refuses what cannot be
     ours, structure = _samples_of(plan, part), bool(wishes.or_else(plan.wishes).analyse)
     missing = list(ours.samples)
     if folder is not None:
@@ -207,8 +210,11 @@ def scan(
     """
     began = time.monotonic()
     plan, wanted = _with_wishes_of(folder, plan, wishes)
-    for group in groups_of(plan.samples):
-        seconds_of(group[0].settings)  # refuses scenes that cannot be, before the folder is touched
+    for group in groups_of(plan.samples):  # refuses what cannot be, before the folder is touched
+        settings = group[0].settings
+        row_of(settings)
+        if engine is None and client is None:  # solved on this machine
+            refuse_absent(settings.arch, settings.precision)
     _refuse_unused(plan, folder)
     name = "" if part is None else part.name
     with writable_folder(folder, name):

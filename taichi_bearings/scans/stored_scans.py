@@ -7,6 +7,7 @@ from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import SCHEMA, StoredScan, read_scan
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.plain_files import read_lines, read_whole
+from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import MOST_TEXT
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import read_plan
@@ -32,6 +33,9 @@ def open_scan(path: Path) -> StoredScan:
     scan.h5 is taken if it is complete and holds what the journals hold. Otherwise the table is made of the journals,
     and samples that are not computed yet are in it as missing. Raises FileError if there is neither.
     """
+    refuse_run(path)
+    if path.suffix == ".toml" and path.is_file():
+        raise FileError(f"{path} describes a scan and holds no result; give the folder that `bearings scan` filled")
     folder, file = (path, path / "scan.h5") if path.is_dir() else (path.parent, path)
     journals = journal_bytes(folder)
     if journals is None or file.name != "scan.h5":

@@ -2,6 +2,7 @@
 
 import math
 import zipfile
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from taichi_bearings.plain_files import ALL, LEAST, opened
 LAYOUT = 1  # version of run.h5
 
 
-def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """The named arrays; in npz ``coefficient/x`` may also be stored as ``x``, ``viscosity/x`` as ``x_viscosity``.
 
-    Raises FileError if the file is missing, truncated, of another kind, or lacks a name.
+    optional : names that the file may lack.
+    Raises FileError if the file is missing, truncated, of another kind, or lacks a name, which is then told.
     """
     if path.is_dir():
         path = path / "run.h5"
@@ -34,25 +36,33 @@ def read_arrays(path: Path, names: list[str]) -> dict[str, np.ndarray]:
             return {names[0]: np.array(mapped)}
         if path.suffix == ".npz":
             with opened(path) as file, zipfile.ZipFile(file) as stored:
-                there, most = stored.namelist(), max(ALL * path.stat().st_size, LEAST)
-                members = (f"{name}.npy" if f"{name}.npy" in there else f"{short_name(name)}.npy" for name in names)
-                return {name: _member(path, stored, member, most) for name, member in zip(names, members, strict=True)}
+                there = [name.removesuffix(".npy") for name in stored.namelist()]
+                most = max(ALL * path.stat().st_size, LEAST)
+                members = {name: name if name in there else short_name(name) for name in (*names, *optional)}
+                _refuse_lack(path, [members[name] for name in names], there)
+                return {name: _member(path, stored, f"{m}.npy", most) for name, m in members.items() if m in there}
         with open_hdf5(path) as file:
             if file.attrs.get("schema_version", LAYOUT) != LAYOUT:
                 found = file.attrs["schema_version"]
                 raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
             check(path, file)
-            if empty := [name for name in names if file[name].shape is None]:
+            _refuse_lack(path, names, file)
+            found = [name for name in (*names, *optional) if name in file]
+            if empty := [name for name in found if file[name].shape is None]:
                 raise FileError(f"{empty[0]} in {path} is empty")
-            return {name: np.asarray(file[name][()]) for name in names}
-    except KeyError:
-        raise FileError(f"{path} lacks one of the arrays {', '.join(names)}") from None
+            return {name: np.asarray(file[name][()]) for name in found}
     except (FileError, MemoryError):
         raise
     except Exception:  # zipfile, zlib, NumPy and HDF5 raise some thirty kinds of errors
         raise FileError(
             f"{path} cannot be read as npy, npz or HDF5: it is damaged, truncated or of another kind"
         ) from None
+
+
+def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:
+    """FileError for a file that lacks arrays of these names."""
+    if lacking := [name for name in names if name not in there]:
+        raise FileError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
 
 
 def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.ndarray:
@@ -80,11 +90,31 @@ def short_name(name: str) -> str:
     return f"{axis}_viscosity" if kind == "viscosity" else axis
 
 
-def read_coefficients(path: Path, dimension: int, kind: str = "coefficient") -> tuple[np.ndarray, ...]:
-    """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on. kind : or "viscosity"."""
-    names = [f"{kind}/{axis}" for axis in "xyz"[:dimension]]
-    stored = read_arrays(path, names)
-    for name in names:
-        if np.asarray(stored[name]).dtype.kind not in "fiu":
-            raise FileError(f"{name} in {path} is of type {np.asarray(stored[name]).dtype}; it must be real numbers")
-    return tuple(np.asarray(stored[name], dtype=np.float64) for name in names)
+def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0) -> tuple[np.ndarray, ...]:
+    """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on. kind : or "viscosity".
+
+    dimension : of the lattice; 0 for that of the file. Without z it is 2; FileError if x and y then fit 3 alone.
+    """
+    along = [f"{kind}/{axis}" for axis in "xyz"]
+    stored = read_arrays(path, along[: dimension or 2], () if dimension else along[2:])
+    for name, values in stored.items():
+        if values.dtype.kind not in "fiu":
+            raise FileError(f"{name} in {path} is of type {values.dtype}; it must be real numbers")
+    x, y = (values.shape for values in list(stored.values())[:2])
+    if len(stored) == 2 and _are_of(3, x, y) and not _are_of(2, x, y):
+        read_arrays(path, along)
+    return tuple(values.astype(np.float64) for values in stored.values())
+
+
+def lattice_shape(coefficients: tuple[np.ndarray, ...]) -> tuple[int, ...]:
+    """Spheres along each axis of the lattice that coefficients, one array an axis, belong to."""
+    along_x = coefficients[0].shape[-len(coefficients) :]
+    return along_x[0] + 1, *along_x[1:]
+
+
+def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
+    """True if coefficients along x and y have the shapes of one lattice, or of samples of it."""
+    if len(x) != len(y) or len(x) not in (dimension, dimension + 1):
+        return False
+    more = [along_y - along_x for along_x, along_y in zip(x, y, strict=True)]
+    return more[-dimension:] == [1, -1, 0][:dimension] and not any(more[:-dimension])

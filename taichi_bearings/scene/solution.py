@@ -34,7 +34,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Energy:
-    """Energy books of a dynamics since its start, (R,) each, energy. Every account is kept from its own data.
+    """Energy balance of a dynamics since its start, (R,) each, energy. Every account is kept from its own data.
 
     kinetic : of the free spheres. spring : in the elongations of the contacts.
     injected : work of the driven spheres. dissipated : work done on the contacts that is not in their springs.
@@ -49,7 +49,7 @@ class Energy:
 
     @property
     def residual(self) -> np.ndarray:
-        """(R,) what the books leave unexplained, relative to the energy that has gone through them."""
+        """(R,) what the balance leaves unexplained, relative to the energy that was turned over."""
         turnover = np.maximum(self.at_start + np.abs(self.injected), np.abs(self.dissipated))
         missing = self.at_start + self.injected - self.dissipated - self.kinetic - self.spring
         return np.divide(missing, turnover, out=np.zeros_like(missing), where=turnover > 0)
@@ -57,7 +57,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Spins of a dynamics on its way. time : (S,). spin : laboratory frame, (S, R, *N) or (S, R, *N, 3), 1/time."""
+    """Spins of a dynamics at some times. time : (S,). spin : laboratory frame, (S, R, *N) or (S, R, *N, 3), 1/time."""
 
     time: np.ndarray
     spin: np.ndarray
@@ -74,7 +74,7 @@ class Progress:
         energy/time.
     proof : forces like `force` from which lower_bound follows, where these are others.
     time : simulated time of a dynamics, else None.
-    energy : energy books of a dynamics that keeps them. slipping : (R,), contacts of a dynamics that slip now.
+    energy : balance of a dynamics that keeps one. slipping : (R,), contacts of a dynamics that slip now.
     resolution : slip speed below which the method cannot tell slip from rest, length/time; of all, or (R,).
     unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.

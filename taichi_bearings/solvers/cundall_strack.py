@@ -239,7 +239,7 @@ class CundallStrackMethod:
         return replica_sum(force * contact_differences(staggered, self.scene.lattice, self.spin_axes))
 
     def _energy(self, staggered: np.ndarray, force: np.ndarray) -> Energy:
-        """The books at the end of the last step.
+        """The energy balance at the end of the last step.
 
         The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
         the integration, of Gear's and of this rule.

@@ -42,10 +42,10 @@ def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ..
 
 
 def elastic_share(scene: Scene, longest: np.ndarray, time: float) -> dict[str, np.ndarray]:
-    """How much of the way of the driven planes past each other the longest spring (R,), length, has taken up, as a
-    finding; none before there is a way, or without springs. Rigid contacts would take up nothing."""
-    way = scene.lattice.radius * scene.jump * time
-    return {"elastic_share": longest / way} if way > 0 and scene.law.holds else {}
+    """Share of the distance that the driven planes have slid past each other which the longest spring, (R,), takes up,
+    as a finding; none before they have slid, or without springs. Rigid contacts would take up nothing."""
+    slid = scene.lattice.radius * scene.jump * time
+    return {"elastic_share": longest / slid} if slid > 0 and scene.law.holds else {}
 
 
 @dataclass(frozen=True)

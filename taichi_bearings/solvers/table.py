@@ -82,7 +82,7 @@ class MethodOptions:
         if cls.solves(scene.law):
             return ""
         laws = " or ".join(name for name, law in LAWS.items() if cls.solves(law))
-        return f"method is {cls.name!r} and law is {scene.law.name!r}; it must be {laws}"
+        return f"method {cls.name!r} does not solve the law {scene.law.name!r}; it solves {laws}"
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
@@ -305,7 +305,7 @@ class CundallStrack(Springs):
     gear_order: int = how(
         2, Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"), "Derivatives that the predictor keeps."
     )
-    energy: bool = how(False, TRUTH, "Keep energy books; a step takes a third longer.")
+    energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.")
 
 
 @register

@@ -1,1 +1,1 @@
-"""One page that turns in the browser: what it holds, and the file."""
+"""The interactive 3D page of a run: what it holds, and the file."""

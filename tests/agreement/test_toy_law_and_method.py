@@ -61,4 +61,4 @@ def test_the_command_line_has_both(tmp_path):
     assert np.isfinite(summary["gap"])
     refused = run("run", "--shape", "5,6", "--law", "shear-thinning", "--method", "planar-cut", "--out", tmp_path / "b")
     assert refused.returncode == 2
-    assert "it must be coulomb" in refused.stderr
+    assert "it solves coulomb" in refused.stderr

@@ -43,9 +43,7 @@ def main():
     runtime.start(threads=given.threads)
     shape = tuple(int(n) for n in given.shape.split("x"))
     stop = StopRule(given.tolerance, UNLIMITED, given.time_limit)
-    print(
-        "| seed | integrator | P / P_min - 1 | proven gap | slips apart | simulated time | steps | books | status | s |"
-    )
+    print("| seed | integrator | P / P_min - 1 | proven gap | slips apart | time | steps | energy | status | s |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for seed in range(given.seeds):
         scene = make_scene(shape, seeds=(seed,))

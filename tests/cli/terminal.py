@@ -23,8 +23,11 @@ class Session:
     seconds: float = 0.0
 
 
-def on_terminal(*words, columns=100, stop=None):
-    """Run `bearings` with stderr on a pseudo-terminal of that width. stop : ends it by Ctrl-C once this is written."""
+def on_terminal(*words, columns=100, stop=None, report=False, cwd=None):
+    """Run `bearings` with stderr on a pseudo-terminal of that width.
+
+    stop : ends it by Ctrl-C once this is written. report : stdout is on the terminal too.
+    """
     import fcntl
     import pty
     import termios
@@ -33,9 +36,15 @@ def on_terminal(*words, columns=100, stop=None):
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
     environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
     command = [sys.executable, "-m", "taichi_bearings_cli", *map(str, words)]
+    stdout = theirs if report else subprocess.PIPE
     began, session = time.monotonic(), Session(-1, "")
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=theirs, text=True, env=environment | {"TERM": "xterm"}
+        command,
+        stdout=stdout,
+        stderr=theirs,
+        text=True,
+        env=environment | {"TERM": "xterm"},
+        cwd=cwd,
     ) as process:
         os.close(theirs)
         with contextlib.suppress(OSError):  # EIO: the other end is closed
@@ -47,7 +56,7 @@ def on_terminal(*words, columns=100, stop=None):
                 if stop is not None and any(stop in line for _, line in session.frames):
                     process.send_signal(2)
                     stop = None
-        session.stdout = process.stdout.read()
+        session.stdout = "" if report else process.stdout.read()
     os.close(ours)
     session.returncode, session.seconds = process.returncode, time.monotonic() - began
     return session

@@ -287,7 +287,7 @@ def test_bad_files_are_named(tmp_path):
     refused("seed = true\n", expected="seed is 'True'")
     np.savez(tmp_path / "mu.npz", x=np.ones((2, 3, 3)), y=np.ones((3, 2, 3)), z=-np.ones((3, 3, 2)))
     refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="coefficient -1.0 at [0, 0, 0] along z")
-    refused("shape = [3, 4, 3]\ncoefficients = 'mu.npz'\n", expected="this lattice needs")
+    refused("shape = [3, 4, 3]\ncoefficients = 'mu.npz'\n", expected="shape is 3x4x3, but the coefficients")
     (tmp_path / "mu.npz").write_bytes((tmp_path / "mu.npz").read_bytes()[:300])
     refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="truncated")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mu.npz", "scene.toml"]
@@ -370,7 +370,7 @@ def test_several_viscous_seeds_are_written_though_no_contact_of_theirs_slips_apa
         assert np.isnan(file.attrs["separation_decades"]).all()
 
 
-def test_energy_books_are_drawn_and_missed_where_there_are_none(tmp_path, finished_run):
+def test_energy_balances_are_drawn_and_missed_where_there_are_none(tmp_path, finished_run):
     words = ("run", "--shape", "3,3,4", "--method", "rigid-limit", "--duration", "0.01", "--snapshots", "0,0.005")
     done = bearings(*words, "--replicas", "2", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
@@ -388,7 +388,7 @@ def test_energy_books_are_drawn_and_missed_where_there_are_none(tmp_path, finish
     assert "holds no snapshots" in bearings("plot", "spins", finished_run[0], "--time", "1").stderr
     done = bearings("plot", "energy", finished_run[0])
     assert done.returncode == 2
-    assert "keeps no energy books" in done.stderr
+    assert "keeps no energy balance" in done.stderr
 
 
 def test_a_time_step_too_long_for_the_course_is_said_with_a_number(tmp_path):

@@ -86,7 +86,7 @@ def test_all_who_read_runs_refuse_what_was_changed(path, tmp_path):
         read_source,
         read_toml,
         lambda path: analyse(path, out=tmp_path / "out"),
-        lambda path: read_coefficients(path, 3),
+        lambda path: read_coefficients(path),
         lambda path: initial_spin(scene, str(path)),
     ):
         with pytest.raises(FileError, match="contact/x/power does not match"):

@@ -217,11 +217,11 @@ def test_a_list_without_end_is_seen(stranger):
     heap = content.index(b"GCOL\x01\0\0\0")
     (stranger / "run.h5").write_bytes(content[: heap + 16] + bytes(64) + content[heap + 80 :])
     for words in (("verify",), ("plot", "spins"), ("analyse",), ("histogram",)):
-        assert "comes to no end" in refused(*words, stranger)
+        assert "does not terminate" in refused(*words, stranger)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="played in a fork")
-@pytest.mark.parametrize(("harm", "words"), [("hang", "comes to no end"), ("crash", "crashes on it")])
+@pytest.mark.parametrize(("harm", "words"), [("hang", "does not terminate"), ("crash", "crashes HDF5")])
 def test_what_hdf5_does_to_a_damaged_file_stays_in_a_child(stranger, monkeypatch, harm, words):
     """HDF5 that hangs or crashes at a file, played by a faulty reader."""
 

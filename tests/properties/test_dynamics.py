@@ -1,4 +1,4 @@
-"""What a course in time obeys: books that close, powers that fall, an order in the step, and bits that can go on."""
+"""What dynamics obey: energy balances close, powers fall, errors have an order in the step, resumed bits agree."""
 
 import pickle
 import subprocess
@@ -32,7 +32,7 @@ def course(scene, method, steps, start="random", **how):
 @pytest.mark.parametrize(("laws", "contrast", "rise"), [(("coulomb", "viscous"), 3, 1e-13), (tuple(LAWS), 12, 1e-9)])
 def test_what_is_least_at_rest_never_rises_in_the_rigid_limit(laws, contrast, rise):
     """However long the steps are and wherever it starts, but for what a step is solved to: rounding, and with contrasts
-    that end the path early 1e-9. The books close likewise, or in long steps to 1e-10 of what goes through them."""
+    that end the path early 1e-9. The energy balance closes likewise, or in long steps to 1e-10 of the turnover."""
 
     @cases(0.1)
     @given(scenes(laws, replicas=(1, 2), shapes=SMALL, contrast=contrast, scale=3), STARTS, decades(5))
@@ -114,7 +114,7 @@ def relative_spins(scene, spin, free):
 
 @cases(0.1)
 @given(scenes(contrast=3, scale=0, shapes=SMALL, directions=((1.0, 1.0, 0.0), (1.0, 0.0, 0.0))), decades(2), decades(2))
-def test_energy_books_of_springs_close_as_the_step_falls(scene, stiffness, damping):
+def test_energy_balance_of_springs_close_as_the_step_falls(scene, stiffness, damping):
     """Injected, dissipated, kinetic and spring energy come from data of their own."""
     missing = []
     for share in (0.4, 0.05):

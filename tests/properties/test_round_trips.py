@@ -138,8 +138,7 @@ def test_coefficients_survive_their_file(scene):
                     file[f"{kind}/{axis}"] = values
         for file in ("short.npz", "long.h5"):
             for kind, of in scene.named_coefficients.items():
-                found = read_coefficients(place / file, scene.lattice.dimension, kind)
-                assert same(found, scene.lattice.by_axis(of))
+                assert same(read_coefficients(place / file, kind), scene.lattice.by_axis(of))
 
 
 COUNTS = st.integers(0, 2**31 - 1)

@@ -104,7 +104,7 @@ def test_springs_that_take_up_the_motion_of_the_planes(solved):
         end = solved(shape=(2, 3), method=method, stiffness=100.0, damping=10.0, duration=20.0)
         strongest = end.solution.force.max()  # at rest: the dampers are idle
         assert end.summary["elastic_share"] == pytest.approx(strongest / 100.0 / (0.5 * 20.0), rel=1e-3)
-        assert f"up to {end.summary['elastic_share']:.1e} of the way" in words_of(end, "springs")[0]
+        assert f"up to {end.summary['elastic_share']:.1e} of the distance" in words_of(end, "springs")[0]
     assert words_of(solved(method="cundall-strack", duration=2.0), "springs") == []
     assert "elastic_share" not in solved(law="viscous", method="cundall-strack", duration=0.1).summary
 

@@ -201,7 +201,7 @@ def test_without_a_jump_all_slips_die_out(shape):
 
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])
 @pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)])
-def test_energy_books_close(shape, law):
+def test_energy_balances_close(shape, law):
     scene = make_scene(shape, law, spin_top=1.3, spin_bottom=-0.4)
     method = begun(scene, random_spin(scene))
     for _ in range(60):

@@ -1,4 +1,4 @@
-"""What a dynamics writes down: times as asked for, energy books that close and mean what they say, resuming."""
+"""What a dynamics writes down: times as asked for, energy balances that close and mean what they say, resuming."""
 
 import signal
 
@@ -103,7 +103,7 @@ def test_a_time_limit_counts_anew_for_a_run_that_goes_on():
 @pytest.mark.parametrize(
     ("shape", "law", "order"), [((4, 5), "coulomb", 2), ((3, 2, 4), "coulomb", 2), ((4, 5), "viscous", 4)]
 )
-def test_energy_books_close_as_the_step_falls(shape, law, order):
+def test_energy_balance_close_as_the_step_falls(shape, law, order):
     """Injected, dissipated, kinetic and spring energy come from data of their own; what is missing is of order h^2."""
     scene = make_scene(shape, law, spin_bottom=0.4, seeds=(1, 2))
     bound = stability_bound(scene, scene.lattice.all_spin_axes, CundallStrack(gear_order=order))
@@ -118,7 +118,7 @@ def test_energy_books_close_as_the_step_falls(shape, law, order):
 
 @pytest.mark.usefixtures("needs_f64")
 @pytest.mark.parametrize("shape", [(4, 5), (3, 3, 3)])
-def test_energy_books_of_a_run_to_rest_close(shape):
+def test_energy_balance_of_a_run_to_rest_close(shape):
     scene = make_scene(shape, spin_bottom=0.2, seeds=(1, 2))
     solution = run(scene, stop=StopRule(1e-7, 200_000))
     history, free = solution.history, ~scene.lattice.is_driven
@@ -142,7 +142,7 @@ def test_at_rest_the_drive_does_the_work_that_friction_takes():
 
 @pytest.mark.usefixtures("needs_f64")
 def test_viscous_dissipation_is_the_integral_of_the_power():
-    """Paper Eq. 4 integrated by Simpson's rule over recorded times: nothing of the books goes into it."""
+    """Paper Eq. 4 integrated by Simpson's rule over recorded times: nothing of the energy balance goes into it."""
     scene = make_scene((4, 5), "viscous")
     options = CundallStrack(time_step=1e-4, energy=True, gear_order=3)
     solution = run(scene, options, "linear", StopRule(duration=0.1), Recording(parse_times("linear:0,0.1,1001")))

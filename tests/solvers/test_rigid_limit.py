@@ -183,7 +183,7 @@ def test_friction_and_viscosity_come_to_rest_at_the_least_potential():
 
 
 @pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
-def test_energy_books_and_layer_means_are_kept_to_round_off(law):
+def test_energy_balance_and_layer_means_are_kept_to_round_off(law):
     """No contact turns a whole layer about the height, so a random start keeps the layers' means (equations.md, 3)."""
     scene = make_scene((4, 3, 5), law, spin_bottom=-0.3, seeds=(5, 6))
     spin = initial_spin(scene, "random")
@@ -281,7 +281,7 @@ def test_a_resumed_run_gives_the_same_bits():
     resumed.restore({name: values.copy() for name, values in whole.state().items()})
     whole.advance(9)
     resumed.advance(9)
-    assert whole.moving != whole.spin_axes  # one component came to rest on the way
+    assert whole.moving != whole.spin_axes  # one component came to rest before the end
     again = begun(scene, spin, error_tolerance=0.3)
     again.restore(whole.state())
     whole.advance(2)

@@ -91,7 +91,7 @@ def test_it_solves_is_certified_and_agrees(relaxation):
     assert solution.status.reached
     assert relative_gap(scene, solution.objective, solution.lower_bound) <= 1e-9
     assert "relaxation" in assert_agreement(scene)
-    with pytest.raises(InputError, match="method is 'relaxation' and law is 'coulomb'; it must be viscous"):
+    with pytest.raises(InputError, match="method 'relaxation' does not solve the law 'coulomb'; it solves viscous"):
         solve(make_scene((4, 3)), Relaxation().build(), initial_spin(make_scene((4, 3)), "zero"))
 
 

@@ -1,0 +1,245 @@
+"""What the commands say where something is not what it seems: one sentence that names it and the command that fits."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from taichi_bearings_cli.progress import Display
+
+from taichi_bearings.devices import find
+from taichi_bearings.solvers.table import METHODS
+from taichi_bearings.stages import stage
+from tests.cli.commands import bearings
+from tests.cli.test_time_left import reports
+
+SCAN = "shape = [4, 5]\n[scan]\nseed = [1, 2]\n"
+RUN = ("run", "--shape", "4,5", "--figures", "none")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """With a run `run`, a scan `scan` of the file `many.toml`, and a scene `one.toml`."""
+    place = tmp_path_factory.mktemp("both")
+    (place / "many.toml").write_text(SCAN)
+    (place / "one.toml").write_text("shape = [4, 5]\n")
+    assert bearings(*RUN, "--out", "run", cwd=place).returncode == 0
+    assert bearings("scan", "many.toml", "--out", "scan", cwd=place).returncode == 0
+    return place
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """The sentence with which a command refuses its words, before anything is written."""
+
+    def sentence(*words, cwd=tmp_path):
+        before = sorted(cwd.rglob("*"))
+        done = bearings(*words, cwd=cwd)
+        assert (done.returncode, done.stdout) == (2, ""), done
+        assert sorted(cwd.rglob("*")) == before
+        (line,) = done.stderr.splitlines()
+        return line
+
+    return sentence
+
+
+def draw(*sides, samples=()):
+    rng = np.random.default_rng(1)
+    shapes = [[n - (a == axis) for a, n in enumerate(sides)] for axis in range(len(sides))]
+    return {axis: rng.uniform(0.1, 1.0, (*samples, *shape)) for axis, shape in zip("xyz", shapes, strict=False)}
+
+
+@pytest.mark.parametrize(
+    "command", ["analyse", "verify", "view", "export", "movie", "plot spins", "run", "run --resume"]
+)
+@pytest.mark.parametrize("given", ["scan", "scan/scan.h5"])
+def test_a_scan_where_a_run_is_wanted(folder, refused, command, given):
+    assert refused(*command.split(), given, cwd=folder).startswith(
+        f"bearings: {given} is a scan, not a run; `bearings scan scan` goes on with it, `bearings plot scan scan` and"
+    )
+
+
+def test_files_of_settings_where_results_are_wanted(folder, refused):
+    assert "`bearings scan many.toml` solves it" in refused("run", "many.toml", cwd=folder)
+    for words in (("analyse",), ("verify",), ("plot", "spins"), ("histogram",)):
+        assert refused(*words, "many.toml", cwd=folder).endswith("`bearings scan many.toml` solves it")
+        assert refused(*words, "one.toml", cwd=folder).endswith("`bearings run one.toml` solves it")
+    assert "holds no result" in refused("plot", "scan", "many.toml", "--x", "L", "--y", "power", cwd=folder)
+
+
+@pytest.mark.parametrize(
+    "words", [("scan", "run"), ("scan", "run/run.h5"), ("plot", "scan", "run", "--x", "L", "--y", "power")]
+)
+def test_a_run_where_a_scan_is_wanted(folder, refused, words):
+    sentence = refused(*words, cwd=folder)
+    assert (
+        "run is a run, not a scan; `bearings run run` solves it again, `bearings plot spins run` draws it" in sentence
+    )
+
+
+def test_a_table_of_a_scan_is_not_a_scan_to_solve(folder, refused):
+    assert "`bearings scan scan` goes on with one" in refused("scan", "scan/scan.h5", cwd=folder)
+
+
+def test_missing_arrays_are_named(refused, tmp_path):
+    arrays = draw(3, 4, 5)
+    np.savez(tmp_path / "flat.npz", x=arrays["x"], y=arrays["y"])
+    np.savez(tmp_path / "tall.npz", y=arrays["y"], z=arrays["z"])
+    np.savez(tmp_path / "dry.npz", **arrays)
+    assert refused("run", "--coefficients", "flat.npz").endswith("flat.npz lacks the array z")
+    assert refused("run", "--shape", "3,4,5", "--coefficients", "flat.npz").endswith("flat.npz lacks the array z")
+    assert refused("run", "--coefficients", "tall.npz").endswith("tall.npz lacks the array x")
+    words = ("run", "--coefficients", "dry.npz", "--law", "coulomb-viscous")
+    assert refused(*words).endswith("dry.npz lacks the arrays x_viscosity, y_viscosity, z_viscosity")
+
+
+def test_coefficients_bring_their_shape_and_stand_in_the_report_instead_of_the_seed(refused, tmp_path):
+    np.savez(tmp_path / "one.npz", **draw(4, 6))
+    np.savez(tmp_path / "two.npz", **draw(4, 6, samples=(2,)))
+    words = ("run", "--coefficients", "one.npz", "--seed", "7", "--figures", "none")
+    done = bearings(*words, "--out", "a", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("4x6 coulomb")
+    assert "coefficients from one.npz\n  P = " in done.stdout
+    assert "seed" not in done.stdout + bearings("verify", "a", cwd=tmp_path).stdout
+    assert "coefficients given" in bearings("list", ".", cwd=tmp_path).stdout
+    done = bearings("run", "--coefficients", "two.npz", "--replicas", "2", "--out", "b", cwd=tmp_path)
+    assert "sample 0: P = " in done.stdout
+    assert "sample 1: P = " in done.stdout
+    for name, words, expected in (
+        ("one.npz", ("--shape", "4,5"), "shape is 4x5, but the coefficients in one.npz are of 4x6 spheres"),
+        ("one.npz", ("--shape", "4,6,3"), "shape is 4x6x3, but the coefficients in one.npz are of 4x6 spheres"),
+        ("two.npz", (), "replicas is 1, but two.npz holds 2 samples; it must be 2"),
+        (
+            "one.npz",
+            ("--distribution", "constant:1"),
+            "the coefficients are those of one.npz; leave one",
+        ),
+    ):
+        assert expected in refused("run", "--coefficients", name, *words)
+
+
+def test_a_scan_over_files_of_coefficients_takes_the_shape_of_each(tmp_path):
+    for name, height in (("low", 4), ("high", 7)):
+        np.savez(tmp_path / f"{name}.npz", **draw(3, height))
+    (tmp_path / "scan.toml").write_text('[scan]\ncoefficients = ["low.npz", "high.npz"]\n')
+    done = bearings("scan", "scan.toml", "--out", "s", "--workers", "1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    table = (tmp_path / "s" / "scan.csv").read_text()
+    assert "3x4" in table
+    assert "3x7" in table
+
+
+@pytest.mark.parametrize("dry", [(), ("--dry-run",)])
+def test_an_impossible_grid_is_refused_before_anything_is_computed(refused, tmp_path, dry):
+    file = tmp_path / "scan.toml"
+    file.write_text('shape = [4, 5]\nmethod = "planar-cut"\n[scan]\nlaw = ["coulomb", "viscous"]\nseed = [1, 2]\n')
+    words = "method 'planar-cut' does not solve the law 'viscous'; it solves coulomb"
+    assert words in refused("scan", "scan.toml", "--out", "s", *dry)
+    file.write_text('shape = [4, 4, 5]\nmethod = "planar-cut"\n[scan]\ndirection = [[1, 0, 0], [1, 1, 0]]\n')
+    assert "needs imposed spins about x or about y alone" in refused("scan", "scan.toml", "--out", "s", *dry)
+
+
+def test_a_direction_has_no_meaning_in_two_dimensions(refused, tmp_path):
+    words = ("--shape", "4,5", "--direction", "1,0,0")
+    assert "direction is (1.0, 0.0, 0.0), but spins of discs point along z" in refused("run", *words)
+    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\ndirection = [[1, 0, 0], [0, 1, 0]]\n")
+    assert "spins of discs point along z" in refused("scan", "scan.toml", "--out", "s")
+
+
+@pytest.mark.skipif(bool(find("cuda")), reason="there is a CUDA device here")
+@pytest.mark.parametrize("method", METHODS)
+def test_an_absent_device_is_refused_by_every_method(refused, tmp_path, method):
+    law = "coulomb" if method in ("planar-cut", "interior-point", "operator-splitting") else "viscous"
+    words = ("--shape", "4,5", "--method", method, "--law", law, "--arch", "cuda")
+    assert "arch is 'cuda' but no CUDA device was found here" in refused("run", *words)
+    (tmp_path / "scan.toml").write_text(f'shape = [4, 5]\nlaw = "{law}"\nmethod = "{method}"\narch = "cuda"\n')
+    assert "arch is 'cuda' but no CUDA device was found here" in refused("scan", "scan.toml", "--out", "s")
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+def test_no_power_has_its_reason(tmp_path, law):
+    """Each of the three, and only where it is the reason."""
+    cut = draw(4, 6)
+    cut["y"][:, 2] = 0
+    np.savez(tmp_path / "cut.npz", **cut, x_viscosity=cut["x"], y_viscosity=cut["y"])
+    for number, (words, reason) in enumerate(
+        (
+            (("--shape", "3,3,4", "--spin-bottom", "1"), "top and bottom are driven alike"),
+            (("--shape", "3,3,4", "--direction", "0,0,1"), "the imposed spins point along the height"),
+            (("--coefficients", "cut.npz"), "contacts are absent"),
+            (("--shape", "4,6"), None),
+        )
+    ):
+        done = bearings("run", *words, "--law", law, "--figures", "none", "--out", f"r{number}", "--json", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        summary = json.loads(done.stdout)
+        assert (summary["power"] < 1e-20) == (reason is not None)
+        assert [reason in sentence for sentence in summary["warnings"]] == [True] * (reason is not None)
+        assert done.stderr.count("the least power is 0") == (reason is not None)
+
+
+def test_samples_of_a_block_that_absent_contacts_cut_are_counted(tmp_path):
+    arrays = draw(4, 6, samples=(3,))
+    arrays["y"][:2, :, 2] = 0
+    np.savez(tmp_path / "some.npz", **arrays)
+    done = bearings("run", "--coefficients", "some.npz", "--replicas", "3", "--out", "r", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "the least power is 0 in 2 of 3 samples: contacts are absent" in done.stderr
+    assert "sample 0: P = 0, proven exactly" in done.stdout
+
+
+def test_laws_without_the_unit_of_power_are_called_by_their_name(tmp_path):
+    for law in ("viscous", "coulomb-viscous"):
+        assert bearings(*RUN, "--law", law, "--out", law, cwd=tmp_path).returncode == 0
+        done = bearings("histogram", law, "--normalise", "unit", "--out", "h", cwd=tmp_path)
+        assert done.returncode == 2
+        assert f"powers of the law coulomb alone, not of {law}; use 'mean'" in done.stderr
+
+
+if sys.platform != "win32":
+    from tests.cli.terminal import on_terminal
+
+    @pytest.fixture
+    def cold(tmp_path, monkeypatch):
+        """No kernels are compiled yet."""
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+    @pytest.mark.usefixtures("cold")
+    @pytest.mark.parametrize("shown", ["loading", "compiling"])
+    def test_ctrl_c_before_the_first_result_says_that_nothing_is_kept(tmp_path, shown):
+        out = tmp_path / "r"
+        session = on_terminal("run", "--shape", "6,6,6", "--out", out, stop=shown)
+        assert session.returncode == 130
+        assert session.frames[-1][1].endswith(
+            "bearings: interrupted before a first result was reached; nothing is kept"
+        )
+        assert session.stdout == ""
+        assert [path.name for path in tmp_path.iterdir()] in (["cache"], [])
+
+    @pytest.mark.usefixtures("cold")
+    def test_ctrl_c_before_the_first_result_of_a_run_with_checkpoints_names_the_command_that_goes_on(tmp_path):
+        words = ("--method", "cundall-strack", "--shape", "4,4", "--duration", "1e-3", "--checkpoint-every", "60")
+        session = on_terminal("run", *words, "--out", tmp_path / "r", columns=300, stop="compiling")
+        assert session.returncode == 130
+        assert f"`bearings run --resume {tmp_path / 'r'}` goes on from the last checkpoint" in session.frames[-1][1]
+        assert bearings("run", "--resume", tmp_path / "r").returncode == 0
+
+    def test_a_narrow_terminal_breaks_reports_between_words(tmp_path):
+        session = on_terminal("run", "--shape", "6,6,6", "--out", Path("r"), columns=60, report=True, cwd=tmp_path)
+        lines = [line for _, line in session.frames]
+        assert session.returncode == 0
+        assert all(len(line) <= 60 for line in lines)
+        assert "the contact states are proven" in " ".join(lines)
+
+    def test_a_narrow_terminal_keeps_the_time_left_of_a_dynamics():
+        with Display() as display, stage("solving") as solving:
+            for report in reports(np.arange(1.0, 11.0), time=np.linspace(0.1, 1.0, 10), duration=3.0):
+                report.objective, report.stop.seconds = np.array([442.34366]), np.inf
+                report.progress.iteration *= 12_345
+                solving.tell(report)
+            line = display.line()
+        assert len(line) > 60  # and so it is cut
+        assert re.match("solving, (19|20) s left to t = 3, 123,450 iterations, ", line[:58])
