@@ -10,6 +10,7 @@ import html
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.proof.contact_state import ContactState, count
+from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.run_directory import run_directory
@@ -26,7 +27,7 @@ from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.many import SceneTask, solve_all
-from taichi_bearings.scene import Scene, Snapshots, Solution
+from taichi_bearings.scene import Scene, Snapshots
 from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
@@ -56,28 +57,10 @@ class Check:
     tolerance: float
 
 
-def _field(doc: str, find: Callable[[runs.Run], Any]) -> Any:
-    """A field of :class:`Result`; arrays lose the axis of replicas where there is a single sample."""
-    return property(lambda result: result._of_samples(find(result._run)), doc=doc)
-
-
-def _of_contacts(doc: str, find: Callable[[Solution], np.ndarray | None]) -> Any:
-    """A field with an array an axis; an empty tuple where nothing is known."""
-
-    def found(result: "Result") -> tuple[np.ndarray, ...]:
-        values, lattice = find(result._run.solution), result.scene.lattice
-        if values is None:
-            return ()
-        return lattice.by_axis(values if result.scene.replicas > 1 else values[0])
-
-    return property(found, doc=doc)
-
-
-def _states(which: ContactState) -> Any:
-    return _field(
-        f"Number of contacts that are {which.name.lower()}; with several samples (R,).",
-        lambda run: np.array(count(run.solution.state, which)),
-    )
+OfSamples = Any
+"""A number or word, or with several samples an array or list with one each, (R,)."""
+ByAxis = tuple[np.ndarray, ...]
+"""An array an axis, x, y(, z), of the shapes of `Scene.coefficients`; with several samples with a leading axis R."""
 
 
 class Result:
@@ -98,65 +81,37 @@ class Result:
         doc="Options that differ from their defaults, by name as in `bearings run`: how to solve the scene again.",
     )
     path = property(lambda self: self._run.path, doc="Directory or file of the run; None if it is in none.")
-    method = property(lambda self: self._run.solution.method, doc='Name of the method, such as "interior-point".')
-    status = _field(
-        'How it ended: "certified" (the gap is within the tolerance), "stationary" or "finished" (a dynamics), '
-        '"stalled", "step-limit", "time-limit", "interrupted" (by Ctrl-C or a callback), "not-finite"; a list with one '
-        "text a sample where there are several.",
-        lambda run: [status.value for status in run.status],
-    )
+    method: str
+    status: OfSamples
+    power: OfSamples
+    lower_bound: OfSamples
+    gap: OfSamples
+    slipping: OfSamples
+    slipless: OfSamples
+    undecided: OfSamples
+    critical: OfSamples
+    states_proven: OfSamples
+    slip_threshold: float
+    largest_balance_residual: OfSamples
+    iterations: int
+    seconds: float
+    seconds_compile: float
+    spin: np.ndarray
+    spin_rounding: np.ndarray
+    slip: ByAxis
+    power_per_contact: ByAxis
+    force: ByAxis
+    state: ByAxis
+    slip_bound: ByAxis
     reached = property(
         lambda self: all(status.reached for status in self._run.status), doc="True if what was asked for was reached."
     )
-    power = _field("Dissipated power, energy/time; (R,).", lambda run: run.solution.power)
-    lower_bound = _field(
-        "Proven: no spins dissipate less, energy/time; (R,). Of the potential where the law has one of its own.",
-        lambda run: run.solution.lower_bound,
-    )
-    gap = _field(
-        "Proven relative distance to the minimum, (power - lower_bound) / power; (R,).", lambda r: r.solution.gap
-    )
-    potential = _field(
-        "What the stationary state minimises, energy/time; (R,). The power, but for the law coulomb-viscous.",
-        lambda run: run.solution.objective,
-    )
-    spin = _field(
-        "Spins in the laboratory frame, 1/time; (nx, ny) in 2D, (nx, ny, nz, 3) in 3D.", lambda run: run.solution.spin
-    )
-    spin_rounding = _field(
-        "What rounding leaves out of `spin`, the same shape and unit: the spins are the sums of both.",
-        lambda run: run.solution.spin_rounding,
-    )
-    slip = _of_contacts("Slip speed of each contact, length/time; an array an axis.", lambda found: found.slip)
-    power_per_contact = _of_contacts(
-        "Power dissipated at each contact, energy/time; an array an axis.", lambda found: found.power_per_contact
-    )
-    force = _of_contacts(
-        "Magnitude of the tangential force of each contact, force; an array an axis.", lambda found: found.force
-    )
-    state = _of_contacts(
-        "State of each contact: 0 slipless, 1 slipping, 2 undecided, 3 between driven spheres, or absent; an array "
-        "an axis.",
-        lambda found: found.state,
-    )
-    slip_bound = _of_contacts(
-        "Proven: no minimum slips faster at a contact, length/time; an array an axis. Empty where nothing is known.",
-        lambda found: found.slip_bound,
-    )
-    slipping, slipless, undecided = map(_states, (ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED))
-    states_proven = _field(
-        "True if the contact states are proven to be those of every minimum; (R,).", lambda run: run.solution.resolved
-    )
-    slip_threshold = property(
-        lambda self: self._run.solution.slip_threshold,
-        doc="Slip speed below which contacts count as slipless, length/time.",
-    )
-    largest_balance_residual = _field(
-        "Largest torque left over on a free sphere, force * length; (R,).", lambda run: run.solution.unbalanced_torque
-    )
-    iterations = property(lambda self: self._run.solution.iterations, doc="Iterations of the method, or time steps.")
-    seconds = property(lambda self: self._run.solution.seconds, doc="Wall time of the solve, s, compilation apart.")
-    seconds_compile = property(lambda self: self._run.solution.seconds_compile, doc="Wall time to get ready, s.")
+
+    @property
+    def potential(self) -> OfSamples:
+        """What the stationary state minimises, energy/time; (R,). The power, but for the law coulomb-viscous."""
+        return self._of_samples(self._run.solution.objective)
+
     findings = property(
         lambda self: {name: self._of_samples(values) for name, values in self._run.solution.findings.items()},
         doc="What else the method has found, by name; numbers, (R,).",
@@ -178,7 +133,7 @@ class Result:
         """The trajectory to the answer: columns (checks,); of several samples (R, checks), but for these three.
 
         iteration. seconds : wall time, s. time : simulated time of a dynamics. power, lower_bound : energy/time.
-        unbalanced_torque : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
+        largest_balance_residual : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
         dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps an energy balance.
         """
         columns = self._run.solution.history.items()
@@ -192,8 +147,8 @@ class Result:
         return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
     def _of_samples(self, values: Any) -> Any:
-        """The values of all samples, (R, ...), as users meet them."""
-        if self._run.solution.scene.replicas > 1:
+        """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
+        if self._run.solution.scene.replicas > 1 or not isinstance(values, (np.ndarray, list)):
             return values
         return values[0].item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
 
@@ -261,6 +216,39 @@ class Result:
         assert self._run.path is not None
         return self._run.path
 
+
+def _described(row: Quantity) -> str:
+    unit = "" if row.unit == "1" else f", {row.unit}"
+    return f"{row.text[0].upper()}{row.text[1:]}{unit}."
+
+
+def _of_samples(row: Quantity) -> property:
+    """A number or word of each sample."""
+    return property(lambda result: result._of_samples(row.of(result._run.answered)), doc=_described(row))
+
+
+def _of_spheres(name: str) -> property:
+    """Of each sphere: N, or (*N, 3)."""
+    find = attrgetter(name)  # zeros, too, of which files have none
+    return property(lambda result: result._of_samples(find(result._run.solution)), doc=_described(SPHERES[name]))
+
+
+def _of_contacts(row: Quantity) -> property:
+    """An array an axis; none where nothing is known."""
+
+    def found(result: Result) -> ByAxis:
+        values = row.of(result._run.solution)
+        return () if values is None else result.scene.lattice.by_axis(result._of_samples(values))
+
+    return property(found, doc=f"{_described(row)[:-1]}; an array an axis.")
+
+
+for _name in Result.__annotations__.keys() & SAMPLES.keys():
+    setattr(Result, _name, _of_samples(SAMPLES[_name]))
+for _name in SPHERES:
+    setattr(Result, _name, _of_spheres(_name))
+for _name, _row in CONTACTS.items():
+    setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
 MOST_ROWS = 20  # of a table in a notebook
 

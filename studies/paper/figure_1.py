@@ -289,7 +289,7 @@ def _least_power(minimum: Minimum, settled: Settled) -> Claim:
 
 
 def _interface(minimum: Minimum, settled: Settled) -> Claim:
-    unique, proven, same = minimum.cut.unique, settled.solution.resolved, settled.differing == 0
+    unique, proven, same = minimum.cut.unique, settled.solution.states_proven, settled.differing == 0
     nearest = float(minimum.distance.min())
     return Claim(
         "Coulomb, 2D: two bearing states, and their interface is the minimum cut.",

@@ -153,7 +153,7 @@ def _same_minimum(courses: Courses) -> Claim:
     spread = max(float(np.abs(s.power / s.scene.normal_force / per_force - 1).max()) for s in others)
     states = [s.state for s in (first, *others)]
     changed = sum(int((state != states[0]).sum()) for state in states[1:])
-    proven = min(int(s.resolved.sum()) for s in (first, *others))
+    proven = min(int(s.states_proven.sum()) for s in (first, *others))
     slipless = int((states[0] == ContactState.SLIPLESS).sum())
     return Claim(
         "The state of least dissipation does not depend on F_n; its power is proportional to it.",

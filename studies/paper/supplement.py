@@ -137,7 +137,7 @@ def _ending(solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.nda
 
 def largest_slip_error(solution: Solution) -> float:
     """Share by which any slip differs from that of every minimum at most; NaN where the states are not proven."""
-    if not solution.resolved.all():
+    if not solution.states_proven.all():
         return float("nan")
     scene = solution.scene
     samples = Samples(

@@ -134,7 +134,7 @@ def structure_of(solution: Solution, number: int = 0, threshold: float | None = 
         power=float(sample.power[0]),
         lower_bound=float(sample.lower_bound[0]),
         friction=sample.friction[0],
-        states_proven=bool(sample.resolved[0]) and threshold is None,
+        states_proven=bool(sample.states_proven[0]) and threshold is None,
         minimum_is_unique=sample.minimum_is_unique[0] if threshold is None else None,
     )
 

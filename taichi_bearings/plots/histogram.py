@@ -16,10 +16,13 @@ from taichi_bearings.plots.style import (
     plain_figure,
     shades,
 )
-from taichi_bearings.plots.symbols import POWER_UNIT, over
+from taichi_bearings.plots.symbols import over
 
 POWER = "P_{ij}"
-MATHEMATICS = {"F_n R omega_T": POWER_UNIT, "the mean power of a contact of the sample": r"\langle P_{ij} \rangle"}
+MATHEMATICS = {
+    "F_n R omega_T": r"F_n R\,\omega_T",
+    "the mean power of a contact of the sample": r"\langle P_{ij} \rangle",
+}
 
 
 def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = None) -> Figure:

@@ -1,9 +1,14 @@
 """What quantities are called and counted in on the axes of figures, and what a figure says of its system."""
 
+from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.scene import Scene
 
 SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}
-POWER_UNIT = r"F_n R\,\omega_T"
+
+
+def _spaced(unit: str) -> str:
+    """A unit as figures print it; nothing for pure numbers."""
+    return "" if unit == "1" else unit.replace("/", " / ").replace("*", " · ")
 
 
 def describe(scene: Scene, sample: int | None = 0) -> str:
@@ -45,33 +50,7 @@ def over(symbol: str, unit: str, without: str) -> str:
     return rf"${symbol}\,/\,({unit})$" if "R" in unit else rf"${symbol}\,/\,{unit}$"
 
 
-SYMBOLS: dict[str, tuple[str, str]] = {
-    "L": ("L", ""),
-    "power": ("P", "energy / time"),
-    "lower_bound": (r"P_\mathrm{low}", "energy / time"),
-    "power_minimum_cut": (r"P_\mathrm{cut}", "energy / time"),
-    "power_over_cut": (r"P\,/\,P_\mathrm{cut}", ""),
-    "power_normalised": (rf"P\,/\,({POWER_UNIT})", ""),
-    "next_cut_over_cut": (r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}", ""),
-    "gap": (r"(P - P_\mathrm{low})\,/\,P", ""),
-    "spin_top": (r"\omega_T", "1 / time"),
-    "spin_bottom": (r"\omega_B", "1 / time"),
-    "normal_force": ("F_n", "force"),
-    "radius": ("R", "length"),
-    "stiffness": ("K_t", "force / length"),
-    "damping": ("A_t", "force · time / length"),
-    "slipping": (r"N_\mathrm{slipping}", ""),
-    "slipless": (r"N_\mathrm{slipless}", ""),
-    "slipless_fraction": (r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}", ""),
-    "contacts": (r"N_\mathrm{contacts}", ""),
-    "cut_contacts": (r"N_\mathrm{cut}", ""),
-    "domains": (r"N_\mathrm{domains}", ""),
-    "disjoint_paths": (r"N_\mathrm{paths}", ""),
-    "shortest_path": (r"\ell_\mathrm{min}", "contacts"),
-    "mean_distance": (r"\langle \ell \rangle", "contacts"),
-    "seconds": (r"t_\mathrm{solve}", "s"),
-    "slip_threshold": (r"v_\mathrm{slip}", "length / time"),
-}
+SYMBOLS = {name: (row.symbol, _spaced(row.unit)) for name, row in COLUMNS.items() if row.symbol}
 """Symbol and unit of the columns of a scan; the others are called by their names."""
 
 

@@ -109,7 +109,7 @@ def _report(
 ) -> dict[str, Any]:
     """Numbers of all samples; with several of them lists, one entry a sample."""
     scene, together = solution.scene, {key: [sample[key] for sample in numbers] for key in numbers[0]}
-    proven = "proven" if solution.resolved.all() else "decided"
+    proven = "proven" if solution.states_proven.all() else "decided"
     return {
         **(together if len(numbers) > 1 else numbers[0]),
         "threshold": solution.slip_threshold if threshold is None else threshold,

@@ -56,7 +56,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
             if reached < settings.duration * (1 - 1e-9):
                 yield f"{reason} at the time {reached:.6g} of {settings.duration:.6g}"
             return
-        left = float(solution.unbalanced_torque.max())
+        left = float(solution.largest_balance_residual.max())
         yield f"{reason} before the motion was at rest: at the time {reached:.3g} torques of {left:.1e} were left over"
         return
     short = ~(solution.gap <= settings.tolerance)
@@ -89,7 +89,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Slips of the two kinds of contacts that are less than a decade apart."""
-    near = (solution.gap <= settings.tolerance) & ~solution.resolved
+    near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():
         return
     found = separate(solution.scene, solution.slip, solution.state)

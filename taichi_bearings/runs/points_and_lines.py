@@ -17,9 +17,10 @@ from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, read_analysis
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.quantities import CONTACTS
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.runs.run_file import AXES, CONTACT_SETS, StoredRun, read_run_file
+from taichi_bearings.runs.run_file import AXES, StoredRun, read_run_file
 from taichi_bearings.runs.snapshot import slips_of, snapshot_threshold
 from taichi_bearings.runs.structure_report import findings_of
 from taichi_bearings.scene import Scene, Solution
@@ -161,9 +162,11 @@ def _spin_rows(spin: np.ndarray) -> np.ndarray:
 def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.ndarray) -> dict[str, Finding]:
     scene = solution.scene
     columns = {"axis": Finding(scene.lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
-    for key, (attribute, unit, text) in CONTACT_SETS.items():
-        columns[key] = Finding(getattr(solution, attribute)[0], unit, text)
-    proven = bool(solution.resolved[0]) & (columns["state"].values != ContactState.DRIVEN)
+    for row in CONTACTS.values():
+        found_values = row.of(solution)
+        if found_values is not None:
+            columns[row.name] = Finding(found_values[0], row.unit, row.text)
+    proven = bool(solution.states_proven[0]) & (columns["state"].values != ContactState.DRIVEN)
     columns["proven"] = Finding(proven, "1", "the state is proven to be that of every minimum")
     for quantity, (name, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
         columns[name] = Finding(values[0], quantity.unit, f"{quantity.name} coefficient")

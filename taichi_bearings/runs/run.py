@@ -23,7 +23,7 @@ from taichi_bearings.interrupts import awaited
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
-from taichi_bearings.proof.contact_state import ContactState, counts, critical, separate
+from taichi_bearings.quantities import Answered, numbers_of
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
     completed,
@@ -139,16 +139,13 @@ class Run:
         return initial_spin(self.solution.scene, beside)
 
     @property
-    def status(self) -> list[Status]:
-        """How each replica ended, (R,).
+    def answered(self) -> Answered:
+        return Answered(self.solution, self.settings.tolerance, self.settings.duration)
 
-        One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
-        before the simulated time that was asked for.
-        """
-        duration, solution = self.settings.duration, self.solution
-        cut_short = duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-        close = (solution.gap <= self.settings.tolerance) & (not cut_short)
-        return [Status.CERTIFIED if certified else solution.status for certified in close]
+    @property
+    def status(self) -> list[Status]:
+        """How each replica ended, (R,)."""
+        return self.answered.status
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -244,68 +241,10 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
 
 
 def summarise(run: Run) -> dict[str, Any]:
-    """The numbers of a run but for its files; one value a seed becomes a list with several replicas.
-
-    Numbers that are not finite become None, so that the summary is valid JSON.
-    """
-    from taichi_bearings import __version__
+    """The numbers of a run but for its files, by their names in `quantities.SAMPLES`; and what is to be known of it."""
     from taichi_bearings.runs.caveats import caveats
 
-    solution, settings, scene = run.solution, run.settings, run.solution.scene
-
-    def per_seed(values: Any) -> Any:
-        listed = [_plain(v) for v in values]
-        return listed if scene.replicas > 1 else listed[0]
-
-    unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
-    separation, in_state = separate(scene, solution.slip, solution.state), counts(solution.state)
-    close = solution.gap <= settings.tolerance  # far from a minimum slips that are far apart say nothing
-    summary = {
-        "power": per_seed(solution.power),
-        **({} if scene.law.minimises == "power" else {"potential": per_seed(solution.objective)}),
-        "lower_bound": per_seed(solution.lower_bound),
-        "gap": per_seed(solution.gap),
-        "status": per_seed([status.value for status in run.status]),
-        "method": solution.method,
-        "law": scene.law.name,
-        "shape": list(scene.lattice.shape),
-        "seed": per_seed(scene.seeds),
-        "iterations": solution.iterations,
-        "seconds": solution.seconds,
-        "seconds_compile": solution.seconds_compile,
-        "contacts": scene.lattice.contacts,
-        "slipping": per_seed(in_state[:, ContactState.SLIPPING]),
-        "slipless": per_seed(in_state[:, ContactState.SLIPLESS]),
-        "undecided": per_seed(in_state[:, ContactState.UNDECIDED]),
-        "critical": per_seed(critical(solution)),
-        "states_proven": per_seed(solution.resolved),
-        "largest_slipless_slip": per_seed(separation.largest_slipless),
-        "smallest_slipping_slip": per_seed(separation.smallest_slipping),
-        "separation_decades": per_seed(np.where(close, separation.decades, np.nan)),
-        "slip_threshold": solution.slip_threshold,
-        "largest_balance_residual": per_seed(solution.unbalanced_torque),
-        "spin_top": scene.spin_top,
-        "spin_bottom": scene.spin_bottom,
-        "normal_force": scene.normal_force,
-        "radius": scene.lattice.radius,
-        "version": __version__,
-    }
-    if scene.law.is_rate_independent and unit > 0:
-        summary["power_normalised"] = per_seed(solution.power / unit)
-    summary |= {name: per_seed(values) for name, values in solution.findings.items()}
-    summary["minimum_is_unique"] = per_seed(solution.minimum_is_unique)
-    if "time" in solution.history:
-        summary["time"] = float(solution.history["time"][-1])
-        summary |= {"duration": settings.duration} if settings.duration is not None else {}
-    if "energy_residual" in solution.history:
-        summary["energy_residual"] = per_seed(solution.history["energy_residual"][-1])
-    return summary | {"warnings": caveats(solution, settings)}
-
-
-def _plain(value: Any) -> Any:
-    """A Python number or text; None for one that is not finite."""
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return numbers_of(run.answered) | {"warnings": caveats(run.solution, run.settings)}
 
 
 def versions() -> dict[str, str]:

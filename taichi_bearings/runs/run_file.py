@@ -16,6 +16,7 @@ from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.quantities import CHECKS, CONTACTS, FRICTION, SPHERES
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
@@ -26,37 +27,7 @@ SCHEMA_VERSION = 1
 AXES = "xyz"
 SCAN = "scan.h5"  # beside the settings and the journal of a scan
 
-CONTACT_SETS = {  # name -> (attribute of Solution, unit, description)
-    "slip": ("slip", "length/time", "slip speed |v|"),
-    "power": ("power_per_contact", "energy/time", "power dissipated at the contact"),
-    "force": ("force", "force", "magnitude of the tangential contact force"),
-    "state": ("state", "1", "0 slipless, 1 slipping, 2 undecided, 3 between driven spheres or absent"),
-}
-SLIP_BOUND = ("length/time", "largest slip speed that any minimum can have at this contact, proven")
 COUNTED = re.compile("/state$|^history/")  # data sets that may hold whole numbers
-HISTORY_UNITS = {
-    "iteration": ("1", "iterations done"),
-    "seconds": ("s", "wall time of the solve, compilation apart"),
-    "time": ("time", "simulated time"),
-    "power": ("energy/time", "power dissipated by the spins"),
-    "potential": ("energy/time", "dissipation potential of the spins, of which the lower bound is"),
-    "lower_bound": ("energy/time", "best proven lower bound so far"),
-    "slipping": ("1", "contacts that slip at this moment"),
-    "kinetic_energy": ("energy", "kinetic energy of the free spheres"),
-    "spring_energy": ("energy", "energy in the elongations of the contacts"),
-    "injected_energy": ("energy", "work of the driven spheres since the start"),
-    "dissipated_energy": ("energy", "energy dissipated at the contacts since the start"),
-    "energy_residual": ("1", "what the energy balance leaves unexplained, relative to the energy turned over"),
-    "unbalanced_torque": ("force*length", "largest torque left over on a free sphere"),
-}
-
-
-FRICTION = {  # dimension -> description
-    2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts; "
-    "in balance and within the friction limits, so it proves a lower bound",
-    3: "friction on the upper sphere, laboratory frame; in balance and within the friction limits, so it proves a "
-    "lower bound",
-}
 
 
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
@@ -65,7 +36,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     one = scene.replicas == 1
 
     def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
-        sparse = values.dtype == np.uint8 or (name.endswith("/friction") and scene.lattice.dimension == 3)
+        sparse = values.dtype == np.uint8 or (name.endswith("/friction") and lattice.dimension == 3)
         packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
         stored = file.create_dataset(name, data=values, dtype=values.dtype, **packed)
         stored.attrs["units"], stored.attrs["description"] = unit, text
@@ -73,35 +44,35 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     def strip(values: np.ndarray) -> np.ndarray:
         return values[0] if one else values
 
+    def of_contacts(file: h5py.File, name: str, parts: tuple[np.ndarray, ...], unit: str, text: str) -> None:
+        """name : with {} for the axis, as the text may have. parts : one array an axis."""
+        for axis, part in zip(AXES, parts, strict=False):
+            put(file, name.format(axis), part, unit, text.format(axis))
+
     def fill(file: h5py.File) -> None:
         file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
         for key, value in {**attributes, "findings": list(solution.findings)}.items():
             file.attrs[key] = storable(value)
-        quantities = dict(zip(scene.named_coefficients, scene.law.quantities, strict=True))
-        sets = {
-            key: (getattr(solution, attribute), unit, text) for key, (attribute, unit, text) in CONTACT_SETS.items()
-        }
-        if solution.slip_bound is not None:
-            sets["slip_bound"] = (solution.slip_bound, *SLIP_BOUND)
-        for group, values in scene.named_coefficients.items():
-            for name, part in zip(AXES, lattice.by_axis(strip(values)), strict=False):
-                text = f"{quantities[group].name} coefficient of the {name}-contacts"
-                put(file, f"{group}/{name}", part, quantities[group].unit, text)
-        for key, (values, unit, text) in sets.items():
-            for name, part in zip(AXES, lattice.by_axis(strip(values)), strict=False):
-                put(file, f"contact/{name}/{key}", part, unit, text)
-        for name, part in zip(AXES, friction_by_axis(strip(solution.friction), lattice), strict=False):
-            put(file, f"contact/{name}/friction", part, "force", FRICTION[lattice.dimension])
-        put(file, "spin", strip(solution.spin), "1/time", "angular velocity in the laboratory frame")
-        if solution.spin_rounding.any():
-            text = "what rounding leaves out of the spins: they are the sums of both"
-            put(file, "spin_rounding", strip(solution.spin_rounding), "1/time", text)
+        for quantity, (group, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
+            text = f"{quantity.name} coefficient of the {{}}-contacts"
+            of_contacts(file, f"{group}/{{}}", lattice.by_axis(strip(values)), quantity.unit, text)
+        for row in CONTACTS.values():
+            found = row.of(solution)
+            if found is not None:
+                parts = lattice.by_axis(strip(found))
+                of_contacts(file, f"contact/{{}}/{row.name}", parts, row.unit, row.text)
+        friction = friction_by_axis(strip(solution.friction), lattice)
+        of_contacts(file, "contact/{}/friction", friction, "force", FRICTION[lattice.dimension])
+        for row in SPHERES.values():
+            found = row.of(solution)
+            if found is not None:
+                put(file, row.name, strip(found), row.unit, row.text)
         for key, column in solution.history.items():
             if one:
                 values = column[:, 0] if column.ndim == 2 else column
             else:  # a leading replica axis, like everything else
                 values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
-            put(file, f"history/{key}", values, *HISTORY_UNITS[key])
+            put(file, f"history/{key}", values, CHECKS[key].unit, CHECKS[key].text)
         if solution.snapshots is not None:
             times, spins = solution.snapshots.time, solution.snapshots.spin
             if one:
@@ -109,7 +80,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             else:
                 times, spins = np.tile(times, (scene.replicas, 1)), np.moveaxis(spins, 1, 0)
             put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
-            put(file, "snapshots/spin", spins, "1/time", "angular velocity in the laboratory frame at these times")
+            put(file, "snapshots/spin", spins, SPHERES["spin"].unit, f"{SPHERES['spin'].text} at these times")
 
     write_hdf5(path, fill)
 
@@ -219,7 +190,9 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
     arrays = _Arrays(path, file, tuple(int(side) for side in attributes["shape"]))
     viscosity = arrays.by_axis("viscosity/{}") if "viscosity" in file else ()
     scene = _scene(path, attributes, arrays.by_axis("coefficient/{}"), viscosity)
-    sets: dict[str, Any] = {attribute: arrays.of_contacts(key) for key, (attribute, *_) in CONTACT_SETS.items()}
+    sets = {
+        name: arrays.of_contacts(name) for name in CONTACTS if name != "slip_bound" or "contact/x/slip_bound" in file
+    }
     number = partial(_numbers, attributes, scene.replicas)
     spin = arrays.get("spin", *arrays.shape, *arrays.vector)
     rounding = arrays.get("spin_rounding", *spin.shape[1:]) if "spin_rounding" in file else np.zeros_like(spin)
@@ -230,16 +203,19 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         iterations=int(attributes["iterations"]),
         spin=spin,
         spin_rounding=rounding,
-        **sets,
+        slip=sets["slip"],
+        power_per_contact=sets["power"],
+        force=sets["force"],
+        state=sets["state"],
         friction=arrays.of_contacts("friction", *arrays.vector),
-        slip_bound=arrays.of_contacts("slip_bound") if "contact/x/slip_bound" in file else None,
-        resolved=number("states_proven") == 1,
+        slip_bound=sets.get("slip_bound"),
+        states_proven=number("states_proven") == 1,
         power=number("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
         lower_bound=number("lower_bound"),
         gap=number("gap"),
         slip_threshold=float(attributes["slip_threshold"]),
-        unbalanced_torque=number("largest_balance_residual"),
+        largest_balance_residual=number("largest_balance_residual"),
         seconds=float(attributes["seconds"]),
         seconds_compile=float(attributes["seconds_compile"]),
         history={key: _column(key, arrays.get(f"history/{key}", None)) for key in file["history"]},
@@ -294,7 +270,7 @@ def _check_arrays(run: StoredRun) -> None:
     for name, values in (("spin", solution.spin), *_of_contacts(solution)):
         if len(values) != samples or (ended_finite and not np.isfinite(values).all()):
             raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers, of {samples} samples")
-        if name in CONTACT_SETS and (values < 0).any():
+        if name in CONTACTS and (values < 0).any():
             raise FileError(f"{name} in {run.path} is damaged: it must hold no negative numbers")
     if solution.state.dtype.kind not in "ui" or (solution.state > max(ContactState)).any():
         raise FileError(f"state in {run.path} is damaged: it must hold whole numbers from 0 to {max(ContactState)}")
@@ -311,8 +287,8 @@ ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissi
 
 def _of_contacts(solution: Solution) -> Iterator[tuple[str, np.ndarray]]:
     """Names and arrays of what lies on the contacts."""
-    yield from ((name, getattr(solution, attribute)) for name, (attribute, *_) in CONTACT_SETS.items())
-    yield "friction", solution.friction
+    found = [(row.name, row.of(solution)) for row in CONTACTS.values()]
+    yield from ((name, values) for name, values in [*found, ("friction", solution.friction)] if values is not None)
 
 
 def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:

@@ -76,12 +76,12 @@ class Progress:
     time : simulated time of a dynamics, else None.
     energy : balance of a dynamics that keeps one. slipping : (R,), contacts of a dynamics that slip now.
     resolution : slip speed below which the method cannot tell slip from rest, length/time; of all, or (R,).
-    unbalanced_torque : (R,), largest torque that is left on a free sphere, force * length.
+    largest_balance_residual : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
     exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
     state : contact states (R, E) that the method itself has established, else None.
     slip : slip speeds (R, E) where they are more precise than those of the spins, else None.
-    settled : (R,), True where the states are final. resolved : (R,), where they are proven to be those of a minimum.
+    settled : (R,), True where the states are final. states_proven : (R,), where they are those of a minimum, proven.
     settles_more : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each.
     geometric : the gap falls by like factors in like times; else roughly like a power of the time.
@@ -97,7 +97,7 @@ class Progress:
     objective: np.ndarray
     lower_bound: np.ndarray
     resolution: float | np.ndarray
-    unbalanced_torque: np.ndarray
+    largest_balance_residual: np.ndarray
     rest: np.ndarray | None = None
     proof: np.ndarray | None = None
     time: float | None = None
@@ -109,7 +109,7 @@ class Progress:
     state: np.ndarray | None = None
     slip: np.ndarray | None = None
     settled: np.ndarray | None = None
-    resolved: np.ndarray | None = None
+    states_proven: np.ndarray | None = None
     settles_more: bool = False
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     geometric: bool = False
@@ -128,8 +128,8 @@ class Progress:
 
 
 OF_REPLICAS = (
-    ("objective", 0), ("unbalanced_torque", 0), ("resolved", 0), ("state", 0), ("slip", 0), ("staggered", 1),
-    ("rest", 1), ("force", 1),
+    ("objective", 0), ("largest_balance_residual", 0), ("states_proven", 0), ("state", 0), ("slip", 0),
+    ("staggered", 1), ("rest", 1), ("force", 1),
 )  # fmt: skip
 """What belongs to a replica in the state of a method, and the axis that counts the replicas."""
 
@@ -150,7 +150,7 @@ class Solution:
     friction : on the upper sphere of each contact, laboratory frame, (R, E, 3); in 2D (R, E),
         the component along z x n (lattice.grid.laboratory_forces). The lower bound follows from it: within the friction
         discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
-    resolved : (R,), True where the contact states are proven to be those of every minimum.
+    states_proven : (R,), True where the contact states are proven to be those of every minimum.
     slip_bound : Coulomb, (R, E): no minimiser slips faster there; proven. Else None.
     power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
         of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
@@ -174,13 +174,13 @@ class Solution:
     friction: np.ndarray
     state: np.ndarray
     slip_bound: np.ndarray | None
-    resolved: np.ndarray
+    states_proven: np.ndarray
     power: np.ndarray
     objective: np.ndarray
     lower_bound: np.ndarray
     gap: np.ndarray
     slip_threshold: float
-    unbalanced_torque: np.ndarray
+    largest_balance_residual: np.ndarray
     seconds: float
     seconds_compile: float
     history: dict[str, np.ndarray] = field(default_factory=dict)
@@ -204,9 +204,9 @@ class Solution:
 
         Ties are exact where cuts are counted in whole numbers, with one component; else they rest on rounded slips.
         """
-        tied = self.findings.get("tied_contacts", np.zeros(len(self.resolved)))
+        tied = self.findings.get("tied_contacts", np.zeros(len(self.states_proven)))
         exact = len(self.scene.minimum_spin_axes) == 1
-        pairs = zip(self.resolved, tied, strict=True)
+        pairs = zip(self.states_proven, tied, strict=True)
         return [True if proven else False if ties and exact else None for proven, ties in pairs]
 
     def sample(self, number: int) -> "Solution":

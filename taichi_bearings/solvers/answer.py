@@ -34,7 +34,7 @@ def answered(
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = scene.law.power(scene.contact, slip)
-    objective, residual = final.objective, final.unbalanced_torque
+    objective, residual = final.objective, final.largest_balance_residual
     power = objective if scene.law.minimises == "power" else per_contact.sum(axis=1)
     if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
         bound = np.zeros_like(bound) if scene.law.name in LAWS else bound
@@ -55,14 +55,14 @@ def answered(
         friction=friction,
         state=state,
         slip_bound=None if judgement is None else _slip_bound(scene, judgement),
-        resolved=np.zeros(scene.replicas, dtype=bool),
+        states_proven=np.zeros(scene.replicas, dtype=bool),
         power=power,
         objective=objective,
         lower_bound=bound,
         gap=gap,
         slip_threshold=of_all,
         own=own,
-        unbalanced_torque=residual,
+        largest_balance_residual=residual,
         seconds=0.0,
         seconds_compile=0.0,
         history={},
@@ -86,9 +86,9 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         answer,
         friction=friction,
         force=picked(other.force, answer.force),
-        resolved=answer.resolved & ~more,
+        states_proven=answer.states_proven & ~more,
         slip_bound=_slip_bound(answer.scene, judgement),
-        unbalanced_torque=judgement.largest_torque,
+        largest_balance_residual=judgement.largest_torque,
         lower_bound=judgement.lower_bound,
         gap=judgement.gap,
     )
@@ -183,7 +183,7 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
 
 def above_noise(answer: Solution, judgement: Judgement | None) -> np.ndarray:
     """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap resolves."""
-    doubtful = (answer.state == ContactState.SLIPPING) & unresolved(answer) & ~answer.resolved[:, None]
+    doubtful = (answer.state == ContactState.SLIPPING) & unresolved(answer) & ~answer.states_proven[:, None]
     known = _decided(judgement, is_dynamics=False)
     doubtful &= True if known is None else known == UNPROVEN
     return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
@@ -195,7 +195,7 @@ def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: np
     It is asked where the method believes so, and where one component makes that cheap.
     """
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
-    found = np.full(scene.replicas, one_component) if final.resolved is None else np.array(final.resolved)
+    found = np.full(scene.replicas, one_component) if final.states_proven is None else np.array(final.states_proven)
     if judgement is None or not found.any():
         return np.zeros(scene.replicas, dtype=bool)
     together = one_component or bool(found.all())

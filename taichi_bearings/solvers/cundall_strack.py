@@ -221,7 +221,7 @@ class CundallStrackMethod:
             objective=objective,
             lower_bound=bound,
             resolution=saturation.creep,
-            unbalanced_torque=left_over,
+            largest_balance_residual=left_over,
             proof=springs,
             time=self.time,
             energy=self._energy(staggered, force) if self.options.energy else None,

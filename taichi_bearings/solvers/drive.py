@@ -212,7 +212,7 @@ class _Course:
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
-            found = replace(found, resolved=proven(scene, final, judgement, found.state))
+            found = replace(found, states_proven=proven(scene, final, judgement, found.state))
         if final.state is not None and scene.law.is_rate_independent:
             found = replace(found, state=above_noise(found, judgement))
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
@@ -296,6 +296,8 @@ class _Best:
             self.proof = proof
             return
         better = new.lower_bound >= self.bound
-        if new.resolved is not None:  # forces that prove contact states are worth more than the last digit of the bound
-            better |= new.resolved & (new.lower_bound >= self.bound * (1 - 1e-11))
+        if (
+            new.states_proven is not None
+        ):  # forces that prove contact states are worth more than the last digit of the bound
+            better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
         self.proof = np.where(better[:, None], proof, self.proof)

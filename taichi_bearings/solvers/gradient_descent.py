@@ -152,7 +152,7 @@ class GradientDescentMethod:
             objective=objective,
             lower_bound=bound,
             resolution=resolution,
-            unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, self.spin_axes),
         )
 
     def _force_at(self, staggered: np.ndarray) -> np.ndarray:

@@ -271,7 +271,7 @@ class ImplicitCundallStrackMethod:
             objective=objective,
             lower_bound=bound,
             resolution=saturation.creep,
-            unbalanced_torque=left_over,
+            largest_balance_residual=left_over,
             proof=proof,
             time=self.time,
             energy=self._energy(),

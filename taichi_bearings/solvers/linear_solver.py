@@ -113,7 +113,7 @@ class LinearSolverMethod:
             objective=scene.objective(staggered, self.spin_axes),
             lower_bound=lower_bound(scene, force, self.spin_axes),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
-            unbalanced_torque=largest_unbalanced_torque(scene, force, self.spin_axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=self.iteration == len(self.bundles),
             needed=len(self.bundles),
         )

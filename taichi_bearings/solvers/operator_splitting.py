@@ -152,7 +152,7 @@ class OperatorSplittingMethod:
             objective=power,
             lower_bound=bound,
             resolution=self._resolution(slips, trial, friction),
-            unbalanced_torque=largest_unbalanced_torque(scene, friction, axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, friction, axes),
             proof=balanced,
         )
 

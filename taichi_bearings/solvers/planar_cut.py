@@ -103,10 +103,10 @@ class PlanarCutMethod:
             objective=scene.objective(self.staggered, axes),
             lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
-            unbalanced_torque=largest_unbalanced_torque(scene, self.force, axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
             state=self.state.copy() if cut else None,
-            resolved=unique if cut else None,
+            states_proven=unique if cut else None,
             findings=findings if cut and self.top != self.bottom and not self.absent else {},
         )
 

@@ -97,7 +97,7 @@ class Recorder:
             "seconds": seconds,
             "power": progress.objective if minimises_power else scene.power(progress.staggered, progress.spin_axes),
             "lower_bound": bound,
-            "unbalanced_torque": progress.unbalanced_torque,
+            "largest_balance_residual": progress.largest_balance_residual,
         }
         if not minimises_power:
             row["potential"] = progress.objective

@@ -209,7 +209,7 @@ class RigidLimitMethod:
             objective=objective,
             lower_bound=bound,
             resolution=scene.lattice.radius * self.creep,
-            unbalanced_torque=largest_unbalanced_torque(scene, self.force, self.spin_axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, self.force, self.spin_axes),
             time=self.time,
             energy=Energy(
                 kinetic=kinetic_energy(self.scene, self.staggered, self.spin_axes, self.inertia),

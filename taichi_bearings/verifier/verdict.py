@@ -280,7 +280,9 @@ def _summary(run: StoredRun, judgement: Judgement) -> Iterator[str]:
 def _residual(run: StoredRun, judgement: Judgement, number: int) -> Iterator[str]:
     """What is left over is the torque of the friction; of a dynamics, what its history ends with."""
     said, is_dynamics = run.claimed("largest_balance_residual")[number], "time" in run.history
-    rows = _row(run.history.get("unbalanced_torque"), number) if is_dynamics else judgement.largest_torque[[number]]
+    rows = (
+        _row(run.history.get("largest_balance_residual"), number) if is_dynamics else judgement.largest_torque[[number]]
+    )
     value = None if rows is None or not len(rows) else _finite(rows[-1])
     if rows is not None and said is not value and not _close(said, value):
         yield f"the largest torque left over is said to be {said!r}; it is {value!r}"

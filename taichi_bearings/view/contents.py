@@ -67,7 +67,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         "subtitle": _subtitle(drawn),
         "version": VERSION,
         "shape": list(scene.lattice.shape),
-        "proven": bool(solution.resolved[0]),
+        "proven": bool(solution.states_proven[0]),
         "spin_max": largest,
         "beyond": bool((np.linalg.norm(spins, axis=-1) > largest * (1 + 1e-9)).any()),
         "jump_speed": scene.lattice.radius * scene.jump,
@@ -110,4 +110,4 @@ def _subtitle(drawn: PointsAndLines) -> str:
 def _decided(drawn: PointsAndLines) -> str:
     """What the contact states of the run rest on."""
     by = "slip and friction" if drawn.scene.law.holds else "slip"
-    return "proven" if drawn.solution.resolved[0] else f"decided by {by}, not proven"
+    return "proven" if drawn.solution.states_proven[0] else f"decided by {by}, not proven"

@@ -46,7 +46,7 @@ def test_the_interior_point_method_finds_the_least_potential_to_ten_digits(shape
     assert solution.status is Status.CERTIFIED
     assert solution.objective[0] == pytest.approx(least, rel=1e-10)
     assert solution.lower_bound[0] == pytest.approx(least, rel=1e-10)
-    assert solution.unbalanced_torque[0] < 1e-10 * scene.normal_force
+    assert solution.largest_balance_residual[0] < 1e-10 * scene.normal_force
     assert solution.iterations < 25
 
 

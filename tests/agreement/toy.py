@@ -100,6 +100,6 @@ class Minimiser:
             objective=scene.objective(self.spins, self.axes),
             lower_bound=lower_bound(scene, force, self.axes),
             resolution=0.0,
-            unbalanced_torque=largest_unbalanced_torque(scene, force, self.axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, self.axes),
             exhausted=self.iteration >= 20,
         )

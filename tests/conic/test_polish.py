@@ -54,7 +54,7 @@ def test_squares_and_multiples_are_products():
 def test_slipping_contacts_leave_no_torque_on_any_domain(seed):
     """mu F_n along the slip of Eq. 2, in 80 digits and the laboratory frame, summed over what moves as one."""
     solution = solved((4, 3, 5), {"seeds": (seed,)}, "interior-point")
-    assert solution.resolved[0]
+    assert solution.states_proven[0]
     laboratory = Laboratory(samples_of(solution))
     for component in (0, 1):
         label = {site: site for site in laboratory.spin}

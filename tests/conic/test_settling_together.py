@@ -148,7 +148,7 @@ def test_a_block_is_settled_in_one_go(monkeypatch):
     slipping, resolve = resolution._Slipping, interior_point.resolve
     monkeypatch.setattr(resolution, "_Slipping", lambda of, *more: trials.append(len(of)) or slipping(of, *more))
     monkeypatch.setattr(interior_point, "resolve", lambda of, *more: looks.append(len(of)) or resolve(of, *more))
-    assert minimum_of(make_scene((6, 6, 6), seeds=range(8))).resolved.all()
+    assert minimum_of(make_scene((6, 6, 6), seeds=range(8))).states_proven.all()
     assert looks == [8]
     assert len(trials) <= 2
     assert trials[0] == 8

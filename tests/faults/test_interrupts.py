@@ -87,7 +87,7 @@ def test_the_proof_of_contact_states_is_given_up(monkeypatch, what):
     found = minimum()
     assert found.interrupted
     assert found.status is Status.CERTIFIED
-    assert not found.resolved.any()
+    assert not found.states_proven.any()
     assert found.gap.max() < 1e-12
 
 
@@ -98,7 +98,7 @@ def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
     found = minimum(StopRule(seconds=1.0))
     assert time.monotonic() - began < 4
     assert not found.interrupted
-    assert not found.resolved.any()
+    assert not found.states_proven.any()
     time.sleep(0.1)  # no late signal
 
 
@@ -108,8 +108,8 @@ def test_settling_is_given_up_where_it_factorises_and_the_minimum_stays(monkeypa
     found = minimum()
     assert found.interrupted
     assert found.gap.max() < interior_point.SOONEST  # from which small samples are settled
-    assert undisturbed.resolved.all()
-    assert not found.resolved.any()
+    assert undisturbed.states_proven.all()
+    assert not found.states_proven.any()
     assert (abs(found.power - undisturbed.power) <= found.gap * found.power).all()
 
 

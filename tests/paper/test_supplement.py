@@ -71,7 +71,7 @@ def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
     assert 0 < max(errors) < 1e-6
     apart = np.abs(slips[1][moves] / slips[0][moves] - 1).max()
     assert apart <= sum(errors) + 8 * np.finfo(float).eps
-    assert np.isnan(supplement.largest_slip_error(replace(found[0], resolved=np.array([False]))))
+    assert np.isnan(supplement.largest_slip_error(replace(found[0], states_proven=np.array([False]))))
 
 
 def test_a_small_study_and_what_it_keeps(tmp_path, monkeypatch, taichi_runtime, needs_f64):

@@ -74,7 +74,7 @@ class RelaxationMethod:
             objective=scene.objective(self.spin, self.axes),
             lower_bound=lower_bound(scene, force, self.axes),
             resolution=0.0,
-            unbalanced_torque=largest_unbalanced_torque(scene, force, self.axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, self.axes),
         )
 
 

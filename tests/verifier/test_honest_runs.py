@@ -141,7 +141,7 @@ def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):
         run(RunSettings(shape=(4, 4, 4), direction=(1, 1e-200, 0)), tmp_path / "run")
     scene = make_scene((4, 5), normal_force=1e-80)
     answer = solve(scene, PlanarCut().build(), initial_spin(scene, "linear"))
-    assert (answer.lower_bound[0], answer.status.value, answer.resolved[0]) == (0.0, "stalled", False)
+    assert (answer.lower_bound[0], answer.status.value, answer.states_proven[0]) == (0.0, "stalled", False)
 
 
 def test_an_answer_with_the_forces_of_another_proves_what_it_says(tmp_path, needs_f64):

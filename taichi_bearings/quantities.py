@@ -1,0 +1,288 @@
+"""The one table of quantities: what each number of an answer is called, its unit, what it is, and how to get it.
+
+Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows:
+a new quantity is a row here and nothing else. Four tables, by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECKS`
+(columns of the history, one value a look at the solve) and `SAMPLES` (one value a sample, or one for all of them).
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.proof.contact_state import ContactState, Separation, counts, critical, separate
+from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.version import VERSION
+
+
+@dataclass(frozen=True)
+class Answered:
+    """A solution, and what was asked of it. tolerance : relative gap. duration : simulated time asked for, or None."""
+
+    solution: Solution
+    tolerance: float
+    duration: float | None
+
+    @property
+    def scene(self) -> Scene:
+        return self.solution.scene
+
+    @property
+    def status(self) -> list[Status]:
+        """How each sample ended, (R,).
+
+        One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
+        before the simulated time that was asked for.
+        """
+        solution = self.solution
+        cut_short = self.duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        close = (solution.gap <= self.tolerance) & (not cut_short)
+        return [Status.CERTIFIED if certified else solution.status for certified in close]
+
+    @cached_property
+    def contacts_in(self) -> np.ndarray:
+        """Contacts in each state, (R, states)."""
+        return counts(self.solution.state)
+
+    @cached_property
+    def separation(self) -> Separation:
+        """Of the slips of slipless and of slipping contacts."""
+        return separate(self.scene, self.solution.slip, self.solution.state)
+
+    @property
+    def decades(self) -> np.ndarray:
+        """(R,) of that; NaN far from a minimum, where slips that are far apart say nothing."""
+        return np.where(self.solution.gap <= self.tolerance, self.separation.decades, np.nan)
+
+    @property
+    def power_normalised(self) -> np.ndarray | None:
+        """(R,) P / (F_n R omega_T); None without that unit."""
+        scene = self.scene
+        unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
+        return self.solution.power / unit if scene.law.is_rate_independent and unit > 0 else None
+
+    def at_end(self, column: str) -> np.ndarray | None:
+        """Where a column of the history ends; None where there is no such column."""
+        values = self.solution.history.get(column)
+        return None if values is None else values[-1]
+
+
+def _nowhere(_: Any) -> None:
+    """Of quantities that are not found in an answer alone."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A row. name : as in files, summaries, tables and Python. unit : "1" for pure numbers. text : what it is.
+
+    of : how to get it; of samples an array or a list with one value a sample, or one value for all of them, and None
+    where there is no such number. symbol : LaTeX, on axes of figures.
+    """
+
+    name: str
+    unit: str
+    text: str
+    of: Callable[[Any], Any] = _nowhere
+    symbol: str = ""
+
+
+def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
+    return {row.name: row for row in rows}
+
+
+STATE = "0 slipless, 1 slipping, 2 undecided or critical, 3 between driven spheres or absent"
+FRICTION = {
+    2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts",
+    3: "friction on the upper sphere, laboratory frame",
+}
+"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
+
+# fmt: off
+SPHERES = _named(
+    [
+        Quantity("spin", "1/time", "angular velocity in the laboratory frame", lambda s: s.spin),
+        Quantity("spin_rounding", "1/time", "what rounding leaves out of the spins: they are the sums of both",
+                 lambda s: s.spin_rounding if s.spin_rounding.any() else None),
+    ]
+)
+"""Of a Solution: (R, *N) in 2D, (R, *N, 3) in 3D."""
+
+CONTACTS = _named(
+    [
+        Quantity("slip", "length/time", "slip speed |v|", lambda s: s.slip),
+        Quantity("power", "energy/time", "power dissipated at the contact", lambda s: s.power_per_contact),
+        Quantity("force", "force", "magnitude of the tangential contact force", lambda s: s.force),
+        Quantity("state", "1", STATE, lambda s: s.state),
+        Quantity("slip_bound", "length/time", "proven: no minimum slips faster at this contact",
+                 lambda s: s.slip_bound),
+    ]
+)
+"""Of a Solution: (R, E)."""
+
+CHECKS = _named(
+    [
+        Quantity("iteration", "1", "iterations done"),
+        Quantity("seconds", "s", "wall time of the solve, compilation apart"),
+        Quantity("time", "time", "simulated time"),
+        Quantity("power", "energy/time", "power dissipated by the spins"),
+        Quantity("potential", "energy/time", "dissipation potential of the spins, of which the lower bound is"),
+        Quantity("lower_bound", "energy/time", "best proven lower bound so far"),
+        Quantity("slipping", "1", "contacts that slip at this moment"),
+        Quantity("kinetic_energy", "energy", "kinetic energy of the free spheres"),
+        Quantity("spring_energy", "energy", "energy in the elongations of the contacts"),
+        Quantity("injected_energy", "energy", "work of the driven spheres since the start"),
+        Quantity("dissipated_energy", "energy", "energy dissipated at the contacts since the start"),
+        Quantity("energy_residual", "1", "what the energy balance leaves unexplained, over the energy gone through it"),
+        Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere"),
+    ]
+)
+"""Columns of the history."""
+
+SAMPLES = _named(
+    [
+        Quantity("power", "energy/time", "power dissipated by the spins, an upper bound on the least power",
+                 lambda a: a.solution.power, "P"),
+        Quantity("potential", "energy/time", "dissipation potential, of which the lower bound and the gap are",
+                 lambda a: None if a.scene.law.minimises == "power" else a.solution.objective),
+        Quantity("lower_bound", "energy/time", "proven: no spins dissipate less; or, have a lower potential",
+                 lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
+        Quantity("gap", "1", "(power - lower_bound) / power, or the same of the potential",
+                 lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
+        Quantity("status", "1", "how it ended: certified (the gap is within the tolerance), stationary or finished"
+                 " (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also failed or missing",
+                 lambda a: [status.value for status in a.status]),
+        Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
+        Quantity("law", "1", "contact law", lambda a: a.scene.law.name),
+        Quantity("shape", "1", "spheres along each axis, height last", lambda a: Whole(a.scene.lattice.shape)),
+        Quantity("seed", "1", "seed of the disorder", lambda a: list(a.scene.seeds)),
+        Quantity("iterations", "1", "iterations of the method", lambda a: a.solution.iterations),
+        Quantity("seconds", "s", "wall time of the solve, compilation apart; of seeds solved together a share",
+                 lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
+        Quantity("seconds_compile", "s", "wall time to load and compile", lambda a: a.solution.seconds_compile),
+        Quantity("contacts", "1", "contacts that take part",
+                 lambda a: a.scene.lattice.contacts, r"N_\mathrm{contacts}"),
+        Quantity("slipping", "1", "contacts that slip",
+                 lambda a: a.contacts_in[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
+        Quantity("slipless", "1", "contacts that do not slip",
+                 lambda a: a.contacts_in[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
+        Quantity("undecided", "1", "contacts that are neither: critical, tied, or not known",
+                 lambda a: a.contacts_in[:, ContactState.UNDECIDED]),
+        Quantity("critical", "1", "undecided contacts at their friction limit, slips below what the gap resolves",
+                 lambda a: critical(a.solution)),
+        Quantity("states_proven", "1", "whether the contact states are proven to be those of every minimum",
+                 lambda a: a.solution.states_proven),
+        Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
+                 lambda a: a.separation.largest_slipless),
+        Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",
+                 lambda a: a.separation.smallest_slipping),
+        Quantity("separation_decades", "1", "decades of slip between slipping and slipless contacts",
+                 lambda a: a.decades),
+        Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
+                 lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
+        Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere",
+                 lambda a: a.solution.largest_balance_residual),
+        Quantity("spin_top", "1/time", "spin of the top plane", lambda a: a.scene.spin_top, r"\omega_T"),
+        Quantity("spin_bottom", "1/time", "spin of the bottom plane", lambda a: a.scene.spin_bottom, r"\omega_B"),
+        Quantity("normal_force", "force", "force at every contact", lambda a: a.scene.normal_force, "F_n"),
+        Quantity("radius", "length", "radius of the spheres", lambda a: a.scene.lattice.radius, "R"),
+        Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
+        Quantity("power_normalised", "1", "power / (normal_force radius spin_top)",
+                 lambda a: a.power_normalised, r"P\,/\,(F_n R\,\omega_T)"),
+        Quantity("minimum_is_unique", "1", "proven: no other slips have the least power; or others do",
+                 lambda a: a.solution.minimum_is_unique),
+        Quantity("time", "time", "simulated time", lambda a: _number(a.at_end("time"))),
+        Quantity("duration", "time", "simulated time that was asked for",
+                 lambda a: a.duration if "time" in a.solution.history else None),
+        Quantity("energy_residual", "1", "what the energy balance leaves unexplained",
+                 lambda a: a.at_end("energy_residual")),
+    ]
+)
+"""Of an Answered: numbers and words of summaries, of the attributes of run files, and of scans."""
+
+FINDINGS = _named(
+    [
+        Quantity("tied_contacts", "1", "contacts that slip at some minima and not at others"),
+        Quantity("cut_is_unique", "1", "whether every other cut is heavier"),
+        Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
+        Quantity("step_error", "1", "error of the spins by the length of the time step, over the largest spin"),
+        Quantity("accurate_time_step", "time", "time step that keeps that error below 0.01"),
+        Quantity("elastic_share", "1",
+                 "longest spring over the distance that the driven planes slid past each other"),
+        Quantity("rest_time", "time", "simulated time at which the motion came to rest"),
+        Quantity("newton_steps", "1", "factorisations of a dynamics with implicit steps"),
+    ]
+)
+"""What methods have found beside the answer (`Solution.findings`): also numbers of samples."""
+
+ANALYSED = _named(
+    [
+        Quantity("power_minimum_cut", "energy/time", "power of the lightest interface of two rigid domains",
+                 symbol=r"P_\mathrm{cut}"),
+        Quantity("power_over_cut", "1", "power / power_minimum_cut", symbol=r"P\,/\,P_\mathrm{cut}"),
+        Quantity("next_cut_over_cut", "1", "power of the lightest other interface over that",
+                 symbol=r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
+        Quantity("slipless_fraction", "1", "slipless contacts over all that can slip",
+                 symbol=r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}"),
+        Quantity("cut_contacts", "1", "contacts of the lightest interface", symbol=r"N_\mathrm{cut}"),
+        Quantity("domains", "1", "rigid domains", symbol=r"N_\mathrm{domains}"),
+        Quantity("disjoint_paths", "1", "slipless paths from bottom to top that share no contact",
+                 symbol=r"N_\mathrm{paths}"),
+        Quantity("shortest_path", "contacts", "shortest slipless path from bottom to top", symbol=r"\ell_\mathrm{min}"),
+        Quantity("mean_distance", "contacts", "mean length of the shortest paths", symbol=r"\langle \ell \rangle"),
+    ]
+)
+"""Numbers of `bearings analyse` that scans have too; docs/structure.md has the rest."""
+
+OF_SCANS = _named(
+    [
+        Quantity("L", "1", "spheres along a side", symbol="L"),
+        Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
+        Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
+        Quantity("warnings", "1", "where the result could be misread, in sentences with a number"),
+        Quantity("sample", "1", "name of the sample, the same for the same settings"),
+        Quantity("error", "1", "why the sample has no result"),
+    ]
+)
+"""What only scans have beside all these."""
+
+# fmt: on
+COLUMNS = SAMPLES | FINDINGS | ANALYSED | OF_SCANS
+"""All columns that a scan can have, but for other numbers of `analyse`, and its settings."""
+
+
+class Whole(list[Any]):
+    """A list that is one value, the same for all samples."""
+
+
+def _number(value: np.ndarray | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def numbers_of(answered: Answered) -> dict[str, Any]:
+    """All quantities of samples by name: one value, or with several samples a list where they may differ.
+
+    Numbers that are not finite are None, so that JSON can hold them.
+    """
+    several, found = answered.scene.replicas > 1, dict[str, Any]()
+    for name, row in SAMPLES.items():
+        value = row.of(answered)
+        if value is not None:
+            found[name] = _told(value, several)
+    return found | {name: _told(values, several) for name, values in answered.solution.findings.items()}
+
+
+def _told(value: Any, several: bool) -> Any:
+    if isinstance(value, Whole):
+        return list(value)
+    if isinstance(value, (np.ndarray, list)):
+        values = [_plain(v) for v in value]
+        return values if several else values[0]
+    return _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    """A Python number or text; None for a number that is not finite."""
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
