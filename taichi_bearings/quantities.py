@@ -151,7 +151,7 @@ SAMPLES = _named(
         Quantity("gap", "1", "(power - lower_bound) / power, or the same of the potential",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
         Quantity("status", "1", "how it ended: certified (the gap is within the tolerance), stationary or finished"
-                 " (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also failed or missing",
+                 " (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also failed",
                  lambda a: [status.value for status in a.status]),
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
         Quantity("law", "1", "contact law", lambda a: a.scene.law.name),

@@ -213,7 +213,7 @@ def judge(solution, summary: dict, replica: int, settings: RunSettings, perturba
     _judge_power(verdict, solution, replica, minimum, status == Status.CERTIFIED.value, settings.tolerance)
     if truth is not None:
         _judge_states(verdict, solution, replica, truth)
-        if solution.resolved[replica]:
+        if solution.states_proven[replica]:
             for number in range(perturbations):
                 arguments = (coefficient, settings.normal_force, *driving)
                 other = truths.solve(*arguments, perturbation=(number, PERTURBATION))
@@ -252,7 +252,7 @@ def _judge_states(verdict: Verdict, solution, replica: int, truth: truths.Truth)
     if faster.any():
         excess = (slip[faster] / np.maximum(bound[faster], 1e-300) - 1).max()
         verdict.blame("slip-bound", excess, f"{faster.sum()} contacts")
-    if solution.resolved[replica]:
+    if solution.states_proven[replica]:
         if len(opposite):
             lower = np.stack(np.unravel_index(lattice.ends[0], lattice.shape), axis=1).tolist()
             notes = [
@@ -302,7 +302,7 @@ def run_scene(words: dict, perturbations: int) -> dict:
         "power": summary["power"],
         "lower_bound": summary["lower_bound"],
         "gap": summary["gap"],
-        "proven": [bool(v) for v in solution.resolved],
+        "proven": [bool(v) for v in solution.states_proven],
         "freedom": [v.freedom for v in verdicts],
         "true_gap": [v.true_gap for v in verdicts],
         "power_below": max(v.power_below for v in verdicts),

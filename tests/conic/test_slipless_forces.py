@@ -159,8 +159,8 @@ HARD = [  # shape, seed, slipping contacts, order of the smallest slip: where th
 def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, seed, slipping, smallest):
     scene = make_scene(shape, seeds=(seed,))
     one, other = minimum_of(scene), minimum_of(scene, "random")
-    assert one.resolved[0]
-    assert other.resolved[0]
+    assert one.states_proven[0]
+    assert other.states_proven[0]
     slips = one.slip[one.state == ContactState.SLIPPING]
     assert len(slips) == slipping
     assert slips.min() < smallest * scene.lattice.radius
@@ -171,8 +171,8 @@ def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, se
 def test_a_threshold_that_changes_states_leaves_none_proven():
     scene = make_scene((6, 6, 6), seeds=(1, 2))
     start, stop = initial_spin(scene, "linear"), StopRule(1e-10)
-    assert solve(scene, InteriorPoint().build(), start, stop, slip_threshold=0.0).resolved.all()
-    assert not solve(scene, InteriorPoint().build(), start, stop, slip_threshold=0.05).resolved.any()
+    assert solve(scene, InteriorPoint().build(), start, stop, slip_threshold=0.0).states_proven.all()
+    assert not solve(scene, InteriorPoint().build(), start, stop, slip_threshold=0.05).states_proven.any()
 
 
 def test_proven_states_obey_the_law_of_friction_at_every_contact():
@@ -190,4 +190,4 @@ def test_proven_states_obey_the_law_of_friction_at_every_contact():
     along = (progress.force * difference).sum(axis=0)[fast]
     assert np.abs(along) == pytest.approx(size[fast] * np.sqrt((difference**2).sum(axis=0))[fast], rel=1e-6)
     assert (np.sign(along) == np.sign(along[0])).all()
-    assert progress.unbalanced_torque[0] < 1e-10 * scene.normal_force
+    assert progress.largest_balance_residual[0] < 1e-10 * scene.normal_force

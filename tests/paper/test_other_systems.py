@@ -93,7 +93,7 @@ class Minimum:
         self.power = self.lower_bound = np.full(5, power)
         self.scene = Scene.random((3, 3, 3), 0, replicas=5, normal_force=power)
         self.state = np.array([states] * 5)
-        self.resolved = np.ones(5, dtype=bool)
+        self.states_proven = np.ones(5, dtype=bool)
 
 
 def courses(**changes):

@@ -47,7 +47,7 @@ def test_methods_agree_within_what_they_prove(scene):
     for name, answer in answers.items():
         for other in answers.values():
             assert_meet(between(answer), between(other))
-        if answer.resolved[0]:
+        if answer.states_proven[0]:
             proven[name] = answer.state
     for states in proven.values():
         for others in proven.values():
@@ -62,12 +62,12 @@ def test_states_are_those_of_the_exact_cuts(scene, name):
     answer, (_, truth) = answer_of(scene, name), truths.cut(scene)
     full = scene.lattice.radius * float(truths.jump_of(scene, truths.turned(scene)[0]))
     states = scene.lattice.flat(truth)
-    if (name == "planar-cut" and whole) or answer.resolved[0]:
+    if (name == "planar-cut" and whole) or answer.states_proven[0]:
         assert (answer.state[0] == states).all()
     moving = (states == truths.ALWAYS) | (states == truths.SOMETIMES)
     assert (answer.slip_bound[0][moving] >= full * (1 - 1e-15)).all()
     ties = (states == truths.SOMETIMES).any()
-    if answer.resolved[0]:
+    if answer.states_proven[0]:
         assert not ties
     if "cut_is_unique" in answer.findings:
         assert bool(answer.findings["cut_is_unique"][0]) == (not ties)

@@ -80,7 +80,7 @@ def test_slips_of_two_kinds_that_mingle(solved):
     found = solved(shape=(3, 3, 4), method="interior-point")
     known = found.solution
     slow, fast = (np.where(known.state == ContactState.SLIPLESS, slip, known.slip) for slip in (1e-20, 1e9))
-    unproven = replace(known, resolved=np.array([False]))
+    unproven = replace(known, states_proven=np.array([False]))
     assert caveats(replace(unproven, slip=slow), found.settings) == []
     (sentence,) = caveats(replace(unproven, slip=fast), found.settings)
     assert f"at most 1.0e+09, slipping ones at least {found.summary['smallest_slipping_slip']:.1e}" in sentence

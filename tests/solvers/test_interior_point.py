@@ -31,7 +31,7 @@ def test_stored_minima_to_all_their_digits(entry):
     assert solution.status is Status.CERTIFIED
     assert solution.gap[0] < 1e-10
     assert solution.power[0] == pytest.approx(entry["power_minimum"], rel=1e-12)
-    assert solution.resolved[0]
+    assert solution.states_proven[0]
     slips = solution.slip[solution.state == ContactState.SLIPPING]
     assert len(slips) == entry["slipping"]
     assert slips.min() / 0.5 == pytest.approx(entry["smallest_slip_over_spin_top"], rel=1e-5)
@@ -101,7 +101,7 @@ def test_reported_forces_hold_the_spheres_and_prove_the_bound():
     progress = method.progress()
     bound = lower_bound(scene, progress.force, progress.spin_axes)
     assert relative_gap(scene, solution.power, bound)[0] < 1e-9
-    assert solution.unbalanced_torque[0] < 1e-9 * scene.normal_force
+    assert solution.largest_balance_residual[0] < 1e-9 * scene.normal_force
     friction = scene.normal_force * scene.coefficient
     assert (solution.force <= friction * (1 + 1e-8)).all()
     slipping = solution.state == ContactState.SLIPPING
@@ -221,7 +221,7 @@ def test_small_lattices_keep_what_their_samples_share(monkeypatch):
 def test_most_samples_do_without_the_last_decades_of_the_path(monkeypatch):
     """Newton's method with every contact slipping that does not surely stick."""
     monkeypatch.setattr(LastDecades, "decide", lambda *of, **how: None)
-    resolved = [minimum_of(make_scene((6, 6, 6), seeds=(seed,))).resolved[0] for seed in range(10)]
+    resolved = [minimum_of(make_scene((6, 6, 6), seeds=(seed,))).states_proven[0] for seed in range(10)]
     assert sum(resolved) >= 7
 
 
@@ -232,7 +232,7 @@ def test_a_sample_with_slips_of_all_sizes_is_settled_by_the_path_at_once(monkeyp
     monkeypatch.setattr(interior_point, "resolve", lambda *of: looks.append(1) or resolve(*of))
     monkeypatch.setattr(resolution, "bear", lambda *of: asked.append(1) or bear(*of))
     solution = minimum_of(make_scene((16, 16, 16), seeds=(31,)))
-    assert solution.resolved[0]
+    assert solution.states_proven[0]
     assert (solution.state == ContactState.SLIPPING).sum() == 3641
     assert (len(looks), len(asked)) == (1, 0)
 
@@ -249,7 +249,7 @@ def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
     paths, decide = [], LastDecades.decide
     monkeypatch.setattr(LastDecades, "decide", lambda path, *of, **how: paths.append(path) or decide(path, *of, **how))
     monkeypatch.setattr(resolution, "_followed_briefly", lambda *of: None)  # nothing is tied
-    assert minimum_of(make_scene((10, 10, 10), seeds=(559,))).resolved[0]
+    assert minimum_of(make_scene((10, 10, 10), seeds=(559,))).states_proven[0]
     path = paths[-1]
     rounded = 4 * np.finfo(float).eps * np.abs(path.spins[1]).max()  # as spins of that size are, step after step
     assert rounded < 1e-18
@@ -286,13 +286,13 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
         monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])
     brief = minimum_of(scene)
     assert any(of.motion is not None for of in moved) == freed
-    assert (whole.resolved[0], brief.resolved[0]) == (True, True)
+    assert (whole.states_proven[0], brief.states_proven[0]) == (True, True)
     assert (brief.state == whole.state).all()
 
 
 def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():
     """From a gap of 2e-11 thirty-three contacts seem to slip by some 1e-16; from closer by they hold."""
     solution = minimum_of(make_scene((10, 10, 10), seeds=(559,)))
-    assert solution.resolved[0]
+    assert solution.states_proven[0]
     slips = solution.slip[solution.state == ContactState.SLIPPING]
     assert (len(slips), slips.min() > 1e-9) == (975, True)

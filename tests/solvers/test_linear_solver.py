@@ -30,7 +30,7 @@ def solved(scene, start="random", tolerance=1e-12):
 def imbalance(solution):
     """Largest leftover torque over the typical torque of a contact."""
     force = solution.force[solution.force > 0].mean()
-    return solution.unbalanced_torque.max() / (solution.scene.lattice.radius * force)
+    return solution.largest_balance_residual.max() / (solution.scene.lattice.radius * force)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)

@@ -87,7 +87,7 @@ def test_six_decades_leave_a_gap_of_round_off(shape, distribution):
 
 def test_exactly_the_interface_slips():
     solution = solved(make_scene((9, 8), seeds=(1, 2, 3)))
-    assert solution.resolved.all()
+    assert solution.states_proven.all()
     slipping = solution.state == ContactState.SLIPPING
     assert (slipping == (solution.slip > 0)).all()
     assert solution.force[slipping] == pytest.approx(50.0 * solution.scene.coefficient[slipping], rel=1e-12)
@@ -106,7 +106,7 @@ def test_contacts_along_the_spin_neither_slip_nor_push():
 
 def test_without_disorder_other_cuts_are_undecided():
     solution = solved(make_scene((5, 7), distribution="constant:0.3"))
-    assert not solution.resolved[0]
+    assert not solution.states_proven[0]
     assert not solution.findings["cut_is_unique"][0]
     assert solution.findings["next_cut_over_minimum"][0] == 1
     assert solution.findings["tied_contacts"][0] == 5 * 6
@@ -125,7 +125,7 @@ def test_what_slips_at_every_minimum_is_told_from_what_slips_at_some():
     scene = Scene((sideways, upward))
     solution = solved(scene)
     assert solution.power[0] == 4 * 50 * 0.5
-    assert not solution.resolved[0]
+    assert not solution.states_proven[0]
     assert solution.findings["tied_contacts"][0] == 3
     state = scene.lattice.by_axis(solution.state[0])
     slipping, undecided = ([np.argwhere(s == which).tolist() for s in state] for which in (1, 2))
@@ -140,7 +140,7 @@ def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
         coefficients[axis][1, 1] = 0.3
     scene = replace(scene, coefficients=tuple(coefficients))
     solution = solved(scene)
-    assert solution.resolved.tolist() == [True, False]
+    assert solution.states_proven.tolist() == [True, False]
     assert solution.findings["tied_contacts"].tolist() == [0, 4 * 4]
     undecided = np.argwhere(scene.lattice.by_axis(solution.state)[2] == ContactState.UNDECIDED)
     assert (undecided[:, :2] == (1, 1)).all()
@@ -189,7 +189,7 @@ def test_findings_are_in_the_summary():
 def test_nothing_to_cut(driving):
     solution = solved(make_scene((3, 4, 5), **driving))
     assert solution.power[0] == 0
-    assert solution.resolved[0]
+    assert solution.states_proven[0]
     assert not solution.findings
     assert not (solution.state == ContactState.SLIPPING).any()
 

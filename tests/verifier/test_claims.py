@@ -107,5 +107,5 @@ def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():
     truth = oracle_or_skip()
     exact = truth.solve((x[0], y[0], z[0]), 50.0, 0.5, 1.0, 0.0, (1, 1, 0))
     assert_true(solution, exact.power, 1e-8)
-    if solution.resolved[0]:
+    if solution.states_proven[0]:
         np.testing.assert_array_equal(solution.state[0] == 1, scene.lattice.flat(exact.state) == truth.SLIPPING)

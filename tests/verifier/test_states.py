@@ -71,7 +71,7 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     everything = all((p != UNPROVEN).all() for p in states.proven)
     assert everything == wanted if wanted is not None else True
     assert states.unique is (True if everything else None)
-    assert bool(solution.resolved[0]) == everything
+    assert bool(solution.states_proven[0]) == everything
     assert float(solution.lower_bound[0]) <= float(exact.power.upper())
     assert float(exact.power.lower()) <= float(solution.power[0]) * (1 + 3e-16)
 
@@ -79,7 +79,7 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
 @pytest.fixture(scope="module")
 def sample():
     solution = minimum((3, 3, 4), {"seeds": (1,)}, "interior-point")
-    assert solution.resolved[0]
+    assert solution.states_proven[0]
     return samples_of(solution), solution.scene.lattice.by_axis(solution.state[0])
 
 
