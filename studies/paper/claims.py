@@ -210,7 +210,8 @@ class _Sentences(string.Formatter):
         if way == "by":
             parts = [(key, self.format_field(part, rest)) for key, part in value.items()]
             if all(isinstance(key, int) for key in value):
-                return ", ".join(f"{text} at {side}^3" for side, text in parts)
+                number = {} if rest == "hits" else {side: f" ({len(part)})" for side, part in value.items()}
+                return ", ".join(f"{text} at {side}^3{number.get(side, '')}" for side, text in parts)
             return "; ".join(f"{name}{':' if 'interval' in rest else ''} {text}" for name, text in parts)
         if way == "each":
             return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in value.items())
