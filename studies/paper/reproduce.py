@@ -17,8 +17,8 @@ from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted, meant
 
+from ..report import environment
 from .claims import KINDS, VERDICTS, Claim, Effort, is_claim
-from .environment import environment
 from .page import page
 
 

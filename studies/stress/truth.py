@@ -229,7 +229,7 @@ def _states(scene: Scene, sample: _Sample, barrier: Decimal) -> tuple[np.ndarray
     for (axis, number), slip, room, held in zip(sample.of, length[:, 0], 1 - ratio[:, 0], sample.friction, strict=True):
         if held and (slip > CLEAR) != (room > CLEAR):
             state[axis][number] = SLIPPING if slip > CLEAR else SLIPLESS
-    return tuple(part.reshape(values.shape) for part, values in zip(state, scene.coefficients, strict=True))
+    return tuple(part.reshape(scene.lattice.contact_shape(axis)) for axis, part in enumerate(state))
 
 
 def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample) -> Truth:
