@@ -98,18 +98,19 @@ def _measure_speed(
     from taichi_bearings_cli.progress import Display
     from taichi_bearings_studies.benchmarks import speed_report
     from taichi_bearings_studies.benchmarks.speed import BUDGETS, chosen_parts, chosen_threads, measure, only
+    from taichi_bearings_studies.report import Files
 
     from taichi_bearings.runs.run_directory import default_run_path
 
     chosen, usual = chosen_parts(parts), BUDGETS[budget or "usual"]
     threads, plan = chosen_threads(asked["threads"], usual), only(usual, asked["shape"], asked["precision"])
-    files = speed_report.SpeedFiles(Path(out) if out else default_run_path("speed"), force)
+    files = Files(Path(out) if out else default_run_path("speed"), speed_report.NAMES, force)
     with Display():
         report = measure(plan, chosen, threads)
     if not report.rows:
         files.clear()
         context.exit(130 if report.interrupted else 1)
-    written = files.write(report)
+    written = speed_report.write(files, report)
     if as_json:
         click.echo(json.dumps(speed_report.as_json(report, written), allow_nan=False))
     else:
@@ -161,20 +162,21 @@ def accuracy(
     """
     from taichi_bearings_cli.progress import Display
     from taichi_bearings_studies.benchmarks.accuracy import choose_methods, choose_scenes, measure_all
-    from taichi_bearings_studies.benchmarks.accuracy_report import ReportFiles, summarise, table
+    from taichi_bearings_studies.benchmarks.accuracy_report import NAMES, summarise, table, write
     from taichi_bearings_studies.benchmarks.peers import find_peers
+    from taichi_bearings_studies.report import Files
 
     from taichi_bearings.runs.run_directory import default_run_path
 
     scenes = choose_scenes(shape, law, **of_runs)
     chosen = choose_methods(methods)
-    files = ReportFiles(Path(out) if out else default_run_path("accuracy"), force)
+    files = Files(Path(out) if out else default_run_path("accuracy"), NAMES, force)
     here, missing = find_peers() if peers else ([], {})
     with Display():
         results, interrupted = measure_all(scenes, chosen, here, lambda line: click.echo(line, err=True))
     if not results:
         context.exit(130)
-    files.write(results)
+    write(files, results)
     contradictions = [line for result in results for line in result.contradictions()]
     for line in contradictions:
         click.echo(f"bearings: {line}", err=True)

@@ -1,15 +1,15 @@
 """The study of run time against error as files: CSV, Markdown, figure, and the numbers for `--json`."""
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_csv, write_text
+from taichi_bearings.files.whole_file import write_csv, write_text
 from taichi_bearings.plots.style import save
 
 from ..plots.accuracy import Curve, Panel, draw_accuracy
+from ..report import Files, markdown
 from .accuracy import Entry, SceneResult
 
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
@@ -19,27 +19,15 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class ReportFiles:
-    """accuracy.csv, accuracy.md and accuracy.png in one folder, each written under a temporary name and renamed.
+NAMES = ("accuracy.csv", "accuracy.md", "accuracy.png")
 
-    The folder is made at once, so that one that cannot be written is found before anything is measured.
-    """
 
-    def __init__(self, folder: Path, force: bool = False) -> None:
-        self.folder = folder
-        self.csv, self.table, self.figure = (folder / f"accuracy.{ending}" for ending in ("csv", "md", "png"))
-        refuse_standing(self.paths, force)
-        make_folder(folder)
-
-    @property
-    def paths(self) -> tuple[Path, Path, Path]:
-        return self.csv, self.table, self.figure
-
-    def write(self, results: Sequence[SceneResult]) -> None:
-        rows = [row for result in results for entry in result.entries for row in _rows(result, entry)]
-        write_csv(self.csv, COLUMNS, rows)
-        write_text(self.table, table(results))
-        save(draw_accuracy([panel(result) for result in results]), self.figure)
+def write(files: Files, results: Sequence[SceneResult]) -> None:
+    """One row a checkpoint as CSV, the table, and the figure."""
+    csv, text, figure = files.paths
+    write_csv(csv, COLUMNS, [row for result in results for entry in result.entries for row in _rows(result, entry)])
+    write_text(text, table(results))
+    save(draw_accuracy([panel(result) for result in results]), figure)
 
 
 def _rows(result: SceneResult, entry: Entry) -> Iterable[tuple[Any, ...]]:
@@ -72,16 +60,10 @@ def table(results: Sequence[SceneResult]) -> str:
                 entry.statuses[best],
                 _seconds(entry.seconds_compile) if entry.seconds_compile else "–",
             ])  # fmt: skip
-        widths = [max(len(line[column]) for line in lines) for column in range(len(titles))]
-        lines.insert(1, ["-" * width for width in widths])
-        text = [
-            "| " + " | ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)) + " |"
-            for line in lines
-        ]
         head = f"### {result.label}, seed {result.scene.seeds[0]}\n"
         known = f"The least power is known to a relative {result.reference_gap:.1e}.\n"
         left_out = [f"\nLeft out: {name} ({reason})." for name, reason in result.left_out.items()]
-        parts.append("\n".join([head, known, *text, *left_out]))
+        parts.append("\n".join([head, known, markdown(lines), *left_out]))
     return "\n\n".join(parts) + "\n"
 
 

@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,13 +28,14 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.fields import Fields, make_layout
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
 
 from . import counts
-from .rows import Row
+from .timing import Row, Times, in_turns
 
 FRICTION = 0.55  # of the peers' contacts: the mean of ours
 PEER_STEP = 5e-5  # half of what these leapfrog codes can take
@@ -152,42 +154,45 @@ def measure(task: Task) -> Iterator[Row]:
         spin, method = initial_spin(scene, start), CundallStrackMethod(CundallStrack())
         method.begin(scene, spin, Fields(make_layout(1, task.shape), method.plan(scene, spin)))
         method.advance(task.steps)
-        seconds: dict[str, list[float]] = {}
         with tempfile.TemporaryDirectory() as folder:
             request = request_of(scene, spin[0], Path(folder), task.steps, max(1, task.steps // 10))
-            for _ in range(task.rounds):
-                began = time.process_time()
-                method.advance(task.steps)
-                seconds.setdefault(OURS, []).append((time.process_time() - began) / task.threads / task.steps)
-                for code in others:
-                    found = code.measure(request)
-                    if found["contacts"] != scene.lattice.contacts:
-                        raise BearingsError(f"{code.name} sees {found['contacts']:g} contacts in {task.shape}")
-                    seconds.setdefault(code.name, []).append(found["seconds"] / task.steps)
-        yield from _rows(task, scene, method, seconds)
+            calls = {OURS: partial(_ours, method, task)} | {
+                code.name: partial(_theirs, code, request) for code in others
+            }
+            found = in_turns(calls, task.rounds)
+        yield from _rows(task, scene, method, {name: np.array(each) for name, each in found.items()})
 
 
-def _rows(task: Task, scene: Scene, method: CundallStrackMethod, seconds: dict[str, list[float]]) -> Iterator[Row]:
-    ours, components = np.array(seconds[OURS]), method.stencil.components
+def _ours(method: CundallStrackMethod, task: Task, _: int) -> float:
+    """Seconds of a step that the processors were ours."""
+    began = time.process_time()
+    method.advance(task.steps)
+    return (time.process_time() - began) / task.threads / task.steps
+
+
+def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
+    """The same of another code, as it tells."""
+    found, shape = code.measure(request), tuple(request["shape"])
+    if found["contacts"] != (contacts := Lattice(shape).contacts):
+        raise BearingsError(f"{code.name} sees {found['contacts']:g} contacts in {shape}, not {contacts}")
+    return float(found["seconds"] / request["steps"])
+
+
+def _rows(task: Task, scene: Scene, method: CundallStrackMethod, seconds: Mapping[str, np.ndarray]) -> Iterator[Row]:
     work = counts.cundall_strack_step(method.stencil)
     for name, each in seconds.items():
-        median = float(np.median(each))
-        counted: dict[str, Any] = {"ratio": float(np.median(np.array(each) / ours))}
+        times = Times(each, each * task.threads)
+        counted: dict[str, Any] = {"ratio": float(np.median(each / seconds[OURS]))}
         if name == OURS:
             moved = scene.lattice.sites * work.bytes(8)
-            counted = {"bytes": moved, "bandwidth": moved / median, "passes": work.passes}
+            counted = {"bytes": moved, "bandwidth": moved / times.seconds, "passes": work.passes}
         yield Row(
             part="dynamics",
             what=name,
             shape=task.shape,
-            components=components,  # of ours
+            components=method.stencil.components,  # of ours
             threads=task.threads,
-            seconds=median,
-            quickest=min(each),
-            slowest=max(each),
-            seconds_processor=median * task.threads,
-            rounds=len(each),
-            contact_updates=scene.lattice.contacts / median,
-            load=os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+            contact_updates=scene.lattice.contacts / times.seconds,
+            **times.columns,
             **counted,
         )

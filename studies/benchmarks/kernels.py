@@ -26,8 +26,7 @@ from taichi_bearings.solvers.method import Method
 from . import counts
 from .baselines import Arrays, CSweep, NumpySweep
 from .machine import chains, sizes_below, streams
-from .rows import Row, timing
-from .timing import Times, timed
+from .timing import Row, Times, timed
 
 SIZES = {"f64": 8, "f32": 4}  # bytes of a number
 PLAIN, NUMPY, C = "sweep", "NumPy sweep", "C sweep"
@@ -84,7 +83,7 @@ def _bandwidths(task: Task) -> Iterator[Row]:
     for stream, times in zip(known, found.values(), strict=True):
         speed = stream.bytes / times.seconds
         kept: dict[str, Any] = {"precision": task.precision, "threads": task.threads, "bytes": stream.bytes}
-        yield Row(part="memory", what="stream", working_set=stream.bytes, bandwidth=speed, **kept, **timing(times))
+        yield Row(part="memory", what="stream", working_set=stream.bytes, bandwidth=speed, **kept, **times.columns)
 
 
 def _of_shape(task: Task, shape: tuple[int, ...], folder: Path) -> Iterator[Row]:
@@ -134,7 +133,7 @@ def _row(one: Candidate, scene: Scene, task: Task, times: Times) -> Row:
         seconds_compile=one.seconds_compile,
         contact_updates=scene.lattice.contacts / times.seconds,
         **counted,
-        **timing(times),
+        **times.columns,
     )
 
 

@@ -1,8 +1,7 @@
 """What this machine is and what it can do at most, measured by the compiler and the teams that our kernels have."""
 
-import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from taichi_bearings.kernels.team import Team
 from taichi_bearings.memory import aligned_zeros, free_bytes
 from taichi_bearings.version import VERSION
 
+from ..report import load, processor
 from . import probe
 
 CACHES = Path("/sys/devices/system/cpu/cpu0/cache")
@@ -80,39 +80,25 @@ def sizes_below(most: float) -> list[int]:
 
 def describe() -> dict[str, Any]:
     """The machine, its caches in bytes a processor sees, how busy it is, and what runs on it."""
+    free = free_bytes()
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "threads": runtime.available_threads(),
         "caches": _caches(),
-        "free_bytes": _finite(free_bytes()),
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "free_bytes": free if np.isfinite(free) else None,
+        "load": load(),
         "system": platform.platform(),
         "python": platform.python_version(),
         "version": VERSION,
     }
 
 
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _processor() -> str:
-    names = _read(lambda: Path("/proc/cpuinfo").read_text().splitlines()) or []
-    return next((line.split(":", 1)[1].strip() for line in names if line.startswith("model name")), platform.machine())
-
-
 def _caches() -> dict[str, int]:
     """Level -> bytes, of the caches that hold data; empty where the system does not tell."""
     found = {}
     for folder in sorted(CACHES.glob("index*")):
-        level, kind, size = ((_read((folder / name).read_text) or "").strip() for name in ("level", "type", "size"))
+        texts = [folder / name for name in ("level", "type", "size")]
+        level, kind, size = (text.read_text().strip() if text.exists() else "" for text in texts)
         if size and kind != "Instruction":
             found[f"L{level}"] = int(size.rstrip("KM")) * (2**20 if size.endswith("M") else 2**10)
     return found
-
-
-def _read(read: Callable[[], Any]) -> Any:
-    try:
-        return read()
-    except OSError:
-        return None

@@ -6,7 +6,6 @@ setting up and solving. Of methods that factorise, the operations are those of t
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from math import prod
@@ -32,7 +31,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from . import counts
 from .conic import ConicProgramme, conic_programme
 from .peers import Peer, find_peers
-from .rows import Row
+from .timing import Row, Times, in_turns
 
 TOLERANCE = 1e-8
 BRIEF = 3.0  # seconds of a solve from which it is not made again and again
@@ -100,39 +99,38 @@ def _peers(scene: Scene, task: Task) -> dict[str, Callable[[], Solve]]:
 
 def _in_turns(calls: dict[str, Callable[[], Solve]], scene: Scene, task: Task) -> Iterator[Row]:
     """Every call once, then those that are brief again in as many rounds as are wanted."""
-    found: dict[str, list[Solve]] = {}
-    for turn in range(task.rounds):
-        for name, call in calls.items():
-            if turn == 0 or (found.get(name, [])[:1] and found[name][0].seconds < BRIEF):
-                with suppress(InputError):
-                    found.setdefault(name, []).append(call())
+    attempts = {name: partial(_attempt, call) for name, call in calls.items()}
+    found = in_turns(attempts, task.rounds, lambda first: first is not None and first.seconds < BRIEF)
     for name, solves in found.items():
-        yield _row(name, solves, scene, task)
+        if known := [one for one in solves if one is not None]:
+            yield _row(name, known, scene, task)
+
+
+def _attempt(call: Callable[[], Solve], _: int) -> Solve | None:
+    """None where the method cannot solve the scene."""
+    try:
+        return call()
+    except InputError:
+        return None
 
 
 def _row(name: str, solves: list[Solve], scene: Scene, task: Task) -> Row:
-    wall = np.array([one.seconds for one in solves])
-    first, median, is_ours = solves[0], float(np.median(wall)), name in all_methods()
-    grown = max(one.bytes or 0.0 for one in solves)
-    updates = scene.lattice.contacts * first.iterations / median if is_ours else None
+    times = Times.of([(one.seconds, one.processor) for one in solves])
+    first, is_ours, grown = solves[0], name in all_methods(), max(one.bytes or 0.0 for one in solves)
     return Row(
         part="methods",
         what=name,
         shape=scene.lattice.shape,
         components=len(scene.minimum_spin_axes),
         threads=task.threads,
-        seconds=median,
-        quickest=float(wall.min()),
-        slowest=float(wall.max()),
-        seconds_processor=float(np.median([one.processor for one in solves])),
         seconds_compile=first.compiling,
-        rounds=len(solves),
-        contact_updates=updates,
+        contact_updates=scene.lattice.contacts * first.iterations / times.seconds if is_ours else None,
         bytes_per_sphere=grown / scene.lattice.sites if grown > NOTICED else None,
         iterations=first.iterations,
         gap=first.gap,
         status=first.status,
         law=scene.law.name,
+        **times.columns,
         **(_counted(name, scene, first.iterations) if is_ours else {}),
     )
 

@@ -5,14 +5,11 @@ All take the same samples, in turns; the workers are warm. For the others only w
 anew: their matrices are kept.
 """
 
-import os
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,14 +19,14 @@ from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, Work, run_samples
 from taichi_bearings.scans.estimate import units_of
-from taichi_bearings.scans.plan import Sample, read_plan
+from taichi_bearings.scans.plan import Sample, sample_key
 from taichi_bearings.scans.sample import Wanted, failure, solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
 from .conic import ConicProgramme, conic_programme, with_coefficients
 from .peers import Peer, find_peers, moreau_solver
-from .rows import Row
+from .timing import Row, Times, in_turns
 
 TOLERANCE = 1e-8
 BATCH = 24  # samples that moreau is given at a time
@@ -54,11 +51,10 @@ class Contender:
 
 def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
     """Samples of the paper's scene with seeds from `first` on, as a scan plans them."""
-    with tempfile.TemporaryDirectory() as folder:
-        plan = Path(folder) / "scan.toml"
-        seeds = f"{{ start = {first}, stop = {first + number} }}"
-        plan.write_text(f"shape = {list(shape)}\ntolerance = {TOLERANCE}\nthreads = 1\n[scan]\nseed = {seeds}\n")
-        return list(read_plan(plan).samples)
+    chosen = [
+        RunSettings(shape=shape, seed=seed, tolerance=TOLERANCE, threads=1) for seed in range(first, first + number)
+    ]
+    return [Sample(sample_key(settings), settings, {"seed": settings.seed}) for settings in chosen]
 
 
 @lru_cache(maxsize=1)
@@ -120,13 +116,11 @@ def quickest(peers: Sequence[Peer], shape: tuple[int, ...]) -> Peer | None:
     return min(peers, key=seconds, default=None)
 
 
-def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> list[Row]:
+def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Iterator[Row]:
     """Rounds in which every contender solves the same `number` samples, one contender after another.
 
     Raises BearingsError if a sample has no result.
     """
-    walls: dict[str, list[float]] = {}
-    proven: dict[str, list[bool]] = {}
     with ExitStack() as stack:
         known = contenders(workers, shape)
         engines = {one.name: stack.enter_context(closing(LocalEngine(one.work, one.workers))) for one in known}
@@ -134,15 +128,25 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> l
             some = one.units(samples_of(shape, 10**6, number))[: one.workers]
             with stage(f"{one.name}, warming up"):
                 list(_solved(one, engines[one.name], some))
-        for turn in range(rounds):
-            samples = samples_of(shape, turn * number, number)
-            for one in known:
-                began = time.perf_counter()
-                with stage(one.name):
-                    records = list(_solved(one, engines[one.name], one.units(samples)))
-                walls.setdefault(one.name, []).append((time.perf_counter() - began) / number)
-                proven.setdefault(one.name, []).extend(bool(r["scalars"]["states_proven"]) for r in records)
-    return [_row(one, walls, proven[one.name], samples[0], rounds * number) for one in known]
+
+        def solve(turn: int, one: Contender) -> tuple[float, float]:
+            """Seconds a sample, and share of the samples with all states proven."""
+            units, began = one.units(samples_of(shape, turn * number, number)), time.perf_counter()
+            with stage(one.name):
+                records = list(_solved(one, engines[one.name], units))
+            proven = float(np.mean([record["scalars"]["states_proven"] for record in records]))
+            return (time.perf_counter() - began) / number, proven
+
+        found = in_turns({one.name: partial(solve, one=one) for one in known}, rounds)
+    times = {name: Times(np.array([seconds for seconds, _ in of])) for name, of in found.items()}
+    for one in known:
+        is_ours = one.name == OURS
+        own: dict[str, Any] = {
+            "proven": float(np.mean([proven for _, proven in found[one.name]])) if is_ours else None,
+            "ratio": None if is_ours else float(np.median(times[one.name].each / times[OURS].each)),
+        }
+        columns = own | times[one.name].columns
+        yield Row(part="scans", what=one.name, shape=shape, threads=one.workers, samples=rounds * number, **columns)
 
 
 def _solved(one: Contender, engine: LocalEngine, units: Sequence[tuple[Sample, ...]]) -> Iterator[dict[str, Any]]:
@@ -151,22 +155,3 @@ def _solved(one: Contender, engine: LocalEngine, units: Sequence[tuple[Sample, .
             if "error" in record["scalars"]:
                 raise BearingsError(f"{one.name} has no result for a sample: {record['scalars']['error']}")
             yield record
-
-
-def _row(one: Contender, walls: dict[str, list[float]], proven: list[bool], sample: Sample, number: int) -> Row:
-    own = np.array(walls[one.name])
-    row = Row(
-        part="scans",
-        what=one.name,
-        shape=sample.settings.shape,
-        threads=one.workers,
-        seconds=float(np.median(own)),
-        quickest=float(own.min()),
-        slowest=float(own.max()),
-        rounds=len(own),
-        samples=number,
-        load=os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-    )
-    if one.name == OURS:
-        return replace(row, proven=float(np.mean(proven)))
-    return replace(row, ratio=float(np.median(own / np.array(walls[OURS]))))

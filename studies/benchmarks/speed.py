@@ -1,7 +1,6 @@
 """The benchmark of speed: which parts, of which sizes, in which processes; what is missing on this machine."""
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -20,7 +19,7 @@ from taichi_bearings.stages import each, stage
 from . import dynamics, kernels, machine, methods, scans
 from .baselines import find_compiler
 from .peers import find_peers
-from .rows import PARTS, Row
+from .timing import PARTS, Row
 
 Shape = tuple[int, ...]
 LARGE = 2.0**18  # bytes: the largest stream beside small lattices
@@ -180,15 +179,14 @@ def _work(budget: Budget, parts: Sequence[str], threads: Sequence[int]) -> Itera
     if "scans" in parts:
         for shape, samples in budget.scanned.items():
             name = f"scans of {'x'.join(map(str, shape))}"
-            yield name, partial(_scans, shape, samples, min(3, budget.rounds), min(2, runtime.available_threads()))
+            yield (
+                name,
+                partial(scans.measure, shape, samples, min(3, budget.rounds), min(2, runtime.available_threads())),
+            )
     if "dynamics" in parts:
         for shape, number in product(budget.moved, threads):
             steps = dynamics.Task(shape, number, budget.rounds, budget.steps)
             yield f"dynamics, threads {number}", partial(elsewhere, dynamics.measure, steps)
-
-
-def _scans(shape: Shape, samples: int, rounds: int, workers: int) -> Iterator[Row | str]:
-    yield from scans.measure(shape, samples, rounds, workers)
 
 
 def _missing(parts: Sequence[str], threads: Sequence[int]) -> dict[str, str]:
@@ -222,11 +220,9 @@ def elsewhere(measure: Callable[[Any], Iterator[Row | str]], task: Any) -> Itera
 
 
 def _serve(pipe: Connection, measure: Callable[[Any], Iterator[Row | str]], task: Any) -> None:
-    """In that process. load : of the machine as each row is done, unless it tells of its own."""
+    """In that process."""
     try:
         for found in measure(task):
-            if isinstance(found, Row) and found.load is None and hasattr(os, "getloadavg"):
-                found = replace(found, load=os.getloadavg()[0])
             pipe.send(found)
     except BearingsError as error:
         pipe.send(error)

@@ -1,19 +1,21 @@
 """What the benchmark of speed has measured as a table, CSV, JSON and figure."""
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_csv
+from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.style import save
 
 from ..plots.roofline import Ceilings, Measured, draw_roofline
-from .rows import COLUMNS, PARTS, Row
+from ..report import Files
 from .speed import Report
+from .timing import COLUMNS, PARTS, Row
+
+NAMES = ("speed.csv", "roofline.png")
 
 Cell = Callable[[Row], str]
 TIMES: dict[str, Cell] = {
@@ -133,31 +135,15 @@ def _lines(rows: Sequence[Row], cells: dict[str, Cell]) -> str:
     return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
-class SpeedFiles:
-    """speed.csv and, where kernels were measured, roofline.png in one folder, each written in one move.
-
-    The folder is made at once, so that one that cannot be written is found before anything is measured.
-    """
-
-    def __init__(self, folder: Path, force: bool = False) -> None:
-        self.folder = folder
-        self.csv, self.figure = folder / "speed.csv", folder / "roofline.png"
-        refuse_standing((self.csv, self.figure), force)
-        make_folder(folder)
-
-    def clear(self) -> None:
-        """Nothing was measured: the folder goes unless something is in it."""
-        with suppress(OSError):
-            self.folder.rmdir()
-
-    def write(self, report: Report) -> list[Path]:
-        """The files that were written."""
-        rows = [[_plain(value) for value in asdict(row).values()] for row in report.rows]
-        write_csv(self.csv, COLUMNS, rows, [f"{name}: {value}" for name, value in report.machine.items()])
-        if not (report.of("kernels") and report.of("memory")):
-            return [self.csv]
-        save(figure_of(report), self.figure)
-        return [self.csv, self.figure]
+def write(files: Files, report: Report) -> list[Path]:
+    """speed.csv and, where kernels and memory were measured, roofline.png; returns those that were written."""
+    csv, figure = files.paths
+    rows = [[_plain(value) for value in asdict(row).values()] for row in report.rows]
+    write_csv(csv, COLUMNS, rows, [f"{name}: {value}" for name, value in report.machine.items()])
+    if not (report.of("kernels") and report.of("memory")):
+        return [csv]
+    save(figure_of(report), figure)
+    return [csv, figure]
 
 
 def _plain(value: Any) -> Any:

@@ -1,7 +1,14 @@
-"""A claim of the paper, what was found, and the verdict."""
+"""A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure: claims/FIGURE.toml.
 
-from collections.abc import Mapping, Sequence
+A claim there has `claim`, `finding`, `paper`, `ours`, `uncertainty` and `after_data`, sentences with named numbers;
+`limits`; and rules, expressions in the same names: `holds`, `refined`, `samples` and `needed`.
+"""
+
+import string
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -9,7 +16,7 @@ from scipy.special import betaincinv
 
 from taichi_bearings.analysis.statistics import CONFIDENCE as MEAN_CONFIDENCE
 from taichi_bearings.analysis.statistics import FEW, LEAST, MANY, mean_interval
-from taichi_bearings.words import counted, share
+from taichi_bearings.words import counted, share, with_error
 
 VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
 KINDS = {
@@ -18,9 +25,8 @@ KINDS = {
 }
 """What a verdict rests on."""
 CONFIDENCE = 0.95
-HALF = 0.5
 SAMPLES, QUICK_SAMPLES = 200, 20  # seeds that a statistical claim may take, by default
-FEWEST = 5  # samples without an exception that say, at this confidence, that most others are like them
+ROUND_OFF = 1e-12  # relative difference that numbers of samples may have by rounding alone
 
 
 @dataclass(frozen=True)
@@ -82,12 +88,27 @@ def is_claim(found: Any) -> bool:
 
 
 @dataclass(frozen=True)
+class Effort:
+    """seed : first seed of all samples. samples : seeds that a statistical claim may take. quick : the short form, with
+    fewer iterations and sizes too."""
+
+    seed: int = 0
+    samples: int = SAMPLES
+    quick: bool = False
+
+
+@dataclass(frozen=True)
 class Share:
     """A share of all samples, as a number of those drawn shows it. least, most : the exact interval (Clopper, Pearson),
     each end at the confidence CONFIDENCE."""
 
     hits: int
     samples: int
+
+    @classmethod
+    def of(cls, hits: Any) -> "Share":
+        """Of booleans, one a sample."""
+        return cls(int(np.sum(hits)), len(hits))
 
     @property
     def least(self) -> float:
@@ -99,13 +120,9 @@ class Share:
         misses = self.samples - self.hits
         return float(betaincinv(self.hits + 1, misses, CONFIDENCE)) if misses else 1.0
 
-    def above(self, limit: float) -> dict[str, Any]:
-        """What a Claim that the share is above `limit`, within (0, 1), is judged by."""
-        return {"confirmed": self.least > limit, "samples": self.samples, "needed": self.needed_for(limit)}
-
     def needed_for(self, limit: float) -> int:
-        """Number of samples from which such a share tells on which side of `limit` it is; no more than there are if it
-        does already."""
+        """Number of samples from which such a share tells on which side of `limit`, within (0, 1), it is; no more than
+        there are if it does already."""
         number = max(self.samples, 1)
         while True:
             scaled = Share(round(self.hits / max(self.samples, 1) * number), number)
@@ -132,8 +149,11 @@ def every(samples: int) -> str:
     return "no sample" if not samples else f"in at least {share(Share(samples, samples).least)} of all, exact binomial"
 
 
-def interval_of_mean(values: Sequence[float] | np.ndarray) -> str:
-    """The uncertainty of a mean over samples in words: Student's t for few and for many, else a bootstrap (BCa)."""
+def interval_of(values: Any) -> str:
+    """The uncertainty in words: of a Share; of a mean over samples Student's t for few and for many, else a bootstrap
+    (BCa)."""
+    if isinstance(values, Share):
+        return values.interval
     number, found = len(values), mean_interval(np.asarray(values, dtype=float))
     if number < LEAST:
         return f"{counted(number, 'sample')}: no interval"
@@ -141,11 +161,95 @@ def interval_of_mean(values: Sequence[float] | np.ndarray) -> str:
     return f"{found.low:.4g} to {found.high:.4g}, {share(MEAN_CONFIDENCE, 0)}, {how}"
 
 
-@dataclass(frozen=True)
-class Effort:
-    """seed : first seed of all samples. samples : seeds that a statistical claim may take. quick : the short form, with
-    fewer iterations and sizes too."""
+def mean(values: Sequence[float] | np.ndarray) -> str:
+    """Mean and standard error, for people; without the latter if the samples are too few for one."""
+    found = np.asarray(values, dtype=float)
+    if len(found) < LEAST or np.ptp(found) <= ROUND_OFF * np.abs(found).max():
+        return with_error(found.mean(), np.nan)
+    return with_error(found.mean(), found.std(ddof=1) / np.sqrt(len(found)))
 
-    seed: int = 0
-    samples: int = SAMPLES
-    quick: bool = False
+
+def span(values: np.ndarray) -> str:
+    """The least and the largest value, for people."""
+    return f"{values.min():.4f} ... {values.max():.4f}" if len(values) > 1 else f"{values[0]:.4f}"
+
+
+REDUCED: dict[str, Callable[[Any], Any]] = {"max": np.max, "min": np.min, "mean": np.mean, "median": np.median,
+                                            "sum": np.sum, "len": len}  # fmt: skip
+WRITTEN: dict[str, Callable[[Any], str]] = {
+    "interval": interval_of, "every": every, "error": mean, "span": span,
+    "hits": lambda values: f"{int(np.sum(values))} of {len(values)}",
+    "percent": lambda value: share(value, 0), "percent1": share,
+}  # fmt: skip
+
+
+class _Sentences(string.Formatter):
+    """Sentences of a claim: a number is {name}, or {name:way format}.
+
+    ways : those of REDUCED and then a format, those of WRITTEN; count WORD, 3 words; list, its parts in the format that
+    follows; by, of numbers by name or by the side of cubes, in the format that follows; each PHRASE, of numbers by name
+    the sentence of that name among the phrases of the claim.
+    """
+
+    def __init__(self, phrases: Mapping[str, str], named: Mapping[str, Any]) -> None:
+        self.phrases, self.named = phrases, named
+
+    def fill(self, text: str, **more: Any) -> str:
+        return self.vformat(text, (), {**self.named, **more})
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        way, _, rest = format_spec.partition(" ")
+        if way in REDUCED:
+            return self.format_field(REDUCED[way](value), rest)
+        if way in WRITTEN:
+            return WRITTEN[way](value)
+        if way == "count":
+            return counted(int(value), rest)
+        if way == "list":
+            return ", ".join(self.format_field(part, rest) for part in value) or "none"
+        if way == "by":
+            parts = [(key, self.format_field(part, rest)) for key, part in value.items()]
+            if all(isinstance(key, int) for key in value):
+                number = {} if rest == "hits" else {side: f" ({len(part)})" for side, part in value.items()}
+                return ", ".join(f"{text} at {side}^3{number.get(side, '')}" for side, text in parts)
+            return "; ".join(f"{name}{':' if 'interval' in rest else ''} {text}" for name, text in parts)
+        if way == "each":
+            return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in value.items())
+        return str(super().format_field(value, format_spec))
+
+
+@lru_cache
+def sentences(figure: str) -> dict[str, dict[str, Any]]:
+    """The claims of a figure by name, as its file has them."""
+    try:
+        import tomllib
+    except ModuleNotFoundError:  # Python 3.10
+        import tomli as tomllib
+    path = Path(__file__).parent / "claims" / f"{figure}.toml"
+    return dict(tomllib.loads(path.read_text(encoding="utf-8")))
+
+
+def judge(claim: str, numbers: Mapping[str, Any], /, **others: Any) -> Claim:
+    """The claim FIGURE.NAME with its verdict. numbers : what the report keeps for programs. others : what else its
+    sentences and rules name."""
+    figure, _, name = claim.partition(".")
+    told = sentences(figure)[name]
+    named = {**told.get("limits", {}), **numbers, **others}
+    written = _Sentences(told.get("phrases", {}), named)
+
+    def rule(key: str, default: Any) -> Any:
+        found = told.get(key, default)
+        return eval(found, {"np": np, **named}) if isinstance(found, str) else found
+
+    words = {key: written.fill(told.get(key, "")) for key in ("finding", "paper", "ours", "uncertainty")}
+    return Claim(
+        text=written.fill(told["claim"]),
+        confirmed=bool(rule("holds", None)),
+        refined=bool(rule("refined", False)),
+        numbers=numbers,
+        samples=int(rule("samples", None)),
+        needed=int(rule("needed", 1)),
+        kind=told.get("kind", "samples"),
+        after_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
+        **words,
+    )

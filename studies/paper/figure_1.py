@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,27 +28,22 @@ from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
 from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
-from taichi_bearings.words import counted, share
 
 from ..plots.configurations import draw_configurations
-from .claims import FEWEST, HALF, Claim, Effort, Share, every
-from .relaxation import relax
-from .samples import save_both, solved
+from .claims import Claim, Effort, Share, judge
+from .samples import relax, save_both, solved
 
 SHAPE, CUBE = (10, 10), (10, 10, 10)
 PAPER_SAMPLES, PAPER_OTHERS = 1000, 17  # the paper's, and how many of them did not end at the minimum cut
 CHEAP = 5  # times as many samples as asked for, of what takes milliseconds each
 CUBES = 5  # viscous samples in 3D
 FEW = 20  # samples of each further distribution or driving, and of those followed in time
-SAME = 1e-9  # relative difference up to which powers count as the same
-STILL = 1e-9  # of R times the jump: viscous contacts that slip less would count as slipless; rounding is below 1e-14
+SAME = 1e-9  # relative difference up to which the weights of cuts count as the same
 DESCENT = 40_000  # iterations of gradient descent with momentum
 VISIBLE = 0.1  # of the jump: contacts that slip more count as slipping at the end of a descent
-MOST, IN_ORDER = 0.05, 0.75  # samples that may end elsewhere, and share of pairs that must be in order; by chance 0.5
 DISTRIBUTIONS = ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 BOTTOMS = (0.5, -0.5)  # spin of the bottom over that of the top
 STARTS = ("random", "zero")
-END = 1e-6  # of the jump: spins at rest this close to one of the driven ones belong to its domain
 
 
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:
@@ -224,32 +218,13 @@ def write_samples(path: Path, minimum: Minimum, descent: Descent) -> None:
 
 
 def _continuous(flat: Solution, cubes: Solution) -> Claim:
-    found, smooth = [], True
-    numbers: dict[str, dict[str, Any]] = {}
+    sizes = {}
     for solution in (flat, cubes):
         scene = solution.scene
         least, largest = slip_range(solution)
-        rising = least_rise(solution)
-        smooth &= least > STILL and rising > 0 and largest < 0.5
-        name = "x".join(map(str, scene.lattice.shape))
-        found.append(
-            f"{name}, {counted(scene.replicas, 'sample')}: every contact slips, by {least:.1e} to {largest:.2f} of the "
-            f"jump, and the mean spin rises by at least {rising:.3f} of it from each layer to the next"
-        )
-        numbers[name] = {"samples": scene.replicas, "least_slip": least, "largest_slip": largest, "least_rise": rising}
-    return Claim(
-        "Viscous: the spin changes continuously from top to bottom.",
-        f"{'; '.join(found)} (limits: more than {STILL:g}, less than 0.5, more than 0).",
-        bool(smooth),
-        numbers,
-        samples=min(flat.scene.replicas, cubes.scene.replicas),
-        needed=FEWEST,
-        paper="continuous, one sample",
-        ours="; ".join(
-            f"{name}: slips of {of['least_slip']:.0e} to {of['largest_slip']:.2f}" for name, of in numbers.items()
-        ),
-        uncertainty="; ".join(f"{name}: {every(of['samples'])}" for name, of in numbers.items()),
-    )
+        numbers = {"least_slip": least, "largest_slip": largest, "least_rise": least_rise(solution)}
+        sizes["x".join(map(str, scene.lattice.shape))] = {"samples": scene.replicas, **numbers}
+    return judge("fig1.continuous", sizes, sizes=sizes)
 
 
 def slip_range(solution: Solution) -> tuple[float, float]:
@@ -272,87 +247,41 @@ def least_rise(solution: Solution) -> float:
 
 def _least_power(minimum: Minimum, settled: Settled) -> Claim:
     spread, apart = float(minimum.spread.max()), float(settled.spread.max())
-    return Claim(
-        "Coulomb, 2D: the least power is that of the minimum cut.",
-        f"Shortest path, largest flow and the friction forces that prove the path agree to {spread:.1e} in "
-        f"{counted(len(minimum.spread), 'sample')}, and cut the same contacts in {minimum.same_cut.sum()}. Both bounds "
-        f"of the interior-point method, which knows of no cut, agree with them to {apart:.1e} in "
-        f"{counted(len(settled.spread), 'sample')} (limit {SAME:g}).",
-        bool(max(spread, apart) <= SAME and minimum.same_cut.all()),
-        {"samples": len(minimum.spread), "spread": spread, "other_samples": len(settled.spread), "other_spread": apart},
-        kind="theorem",
-        samples=len(minimum.spread),
-        paper="exactly the minimum cut",
-        ours=f"the same to {max(spread, apart):.0e}",
-        uncertainty="none but rounding: a theorem",
-    )
+    numbers = {"samples": len(minimum.spread), "spread": spread}
+    numbers |= {"other_samples": len(settled.spread), "other_spread": apart}
+    return judge("fig1.least_power", numbers, same_cut=minimum.same_cut, worst=max(spread, apart))
 
 
 def _interface(minimum: Minimum, settled: Settled) -> Claim:
-    unique, proven, same = minimum.cut.unique, settled.solution.states_proven, settled.differing == 0
-    nearest = float(minimum.distance.min())
-    return Claim(
-        "Coulomb, 2D: two bearing states, and their interface is the minimum cut.",
-        f"The minimum cut is unique in {unique.sum()} of {counted(len(unique), 'sample')} (the nearest second cut is "
-        f"heavier by {nearest:.1e}), so the minimum is, and all its slip is at the cut. The contacts that slip by the "
-        f"interior-point method are exactly those of the cut in {same.sum()} of {counted(len(same), 'sample')}, proven "
-        f"by forces in {proven.sum()}.",
-        bool(unique.all() and same.all()),
-        {
-            "samples": len(unique),
-            "unique": int(unique.sum()),
-            "nearest_second_cut": nearest,
-            "settled": len(same),
-            "identical": int(same.sum()),
-            "proven": int(proven.sum()),
-        },
-        kind="theorem",
-        samples=len(unique),
-        paper="identical, 983 of 1000",
-        ours=f"identical in {same.sum()} of {len(same)}, at the exact minimum",
-        uncertainty=f"none where the cut is unique: a theorem; unique in {unique.sum()} of {len(unique)}",
-    )
+    numbers = {
+        "samples": len(minimum.cut.unique),
+        "unique": int(minimum.cut.unique.sum()),
+        "nearest_second_cut": float(minimum.distance.min()),
+        "settled": len(settled.differing),
+        "identical": int((settled.differing == 0).sum()),
+        "proven": int(settled.solution.states_proven.sum()),
+    }
+    return judge("fig1.interface", numbers)
 
 
 def _counted(minimum: Minimum, descent: Descent) -> Claim:
     samples, failed = len(descent.differs), int(descent.differs.sum())
-    others = Share(failed, samples)
-    order = np.sort(minimum.distance)
     expected = round(PAPER_OTHERS * samples / PAPER_SAMPLES)
-    limit = float(order[min(expected, samples - 1)])
     explained = minimum.distance[descent.differs] <= descent.excess[descent.differs] / VISIBLE
     last = int((minimum.distance <= minimum.distance[descent.differs].max()).sum()) if failed else 0
-    higher = share_above(minimum.distance[~descent.differs], minimum.distance[descent.differs])
+    numbers = {
+        "samples": samples,
+        "iterations": DESCENT,
+        "visible_slip": VISIBLE,
+        "identical": samples - failed,
+        "explained": int(explained.sum()),
+        "pairs_in_order": share_above(minimum.distance[~descent.differs], minimum.distance[descent.differs]),
+        "highest_rank_of_others": last,
+        "distance_for_the_papers_count": float(np.sort(minimum.distance)[min(expected, samples - 1)]),
+        "median_excess": float(np.median(descent.excess)),
+    }
     farthest = f" The largest e among them has rank {last} of all." if failed else ""
-    return Claim(
-        "The boundary that a descent reaches is the minimum cut in 983 of 1000 samples; the others nearly tie.",
-        f"After {DESCENT} iterations with momentum, from random spins, the contacts that slip by more than {VISIBLE:g} "
-        f"of the jump are those of the cut, but for {others}; limit: {MOST:.0%}. In "
-        f"{explained.sum()} of the {failed} others the second cut, heavier by e, is near enough to explain it (e <= "
-        f"excess of the power / {VISIBLE:g}).{farthest} In {share(higher)} of all pairs the sample that ends at the "
-        f"cut has the larger e (limit {IN_ORDER:.0%}, from {FEWEST} others on). {expected} of {samples} have e below "
-        f"{limit:.1e}: if two cuts that near count as tied, the paper's count follows. The count of a descent "
-        "depends on its length and on what counts as slip; at the exact minimum it is all of them.",
-        bool(others.most <= MOST and explained.all() and (failed < FEWEST or higher >= IN_ORDER)),
-        {
-            "samples": samples,
-            "iterations": DESCENT,
-            "visible_slip": VISIBLE,
-            "identical": samples - failed,
-            "explained": int(explained.sum()),
-            "pairs_in_order": higher,
-            "highest_rank_of_others": last,
-            "distance_for_the_papers_count": limit,
-            "median_excess": float(np.median(descent.excess)),
-        },
-        refined=True,
-        samples=samples,
-        needed=others.needed_for(MOST),
-        paper="983 of 1000",
-        ours=f"{samples - failed} of {samples}",
-        uncertainty=f"others: {others.interval}",
-        after_data=f"{DESCENT} iterations and {VISIBLE:g} of the jump: both decide the count",
-    )
+    return judge("fig1.counted", numbers, others=Share(failed, samples), expected=expected, farthest=farthest)
 
 
 def share_above(values: np.ndarray, others: np.ndarray) -> float:
@@ -372,85 +301,40 @@ def _two_boundaries(minimum: Minimum, descent: Descent) -> Claim:
         outside.append(slips[chosen] & ~first[chosen] & ~other)
         both.append(slips[chosen] & other & ~first[chosen])
     within, at_second = count(outside) == 0, count(both) > 0
-    found = Share(int((within & at_second).sum()), len(chosen))
-    return Claim(
-        "In the remaining cases two boundaries are present, at two minimal cuts of nearly equal value.",
-        f"In {within.sum()} of {len(chosen)} such samples all visible slip is on the lightest two cuts, and in "
-        f"{at_second.sum()} contacts of the second cut alone do slip; both: {found}; limit: more than half. "
-        f"Flows that spare a contact of the cut find the second cut as heavy as the paths do in {same.sum()}.",
-        bool(found.least > HALF and same.all()),
-        {
-            "seeds": [minimum.solution.scene.seeds[n] for n in chosen],
-            "distance": minimum.distance[chosen].tolist(),
-            "excess": descent.excess[chosen].tolist(),
-            "on_two_cuts": within.tolist(),
-        },
-        samples=found.samples,
-        needed=found.needed_for(HALF),
-        paper="the final state can present two boundaries, 17 samples",
-        ours=f"{found.hits} of {counted(found.samples, 'sample')}",
-        uncertainty=found.interval,
-        after_data="what slips visibly, as above",
-    )
+    numbers = {
+        "seeds": [minimum.solution.scene.seeds[n] for n in chosen],
+        "distance": minimum.distance[chosen].tolist(),
+        "excess": descent.excess[chosen].tolist(),
+        "on_two_cuts": within.tolist(),
+    }
+    return judge("fig1.two_boundaries", numbers, within=within, at_second=at_second, same=same,
+                 found=Share.of(within & at_second))  # fmt: skip
 
 
 def _any_start(scene: Scene) -> Claim:
     above, bottom, top = cut_of(scene).above, scene.spin_bottom, scene.spin_top
     cut = np.where(above, top, bottom)
-    apart = {start: np.abs(relax(scene, start).last[0] - cut).max() / scene.jump for start in STARTS}
-    worst = float(max(apart.values()))
-    return Claim(
-        "Whatever the initial spins, the system evolves to the same stationary state.",
-        f"Cundall-Strack dynamics from {' and from '.join(STARTS)} spins end with all spins within {worst:.1e} of the "
-        f"jump of the two domains of the minimum cut, in {counted(scene.replicas, 'sample')} (limit {END:g}).",
-        worst <= END,
-        {"samples": scene.replicas} | {f"apart_from_{start}": float(value) for start, value in apart.items()},
-        samples=scene.replicas,
-        needed=FEWEST,
-        paper="always the same",
-        ours=f"the same to {worst:.0e} of the jump",
-        uncertainty=every(scene.replicas),
-    )
+    apart = {start: float(np.abs(relax(scene, start).last[0] - cut).max() / scene.jump) for start in STARTS}
+    numbers = {"samples": scene.replicas} | {f"apart_from_{start}": value for start, value in apart.items()}
+    return judge("fig1.any_start", numbers, worst=max(apart.values()), starts=" and from ".join(STARTS))
 
 
 def _any_distribution(others: Sequence[Settled]) -> Claim:
-    found, numbers, holds = [], {}, True
+    numbers = {}
     for name, settled in zip(DISTRIBUTIONS, others, strict=True):
-        unique, same, spread = settled.cut.unique, settled.differing == 0, float(settled.spread.max())
-        holds &= spread <= SAME and bool(same[unique].all())
-        found.append(f"{name} {spread:.1e}, {(same & unique).sum()} of {unique.sum()}")
-        numbers[name] = {"samples": len(unique), "spread": spread, "unique": int(unique.sum()), "same": same.tolist()}
-    return Claim(
-        "Coulomb, 2D: this holds for any distribution of friction coefficients.",
-        f"Largest difference between the power of the cut and the interior-point method's bounds (limit {SAME:g}), and "
-        f"samples whose slipping contacts are those of the cut, of those whose cut is unique: {'; '.join(found)}.",
-        holds,
-        numbers,
-        kind="theorem",
-        samples=min(len(settled.differing) for settled in others),
-        paper="any distribution",
-        ours=f"holds for {len(others)} more",
-        uncertainty="none but rounding: a theorem",
-    )
+        unique, same = settled.cut.unique, settled.differing == 0
+        spread = {"samples": len(unique), "spread": float(settled.spread.max())}
+        numbers[name] = spread | {
+            "unique": int(unique.sum()),
+            "alike": int((same & unique).sum()),
+            "same": same.tolist(),
+        }
+    return judge("fig1.any_distribution", numbers, of=numbers)
 
 
 def _any_bottom(driven: Sequence[Settled]) -> Claim:
-    found, numbers, holds = [], {}, True
+    numbers = {}
     for bottom, settled in zip(BOTTOMS, driven, strict=True):
-        same, spread = settled.differing == 0, float(settled.spread.max())
-        holds &= spread <= SAME and bool(same.all())
-        found.append(f"omega_B = {bottom:g} omega_T {spread:.1e}, {same.sum()} of {len(same)}")
-        numbers[f"{bottom:g}"] = {"samples": len(same), "spread": spread, "identical": int(same.sum())}
-    return Claim(
-        "Coulomb, 2D: the same with the bottom rotating.",
-        "The cut does not depend on it. Largest difference between F_n R |omega_T - omega_B| times its weight and the "
-        f"interior-point method's bounds (limit {SAME:g}), and samples whose slipping contacts are those of the cut: "
-        f"{'; '.join(found)}.",
-        holds,
-        numbers,
-        kind="theorem",
-        samples=min(len(settled.differing) for settled in driven),
-        paper="only the coefficients matter",
-        ours=f"the same cut for {len(driven)} more",
-        uncertainty="none: a theorem",
-    )
+        spread = {"samples": len(settled.differing), "spread": float(settled.spread.max())}
+        numbers[f"{bottom:g}"] = spread | {"identical": int((settled.differing == 0).sum())}
+    return judge("fig1.any_bottom", numbers, of=numbers)

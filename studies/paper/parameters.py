@@ -8,7 +8,6 @@ mu F_n / A_t.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,20 +19,15 @@ from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import CundallStrack, InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
-from taichi_bearings.words import counted
-from taichi_bearings.words import share as in_percent
 
 from ..plots.parameters import Course, draw_parameters
-from .claims import FEWEST, Claim, Effort, interval_of_mean
-from .relaxation import SAME, TIMES, Run, relax
-from .samples import save_both, solved
+from .claims import Claim, Effort, judge
+from .samples import TIMES, Run, relax, save_both, solved
 
 SHAPE, START = (3, 3, 3), "random"
 RUNS = 8
 STIFFNESS, DAMPING, FORCE = 1e5, 1e3, 50.0  # the paper's
 STEPS = 4_000_000  # limit; ten times the damping takes a million
-ROUND_OFF = 1e-9  # relative difference of least powers over F_n that are the same
-SIGNIFICANT = 0.05  # of P_0: a difference between two courses that counts
 PAPER_STRETCH = 1e-4  # at which contacts yield, by the paper
 LATE = 1e-3  # excess of the power over the minimum, relative, at which the times of two courses are compared
 
@@ -92,10 +86,6 @@ class Courses:
         after = np.where(late.any(axis=0), np.minimum(last + 1, len(late) - 1), 0)
         return np.asarray(self.scaled_time(name)[after])
 
-    @cached_property
-    def forces(self) -> list[float]:
-        return list(self.minima)
-
 
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write parameters.png, .pdf and .csv into `folder`; returns the claims with their verdicts."""
@@ -152,97 +142,44 @@ def _same_minimum(courses: Courses) -> Claim:
     per_force = first.power / first.scene.normal_force
     spread = max(float(np.abs(s.power / s.scene.normal_force / per_force - 1).max()) for s in others)
     states = [s.state for s in (first, *others)]
-    changed = sum(int((state != states[0]).sum()) for state in states[1:])
-    proven = min(int(s.states_proven.sum()) for s in (first, *others))
+    numbers = {
+        "forces": list(courses.minima),
+        "spread": spread,
+        "contacts_that_differ": sum(int((state != states[0]).sum()) for state in states[1:]),
+        "proven": min(int(s.states_proven.sum()) for s in (first, *others)),
+    }
     slipless = int((states[0] == ContactState.SLIPLESS).sum())
-    return Claim(
-        "The state of least dissipation does not depend on F_n; its power is proportional to it.",
-        f"P_min / F_n is the same to {spread:.1e} for F_n = {', '.join(f'{force:g}' for force in courses.forces)} "
-        f"(limit {ROUND_OFF:g}), and {changed} contacts have another state (limit: none). {slipless} contacts are "
-        f"slipless in {counted(len(per_force), 'sample')}; all are proven in {proven}. K_t and A_t are not in it.",
-        bool(spread <= ROUND_OFF and changed == 0),
-        {"forces": courses.forces, "spread": spread, "contacts_that_differ": changed, "proven": proven},
-        samples=len(per_force),
-        kind="theorem",
-        paper="no significant differences",
-        ours=f"P_min / F_n equal to {spread:.0e}",
-        uncertainty="none but rounding: a theorem",
-    )
+    return judge("parameters.same_minimum", numbers, slipless=slipless, samples=len(per_force))
 
 
 def _same_end(courses: Courses) -> Claim:
-    excess = {name: courses.excess(name)[-1] for name in courses.runs}
-    worst = max(float(values.max()) for values in excess.values())
+    excess = {name: courses.excess(name)[-1].tolist() for name in courses.runs}
     samples = len(next(iter(excess.values())))
-    return Claim(
-        "The dynamics ends in the same stationary state for other F_n, K_t and A_t.",
-        f"In {counted(samples, 'sample')} and for {', '.join(courses.runs)} (else the paper's) P ends at most "
-        f"{worst:.1e} above the proven lower bound (limit {SAME:g}).",
-        worst <= SAME,
-        {name: values.tolist() for name, values in excess.items()},
-        samples=samples,
-        needed=FEWEST,
-        paper="no significant differences",
-        ours=f"within {worst:.0e} of the minimum",
-        uncertainty="the excess is proven, sample by sample",
-    )
+    return judge("parameters.same_end", excess, excess=excess, worst=max(map(max, excess.values())), samples=samples)
 
 
 def _same_way(courses: Courses) -> Claim:
     apart = {name: courses.distance(name) for name in courses.runs if name != PAPER}
-    stiffer = max(float(apart[name].max()) for name in ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4"))
-    loaded = max(float(apart[name].max()) for name in ("F_n = 5", "F_n = 500"))
-    words = "; ".join(f"{name} {values.mean():.2g}, at most {values.max():.2g}" for name, values in apart.items())
-    return Claim(
-        "For other F_n and greater K_t and A_t no significant differences are observed: on the trajectory, too.",
-        f"Largest difference of P / P_0 from the course with the paper's values, at equal F_n t; mean over the samples "
-        f"and largest: {words} (limit: {SIGNIFICANT:g} in every sample for greater K_t and A_t; where other F_n alone "
-        "exceed it the claim is refined). The stretch mu F_n / K_t of a contact that holds must be small: more normal "
-        "force takes more stiffness. Which F_n the paper tried it does not say.",
-        stiffer <= SIGNIFICANT,
+    return judge(
+        "parameters.same_way",
         {name: values.tolist() for name, values in apart.items()},
-        refined=loaded > SIGNIFICANT,
+        apart={name: {"values": values} for name, values in apart.items()},
+        distances=apart,
+        stiffer=max(float(apart[name].max()) for name in ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4")),
+        loaded=max(float(apart[name].max()) for name in ("F_n = 5", "F_n = 500")),
         samples=len(next(iter(apart.values()))),
-        needed=FEWEST,
-        paper="no significant differences",
-        ours=f"P / P_0 differs by up to {stiffer:.2g}, for other F_n by {loaded:.2g}",
-        uncertainty="mean for " + "; ".join(f"{name}: {interval_of_mean(values)}" for name, values in apart.items()),
     )
 
 
 def _slower(courses: Courses) -> Claim:
     ratio = {name: courses.arrival(name) / courses.arrival(PAPER) for name in courses.runs if name != PAPER}
-    words = "; ".join(f"{name} {values.mean():.2g} ({interval_of_mean(values)})" for name, values in ratio.items())
-    faster = ratio["K = 1e6"]
-    return Claim(
-        "Beyond the paper: how long it takes depends on K_t.",
-        f"Time F_n t until P stays within {LATE:g} of the least power, over that with the paper's values: {words} "
-        "(limit: with K = 1e6 less than 1 in every sample).",
-        bool((faster < 1).all()),
-        {name: values.tolist() for name, values in ratio.items()},
-        samples=len(faster),
-        needed=FEWEST,
-        paper="not given",
-        ours=f"{faster.mean():.2g} of the time with ten times K_t",
-        uncertainty=interval_of_mean(faster),
-    )
+    told = {name: {"values": values} for name, values in ratio.items()}
+    numbers = {name: values.tolist() for name, values in ratio.items()}
+    return judge("parameters.slower", numbers, ratio=told, faster=ratio["K = 1e6"], late=LATE)
 
 
 def _threshold(scene: Scene) -> Claim:
     stretch = scene.coefficient.ravel() * (FORCE / STIFFNESS)
-    least, most = float(stretch.min()), float(stretch.max())
     reached = float((stretch <= PAPER_STRETCH).mean())
-    return Claim(
-        "K = 10^5, A = 10^3 and F_n = 50 ensure that the threshold of friction is reached at delta = 10^-4.",
-        f"A contact yields at a stretch of mu F_n / K_t. In {counted(scene.replicas, 'sample')} that is {least:.1e} to "
-        f"{most:.1e}, and {PAPER_STRETCH:g} is enough for {in_percent(reached, 0)} of the contacts (limit: enough for "
-        f"all; refined where ten times as much is).",
-        most <= 10 * PAPER_STRETCH,
-        {"least": least, "most": most, "reached": reached},
-        refined=most > PAPER_STRETCH,
-        samples=scene.replicas,
-        needed=FEWEST,
-        paper="10^-4",
-        ours=f"{least:.0e} to {most:.0e}",
-        uncertainty="the range that uniform friction from 0.1 to 1 allows is 5e-05 to 5e-04",
-    )
+    numbers = {"least": float(stretch.min()), "most": float(stretch.max()), "reached": reached}
+    return judge("parameters.threshold", numbers, samples=scene.replicas, enough=PAPER_STRETCH)

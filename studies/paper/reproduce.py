@@ -17,14 +17,14 @@ from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted, meant
 
+from ..report import environment
 from .claims import KINDS, VERDICTS, Claim, Effort, is_claim
-from .environment import environment
 from .page import page
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """title, the module of paper/ whose `reproduce(folder, effort)` returns its claims, and the files it writes.
+    """title, the module and the function of paper/ that return its claims, and the files that it writes.
 
     shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
     cores.
@@ -35,74 +35,56 @@ class PaperFigure:
     files: tuple[str, ...]
     shown: str
     seconds: tuple[float, float]
+    function: str = "reproduce"
 
     def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
         module = importlib.import_module(f".{self.module}", __package__)
-        claims: list[Claim] = module.reproduce(folder, effort)
+        claims: list[Claim] = getattr(module, self.function)(folder, effort)
         return claims
 
 
+def _written(name: str, *more: str) -> tuple[str, ...]:
+    return tuple(f"{name}{ending}" for ending in (".png", ".pdf", *more))
+
+
+ALL = "All samples."
 FIGURES = {
     "fig1": PaperFigure(
-        "Stationary states of 10x10 discs",
-        "figure_1",
-        ("fig1.png", "fig1.pdf", "fig1.csv", "fig1-samples.csv"),
-        "(a, b) the first seed whose cut is not level; (c) all samples.",
-        (24, 8),
+        "Stationary states of 10x10 discs", "figure_1", _written("fig1", ".csv", "-samples.csv"),
+        "(a, b) the first seed whose cut is not level; (c) all samples.", (24, 8),
     ),
     "fig2": PaperFigure(
-        "Relaxation of a 3x3x3 Coulomb bearing",
-        "figure_2",
-        ("fig2.png", "fig2.pdf", "fig2.csv"),
-        "Of the samples that are followed the first whose minimum is below its minimum cut.",
-        (40, 35),
+        "Relaxation of a 3x3x3 Coulomb bearing", "figure_2", _written("fig2", ".csv"),
+        "Of the samples that are followed the first whose minimum is below its minimum cut.", (40, 35),
     ),
     "fig3": PaperFigure(
-        "A 10x10x10 Coulomb bearing, its slipless network and a path",
-        "figure_3",
-        ("fig3.png", "fig3.pdf", "fig3.csv"),
-        "The first seed whose slipless contacts join bottom and top.",
-        (16, 10),
+        "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", _written("fig3", ".csv"),
+        "The first seed whose slipless contacts join bottom and top.", (16, 10),
     ),
     "fig4": PaperFigure(
-        "The planes that its path goes through", "figure_4", ("fig4.png", "fig4.pdf"), "The sample of fig3.", (4, 4)
+        "The planes that its path goes through", "figure_3", _written("fig4"), "The sample of fig3.", (4, 4),
+        "reproduce_planes",
     ),
     "supplement": PaperFigure(
-        "Power of the contacts of 32x32x32 spheres: descent and certified minimum",
-        "supplement",
-        ("supplement.png", "supplement.pdf", "supplement.csv"),
-        "The first seed.",
-        (600, 60),
+        "Power of the contacts of 32x32x32 spheres: descent and certified minimum", "supplement",
+        _written("supplement", ".csv"), "The first seed.", (600, 60),
     ),
     "network": PaperFigure(
-        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32",
-        "network",
-        ("network.png", "network.pdf", "network.csv"),
-        "All samples.",
+        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", _written("network", ".csv"), ALL,
         (500, 15),
     ),
     "distributions": PaperFigure(
-        "Other distributions of the friction coefficients",
-        "distributions",
-        ("distributions.png", "distributions.pdf", "distributions.csv"),
-        "All samples.",
+        "Other distributions of the friction coefficients", "distributions", _written("distributions", ".csv"), ALL,
         (190, 10),
     ),
     "drivings": PaperFigure(
-        "Other imposed bearing states",
-        "drivings",
-        ("drivings.png", "drivings.pdf", "drivings.csv"),
-        "All samples.",
-        (40, 20),
+        "Other imposed bearing states", "drivings", _written("drivings", ".csv"), ALL, (40, 20)
     ),
     "parameters": PaperFigure(
-        "Stiffness K, damping A and normal force F_n",
-        "parameters",
-        ("parameters.png", "parameters.pdf", "parameters.csv"),
-        "The first seed; claims are about all samples.",
-        (60, 50),
+        "Stiffness K, damping A and normal force F_n", "parameters", _written("parameters", ".csv"),
+        "The first seed; claims are about all samples.", (60, 50),
     ),
-}
+}  # fmt: skip
 MOST_PICTURE = 2**26  # bytes of one that the page holds
 REPORTS = ("report.html", "report.json", "report.md")
 

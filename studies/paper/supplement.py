@@ -25,20 +25,19 @@ from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.motion import Motion
 from taichi_bearings.verifier.samples import Samples
-from taichi_bearings.words import counted
 
 from ..plots.decades import draw_decades
-from .claims import FEWEST, Claim, Effort, Share, interval_of_mean
+from .claims import Claim, Effort, Share, judge
 from .samples import save_both, solved
 
 SHAPE, SPIN_BOTTOM = (32, 32, 32), 0.1
 SHARE_OF_SAMPLES = 0.04
-RARE = 0.1  # share of the samples up to which a range as wide as the paper's counts as missing
 PAPER_DECADES, PAPER_ITERATIONS = 11, 1_000_000
 ITERATIONS, QUICK_ITERATIONS = (10_000, 100_000, PAPER_ITERATIONS), (10_000, 100_000)
 BUDGET, QUICK_BUDGET = 1500.0, 90.0  # seconds of a descent
 BINS_PER_DECADE = 5
 SCHEMA = "taichi_bearings.supplement"
+NONE_PROVEN = "no sample with proven slips"
 
 
 @dataclass(frozen=True)
@@ -209,72 +208,46 @@ def _proven(minima: Sequence[Ending]) -> list[Ending]:
 
 def _range(minima: Sequence[Ending]) -> Claim:
     proven = _proven(minima)
-    decades = np.array([ending.decades for ending in proven])
-    wide = Share(int((np.round(decades) >= PAPER_DECADES).sum()), len(decades))
-    resting = ", ".join(f"{int((~ending.slips).sum()):,}" for ending in proven)
-    return Claim(
-        "32x32x32: the power at the contacts ranges over eleven orders of magnitude, although 0.1 <= mu <= 1.",
-        f"From the smallest to the largest power of the contacts that slip at the certified minimum: "
-        f"{', '.join(f'{value:.2f}' for value in decades)} decades. Which contacts slip is proven in {len(proven)} of "
-        f"{counted(len(minima), 'sample')}, which count here, and every slip to a share of "
-        f"{max((ending.slip_error for ending in proven), default=np.nan):.1e} of itself: none of these decades comes "
-        f"from the method. Eleven or more, rounded, are in {wide}; limit: more than {RARE:.0%}, so that the paper's "
-        f"sample is no rarity. The range hangs on the few smallest slips of a sample. {resting} of "
-        f"{len(minima[0].power):,} contacts rest and dissipate nothing at all.",
-        numbers={"decades": decades.tolist(), "slip_error": [ending.slip_error for ending in proven]},
-        refined=wide.hits < wide.samples,
-        paper="11 decades, one sample",
-        ours=f"{decades.min():.1f} to {decades.max():.1f} decades" if proven else "no sample with proven slips",
-        uncertainty=f"of the mean: {interval_of_mean(decades)}; share with eleven: {wide.interval}",
-        after_data="that a tenth of all samples is enough; before it was half, which five samples left open",
-        **wide.above(RARE),
+    decades, errors = [ending.decades for ending in proven], [ending.slip_error for ending in proven]
+    return judge(
+        "supplement.range",
+        {"decades": decades, "slip_error": errors},
+        shown=", ".join(f"{value:.2f}" for value in decades),
+        proven=len(proven),
+        minima=len(minima),
+        worst=max(errors, default=np.nan),
+        wide=Share.of(np.round(decades) >= PAPER_DECADES),
+        resting=", ".join(f"{int((~ending.slips).sum()):,}" for ending in proven),
+        contacts=len(minima[0].power),
+        from_to=f"{min(decades):.1f} to {max(decades):.1f} decades" if proven else NONE_PROVEN,
     )
 
 
 def _broad(minima: Sequence[Ending]) -> Claim:
-    central = np.array([ending.central_decades for ending in _proven(minima)])
-    return Claim(
-        "32x32x32: powers spread far more than the friction coefficients, which differ by one decade at most.",
-        f"Without the lowest and the highest twentieth of the slipping contacts they still spread over "
-        f"{', '.join(f'{value:.2f}' for value in central)} decades (limit: more than 1, that of the coefficients, in "
-        "every sample).",
-        bool((central > 1).all()),
-        {"central_decades": central.tolist()},
-        samples=len(central),
-        needed=FEWEST,
-        paper="far more",
-        ours=f"{central.mean():.2f} decades for 90 % of them" if len(central) else "no sample with proven slips",
-        uncertainty=interval_of_mean(central),
-    )
+    central = [ending.central_decades for ending in _proven(minima)]
+    in_mean = f"{np.mean(central):.2f} decades for 90 % of them" if central else NONE_PROVEN
+    shown = ", ".join(f"{value:.2f}" for value in central)
+    return judge("supplement.broad", {"central_decades": central}, shown=shown, in_mean=in_mean)
 
 
 def _real(descents: Sequence[Ending], minimum: Ending, decades: Sequence[Decade]) -> Claim:
     descent = descents[-1]
-    whole = descent.iterations >= PAPER_ITERATIONS
     held = [decade for decade in decades if decade.contacts]
-    unreal = [decade for decade in held if not decade.is_real]
-    words = "; ".join(f"10^{d.exponent}: {d.slipping:,} of {d.contacts:,}" for d in held)
-    resting = int(descent.slips.sum() - (descent.slips & minimum.slips).sum())
-    known, over = np.isfinite(minimum.slip_error), descent.total / minimum.total - 1
-    shown = ", ".join(f"{ending.decades:.1f} after {ending.iterations:,} iterations" for ending in descents)
-    return Claim(
-        "Plain gradient descent of about 10^6 iterations shows decades of power that are there at the minimum.",
-        f"After {descent.iterations:,} iterations without momentum its power is {over:.1e} above the least, all "
-        f"{int(descent.slips.sum()):,} contacts slip, over {descent.decades:.1f} decades, and "
-        f"{resting:,} of them rest at the minimum. By decades, in F_n R omega_T, those that really slip: {words}. "
-        f"A decade counts as real if most do (limit: all decades): {len(held) - len(unreal)} of {len(held)} are. "
-        f"The longer the descent the more decades: {shown}. It takes decades from contacts at rest that creep ever "
-        "slower, and is not yet at the small slips of those that do slip. (The paper does not state its steps; here "
-        "they are of constant length by epochs, shorter each time, and the state is their mean over half an epoch.)",
-        not unreal,
-        {
-            "iterations": descent.iterations,
-            "excess": over,
-            "by_decade": list(map(vars, decades)),
-        },
-        samples=int(whole and known),
-        needed=1 if unreal else FEWEST,
-        paper="11 decades after about 10^6 iterations",
-        ours=f"{descent.decades:.1f} decades, {len(held) - len(unreal)} of {len(held)} real",
-        uncertainty="one sample: it can refute and not confirm; which contacts slip at its minimum is proven",
+    numbers = {
+        "iterations": descent.iterations,
+        "excess": descent.total / minimum.total - 1,
+        "by_decade": list(map(vars, decades)),
+    }
+    return judge(
+        "supplement.real",
+        numbers,
+        moving=int(descent.slips.sum()),
+        decades=descent.decades,
+        resting=int(descent.slips.sum() - (descent.slips & minimum.slips).sum()),
+        words="; ".join(f"10^{d.exponent}: {d.slipping:,} of {d.contacts:,}" for d in held),
+        real=sum(decade.is_real for decade in held),
+        held=len(held),
+        shown=", ".join(f"{ending.decades:.1f} after {ending.iterations:,} iterations" for ending in descents),
+        whole=descent.iterations >= PAPER_ITERATIONS,
+        known=bool(np.isfinite(minimum.slip_error)),
     )

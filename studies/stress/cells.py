@@ -1,8 +1,6 @@
 """One cell of stress: solved in a worker process, and judged by a truth that shares nothing with what solved it."""
 
-import base64
 import os
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -105,8 +103,7 @@ def stored(cell: Cell, record: dict[str, Any]) -> dict[str, Any]:
     told = {"status": str(answer.status), "reached": bool(answer.reached), "states_proven": bool(answer.states_proven)}
     told |= {name: float(getattr(answer, name)).hex() for name in NUMBERS}
     if not cell.case.is_layered:  # whose truth has no states
-        state = b"".join(np.asarray(part, dtype=np.uint8).tobytes() for part in answer.state)
-        told["state"] = base64.b64encode(zlib.compress(state)).decode()
+        told["state"] = "".join(str(int(one)) for part in answer.state for one in part.ravel())
     return kept | {"answer": told}
 
 
@@ -124,18 +121,16 @@ def restored(cell: Cell, kept: dict[str, Any]) -> dict[str, Any] | None:
         state = () if cell.case.is_layered else _states_of(cell.case.scene, told["state"])
         status = Status(told["status"]).value
         return {"answer": Answer(status, reached, states_proven=proven, state=state, **numbers)}
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, zlib.error):
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
         return None
 
 
-def _states_of(scene: Scene, packed: str) -> tuple[np.ndarray, ...]:
-    """The states of all contacts, an array an axis; ValueError if these are none."""
-    sizes = [part.size for part in scene.coefficients]
-    content = zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), sum(sizes) + 1)
-    state = np.frombuffer(content, dtype=np.uint8)
-    if (state > max(ContactState)).any():
+def _states_of(scene: Scene, digits: str) -> tuple[np.ndarray, ...]:
+    """The states of all contacts, an array an axis, from a digit for each; ValueError if these are none."""
+    state = np.array([int(digit) for digit in digits], dtype=np.uint8)
+    if (state > max(ContactState)).any() or not digits.isascii():
         raise ValueError
-    parts = np.split(state, np.cumsum(sizes)[:-1])
+    parts = np.split(state, np.cumsum([part.size for part in scene.coefficients])[:-1])
     return tuple(one.reshape(part.shape) for one, part in zip(parts, scene.coefficients, strict=True))
 
 

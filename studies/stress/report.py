@@ -19,6 +19,7 @@ from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted
 
 from ..plots.outcomes import draw_outcomes
+from ..report import markdown
 from .axes import AXES, Cell
 from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, restored, solve_tasks, stored
 
@@ -156,11 +157,7 @@ def table(axis: str, lines: Sequence[Line]) -> str:
     text = [[AXES[axis].title, *columns]]
     for row in rows:
         text.append([row, *(" ".join(filter(None, cells.get((row, column), ()))) for column in columns)])
-    widths = [max(map(len, column)) for column in zip(*text, strict=True)]
-    text.insert(1, ["-" * width for width in widths])
-    body = ("| " + " | ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)) + " |"
-            for line in text)  # fmt: skip
-    return "\n".join([f"### {axis}", "", *body])
+    return f"### {axis}\n\n{markdown(text)}"
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:

@@ -1,9 +1,13 @@
-"""The least power (or potential) of a sample in 110 decimal digits: a truth that shares no code with any solver.
+"""The least power (or potential) of a sample in 140 decimal digits: a truth that shares no code with any solver.
 
 Two of them. :func:`least` follows the central path of a small sample, contact by contact, in Python's decimals; what it
 says is enclosed by the cost of its spins from above and the work of its balanced forces from below. :func:`layered`
 is for samples of any size whose contacts along the height are alike in each layer: every column then does the same,
 no contact sideways slips or bears a force, and a column is a chain whose answer is written down.
+
+The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0. The
+slips of all minima point the same way, so the minima are a polyhedron; if it is more than a point, a linear programme
+for each contact tells whether it slips at all of them, in doubles: in units of the slips in the middle it is round.
 
 All numbers count exactly as the doubles that they are; spins are staggered, from the bottom, in units of the jump.
 """
@@ -17,26 +21,35 @@ import numpy as np
 
 from taichi_bearings.scene import Scene
 
-DIGITS = 110
+DIGITS = 140
 CLOSE, FINAL = Decimal("1e-6"), Decimal("1e-25")  # Newton's decrement on the way, and at the end
-SHRINK, TARGET = Decimal("0.01"), Decimal("1e-46")  # of the barrier in a step, and in all, relative to the cost
+SHRINK, TARGET = Decimal("0.01"), Decimal("1e-60")  # of the barrier in a step, and in all, relative to the cost
 NOTHING = Decimal("1e-40")  # cost, relative to that of even spins, below which the least one is zero
 CLEAR = Decimal("1e-20")  # slip over the jump, or margin over the friction, that counts as none at the end
 WANTED = Decimal("1e-20")  # relative width of the enclosure
 MOST_STEPS = 4000
-SLIPLESS, SLIPPING, UNCLEAR = 0, 1, 2  # as in files
+SLIPLESS, SLIPPING, UNCLEAR, EITHER, DRIVEN = range(5)  # the first three as in files
+RANK = 1e-25  # pivots below count as zero: directions are known to 1e-35 or better
+NEVER = 1e-7  # share of its slip in the middle down to which a contact must be able to go for EITHER
+MOVED = 1e-12  # change of a slip over that in the middle below which it is the same at all minima
 
 
 @dataclass(frozen=True)
 class Truth:
-    """lower, upper : they enclose the least objective, energy/time. state : of each contact, an array an axis: slipless
-    at every minimum, slipping in the middle of the minima, or unclear; empty where it is not known. unit : what errors
-    are relative to if the least is 0: the cost of all contacts with the jump, or without one the spin, for slip."""
+    """lower, upper : they enclose the least objective, energy/time. unit : what errors are relative to if the least is
+    0: the cost of all contacts with the jump, or without one the spin, for slip.
+
+    state : of each contact, an array an axis: SLIPLESS at every minimum, SLIPPING in the middle of the minima, or
+    UNCLEAR; empty where it is not known. Of all minima: SLIPPING at every one, or EITHER, and DRIVEN where both ends
+    are; then slip, length/time, is that in their middle, and freedom the dimension of the minima.
+    """
 
     lower: Decimal
     upper: Decimal
     state: tuple[np.ndarray, ...] = ()
     unit: Decimal = Decimal(0)
+    slip: tuple[np.ndarray, ...] = ()
+    freedom: int = 0
 
 
 def _decimals(values: np.ndarray) -> np.ndarray:
@@ -65,7 +78,8 @@ def _unit_jump(scene: Scene) -> dict[int, Decimal]:
 class _Sample:
     """Contacts as rows: `low`, `up` (E, C) are places in the spins, `felt` (E, C) is 1 for components across them."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, perturbed: tuple[int, Decimal] | None = None) -> None:
+        rng, size = (np.random.default_rng(perturbed[0]), perturbed[1]) if perturbed else (None, Decimal(0))
         shape, axes = scene.lattice.shape, range(scene.lattice.dimension)
         self.jump = _unit_jump(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
@@ -84,7 +98,7 @@ class _Sample:
             for number, (low, up, held, flow) in enumerate(zip(*pairs, a, c, strict=True)):
                 if (low.min() < self.unknowns or up.min() < self.unknowns or axis == axes[-1]) and held + flow > 0:
                     rows.append((low, up, felt))
-                    self.friction.append(held)
+                    self.friction.append(held * (1 + size * Decimal(rng.uniform(-1, 1))) if rng else held)
                     self.viscosity.append(flow)
                     self.of.append((axis, number))
         self.low, self.up, self.felt = (np.array(part).reshape(-1, count) for part in zip(*rows, strict=True))
@@ -119,13 +133,11 @@ class _Sample:
         slip, _, friction, stiffness = self.forces(barrier)
         matrix = np.full((len(self.spin), len(self.spin)), Decimal(0), dtype=object)
         bend = np.divide(stiffness * stiffness, self.a * self.root, out=np.zeros_like(self.a), where=self.a > 0)
-        for low, up, felt, d, w, b, c in zip(
-            self.low, self.up, self.felt, slip, stiffness[:, 0], bend[:, 0], self.c[:, 0], strict=True
-        ):
-            block = np.diag(felt * (w + c)) - b * np.outer(d, d)
-            for here, sign in ((up, 1), (low, -1)):
-                matrix[np.ix_(here, up)] += sign * block
-                matrix[np.ix_(here, low)] -= sign * block
+        straight = (self.felt * (stiffness + self.c))[:, :, None] * np.eye(slip.shape[1], dtype=int)
+        block = straight - bend[:, :, None] * slip[:, :, None] * slip[:, None, :]
+        for here, sign in ((self.up, 1), (self.low, -1)):
+            np.add.at(matrix, (here[:, :, None], self.up[:, None]), sign * block)
+            np.subtract.at(matrix, (here[:, :, None], self.low[:, None]), sign * block)
         gradient = self.torques(friction + self.c * slip)
         change = _solve(matrix[: self.unknowns, : self.unknowns], gradient)
         decrement = (max(gradient @ change, Decimal(0)) / barrier).sqrt()
@@ -155,22 +167,27 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
             matrix[k, k:], x[k] = Decimal(0), Decimal(0)
             continue
         share = matrix[k + 1 :, k] / matrix[k, k]
-        used = np.flatnonzero(share)
-        matrix[k + 1 + used, k + 1 :] -= np.outer(share[used], matrix[k, k + 1 :])
-        x[k + 1 + used] -= share[used] * x[k]
+        used = np.flatnonzero(share)  # of rows, and of columns: the matrix is symmetric
+        below = k + 1 + used
+        matrix[below[:, None], below] -= share[used, None] * matrix[k, below]
+        x[below] -= share[used] * x[k]
     for k in reversed(range(n)):
         if matrix[k, k]:
             x[k] = (x[k] - matrix[k, k + 1 :] @ x[k + 1 :]) / matrix[k, k]
     return x
 
 
-def least(scene: Scene) -> Truth:
-    """The truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED."""
+def least(scene: Scene, of_all: bool = False, perturbed: tuple[int, Decimal] | None = None) -> Truth:
+    """The truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED.
+
+    of_all : states, slips and freedom of all minima, of a sample with friction alone. perturbed : seed and size;
+    friction is multiplied by 1 + size * u, |u| < 1.
+    """
     with localcontext() as context:
         context.prec = DIGITS
         if not _unit_jump(scene) or scene.spin_top == scene.spin_bottom:
             return _nothing(scene)
-        sample = _Sample(scene)
+        sample = _Sample(scene, perturbed)
         barrier = first = sample.cost() / len(sample.a)
         steps, holds, before = 0, any(sample.friction), sample.spin
         while True:
@@ -191,7 +208,8 @@ def least(scene: Scene) -> Truth:
             return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit)
         if upper - lower > upper * WANTED:
             raise ArithmeticError(f"{scene} is enclosed by {lower:.25e} and {upper:.25e}")
-        return Truth(lower, upper, _states(scene, sample, barrier))
+        found = Truth(lower, upper, _states(scene, sample, barrier))
+        return _of_all_minima(found, scene, sample) if of_all else found
 
 
 def _nothing(scene: Scene) -> Truth:
@@ -211,7 +229,100 @@ def _states(scene: Scene, sample: _Sample, barrier: Decimal) -> tuple[np.ndarray
     for (axis, number), slip, room, held in zip(sample.of, length[:, 0], 1 - ratio[:, 0], sample.friction, strict=True):
         if held and (slip > CLEAR) != (room > CLEAR):
             state[axis][number] = SLIPPING if slip > CLEAR else SLIPLESS
-    return tuple(part.reshape(values.shape) for part, values in zip(state, scene.coefficients, strict=True))
+    return tuple(part.reshape(scene.lattice.contact_shape(axis)) for axis, part in enumerate(state))
+
+
+def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample) -> Truth:
+    """The same with what every minimum has in common."""
+    slips = sample.slips()
+    length = np.sqrt((slips * slips).sum(axis=1))
+    moves = length > CLEAR
+    size = np.array([own if moving else Decimal(1) for own, moving in zip(length, moves, strict=True)])
+    direction = slips / size[:, None]
+    basis = _freedom(sample, moves, direction)
+    changes = (basis[:, sample.up] - basis[:, sample.low]) * sample.felt  # (k, E, C)
+    along = ((changes * direction).sum(axis=2) / size)[:, moves]
+    either = np.zeros(len(moves), dtype=bool)
+    either[moves] = _can_rest(_orthonormal(along))
+    state = [np.full(part.shape, UNCLEAR, dtype=np.uint8) for part in truth.state]
+    slip = [np.zeros(part.shape) for part in truth.state]
+    for axis in range(scene.lattice.dimension - 1):
+        state[axis][..., 0] = state[axis][..., -1] = DRIVEN
+    speed = Decimal(scene.radius) * abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
+    for (axis, number), many, own, moving in zip(sample.of, either, length, moves, strict=True):
+        state[axis].flat[number] = EITHER if many else SLIPPING if moving else SLIPLESS
+        slip[axis].flat[number] = float(own * speed)
+    return replace(truth, state=tuple(state), slip=tuple(slip), freedom=len(basis))
+
+
+def _freedom(sample: _Sample, moves: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Basis (k, all spins) of changes that leave contacts at rest and slips along their directions; no driven one."""
+    rows = []
+    for low, up, felt, moving, (*sideways, along) in zip(
+        sample.low, sample.up, sample.felt, moves, direction, strict=True
+    ):
+        parts = np.flatnonzero(felt)
+        weights = [] if moving and len(parts) < 2 else [(-along, *sideways)] if moving else np.eye(len(felt), dtype=int)
+        for weight in weights:
+            row = np.full(len(sample.spin), Decimal(0), dtype=object)
+            for part in parts:
+                row[up[part]] += weight[part]
+                row[low[part]] -= weight[part]
+            rows.append(row[: sample.unknowns])
+    driven = np.full(len(sample.spin) - sample.unknowns, Decimal(0), dtype=object)
+    found = [np.concatenate([vector, driven]) for vector in _null_space(rows, sample.unknowns)]
+    return np.array(found, dtype=object).reshape(len(found), len(sample.spin))
+
+
+def _null_space(rows: list[np.ndarray], width: int) -> list[np.ndarray]:
+    """Vectors x with rows . x = 0, by elimination with complete pivoting of rows whose largest entry is 1."""
+    sizes = [max(abs(row)) for row in rows]
+    left = np.array([row / size for row, size in zip(rows, sizes, strict=True) if size > RANK]).reshape(-1, width)
+    columns, pivots, done = list(range(width)), [], np.empty((0, width), dtype=object)
+    while len(left) and columns:
+        size = np.abs(left[:, columns]).astype(float)
+        r, c = np.unravel_index(size.argmax(), size.shape)
+        if size[r, c] < RANK:
+            break
+        column = columns.pop(int(c))
+        pivot = left[r] / left[r, column]
+        left = np.delete(left, r, axis=0)
+        for part in (left, done):
+            used = np.flatnonzero(part[:, column])
+            part[used] -= np.outer(part[used, column], pivot)
+        done = np.vstack([done, pivot])
+        pivots.append(column)
+    vectors = []
+    for column in columns:
+        vector = np.full(width, Decimal(0), dtype=object)
+        vector[column], vector[pivots] = Decimal(1), -done[:, column]
+        vectors.append(vector)
+    return vectors
+
+
+def _orthonormal(vectors: np.ndarray) -> np.ndarray:
+    """The same space (k, E), vectors of length 1 at right angles, in doubles; those of no length are left out."""
+    kept: list[np.ndarray] = []
+    for vector in vectors:
+        for other in kept * 2:
+            vector = vector - (other @ vector) * other
+        size = (vector @ vector).sqrt() if len(vector) else Decimal(0)
+        if size > RANK:
+            kept.append(vector / size)
+    return np.array(kept, dtype=float).reshape(len(kept), vectors.shape[1])
+
+
+def _can_rest(changes: np.ndarray) -> np.ndarray:
+    """Which slips, 1 + changes.T @ y >= 0 in units of those in the middle, (E,), are 0 at some minimum."""
+    from scipy.optimize import linprog
+
+    rows, found = changes.T, np.zeros(changes.shape[1], dtype=bool)
+    for number in np.flatnonzero(np.abs(rows).max(axis=1, initial=0.0) >= MOVED):
+        lowest = linprog(rows[number], A_ub=-rows, b_ub=np.ones(len(rows)), bounds=(None, None), method="highs")
+        if lowest.status not in (0, 3):
+            raise ArithmeticError(f"no linear programme tells whether contact {number} rests: {lowest.message}")
+        found[number] = lowest.fun < -1 + NEVER
+    return found
 
 
 def layered(scene: Scene) -> Truth:

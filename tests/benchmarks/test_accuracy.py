@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks import accuracy
 from taichi_bearings_studies.benchmarks.accuracy import Entry, SceneResult, choose_methods, choose_scenes, measure_all
-from taichi_bearings_studies.benchmarks.accuracy_report import COLUMNS, ReportFiles, fastest, panel, summarise, table
+from taichi_bearings_studies.benchmarks.accuracy_report import COLUMNS, NAMES, fastest, panel, summarise, table, write
 from taichi_bearings_studies.benchmarks.peers import find_peers
 from taichi_bearings_studies.plots.accuracy import PEERS, Curve, Panel, draw_accuracy, style_of
+from taichi_bearings_studies.report import Files
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.settings import RunSettings
@@ -110,9 +111,10 @@ def test_an_interrupted_study_keeps_what_it_has(monkeypatch):
 
 
 def test_files_hold_every_checkpoint(results, tmp_path):
-    files = ReportFiles(tmp_path / "new" / "folder")
-    files.write(results)
-    rows = list(csv.DictReader(files.csv.read_text(encoding="utf-8").splitlines()))
+    files = Files(tmp_path / "new" / "folder", NAMES)
+    write(files, results)
+    stored, text, figure = files.paths
+    rows = list(csv.DictReader(stored.read_text(encoding="utf-8").splitlines()))
     assert tuple(rows[0]) == COLUMNS
     assert len(rows) == sum(len(entry.seconds) for result in results for entry in result.entries)
     for row in rows:
@@ -120,14 +122,14 @@ def test_files_hold_every_checkpoint(results, tmp_path):
         assert float(row["proven_gap"]) == pytest.approx((power - bound) / power, abs=1e-12)
         assert float(row["true_error"]) >= float(row["reference_gap"]) > 0
     assert {row["shape"] for row in rows} == {"3x3x3", "5x4"}
-    assert files.figure.read_bytes()[:4] == b"\x89PNG"
-    assert files.table.read_text(encoding="utf-8") == table(results)
+    assert figure.read_bytes()[:4] == b"\x89PNG"
+    assert text.read_text(encoding="utf-8") == table(results)
     assert sorted(p.name for p in files.folder.iterdir()) == ["accuracy.csv", "accuracy.md", "accuracy.png"]
     with pytest.raises(FileError, match="already exists"):
-        ReportFiles(files.folder)
-    ReportFiles(files.folder, force=True).write(results)
+        Files(files.folder, NAMES)
+    write(Files(files.folder, NAMES, force=True), results)
     with pytest.raises(FileError, match="cannot be written"):
-        ReportFiles(files.csv / "below")
+        Files(stored / "below", NAMES)
 
 
 def test_the_summary_agrees_with_the_entries(results):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks import kernels, methods, scans, speed
 from taichi_bearings_studies.benchmarks.machine import describe
-from taichi_bearings_studies.benchmarks.rows import COLUMNS, PARTS, Row
 from taichi_bearings_studies.benchmarks.speed import QUICK, Report, chosen_threads, measure, only
-from taichi_bearings_studies.benchmarks.speed_report import SpeedFiles, as_json, size, table
-from taichi_bearings_studies.benchmarks.timing import timed
+from taichi_bearings_studies.benchmarks.speed_report import NAMES, as_json, size, table, write
+from taichi_bearings_studies.benchmarks.timing import COLUMNS, PARTS, Row, timed
 from taichi_bearings_studies.plots.roofline import Ceilings
+from taichi_bearings_studies.report import Files
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
 from tests.scenes import make_scene
@@ -36,10 +36,11 @@ def test_things_are_timed_in_turns_after_a_warm_up():
     found = timed({"short": sleeper("short", 1e-4), "long": sleeper("long", 4e-4)}, rounds=3, slice_seconds=4e-3)
     assert calls[-6:] == ["short", "long"] * 3
     assert len(calls) > 8
-    assert found["short"].quickest >= 1e-4  # no sleep is shorter than asked for
-    assert found["long"].quickest >= 4e-4
-    assert found["long"].quickest <= found["long"].seconds <= found["long"].slowest
-    assert found["long"].processor < found["long"].seconds  # it slept
+    short, long = (found[name].columns for name in ("short", "long"))
+    assert short["quickest"] >= 1e-4  # no sleep is shorter than asked for
+    assert long["quickest"] >= 4e-4
+    assert long["quickest"] <= long["seconds"] <= long["slowest"]
+    assert long["seconds_processor"] < long["seconds"]  # it slept
 
 
 def test_lattices_that_do_not_fit_are_left_out_before_they_are_made(monkeypatch, needs_f64):
@@ -173,8 +174,7 @@ def some_report():
 
 def test_the_report_says_the_same_in_every_form(tmp_path):
     report = some_report()
-    files = SpeedFiles(tmp_path / "a")
-    written = files.write(report)
+    written = write(Files(tmp_path / "a", NAMES), report)
     assert [path.name for path in written] == ["speed.csv", "roofline.png"]
     assert written[1].stat().st_size > 20_000
     lines = [line for line in written[0].read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
@@ -196,7 +196,7 @@ def test_the_report_says_the_same_in_every_form(tmp_path):
     assert "ratio" not in found["rows"][3]
     assert found["peers_missing"] == report.missing
     with pytest.raises(FileError, match="already exists"):
-        SpeedFiles(tmp_path / "a")
+        Files(tmp_path / "a", NAMES)
 
 
 def test_levels_are_read_where_they_are_half_full():

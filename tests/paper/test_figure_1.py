@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from matplotlib import colormaps
 from taichi_bearings_studies.paper import figure_1
-from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper.claims import Effort, sentences
 from taichi_bearings_studies.paper.figure_1 import Descent, Minimum, Settled
-from taichi_bearings_studies.paper.relaxation import TIMES, Run
-from taichi_bearings_studies.paper.samples import solved
+from taichi_bearings_studies.paper.samples import TIMES, Run, solved
 from taichi_bearings_studies.plots.configurations import draw_configurations
 
 from taichi_bearings.plots.lattice import COLOURS
@@ -97,7 +96,7 @@ def test_a_descent_that_errs_where_cuts_nearly_tie_is_explained(minimum, monkeyp
     enough = figure_1.VISIBLE * minimum.distance.min() * 1.01
     assert figure_1._counted(minimum, descent_with(minimum, rank == 0, enough)).verdict == "too few samples"
     assert figure_1._counted(minimum, descent_with(minimum, rank >= 0, 1.0)).verdict == "refuted"
-    monkeypatch.setattr(figure_1, "MOST", 0.7)
+    monkeypatch.setitem(sentences("fig1")["counted"]["limits"], "most", 0.7)
     assert figure_1._counted(minimum, descent_with(minimum, rank == 0, enough)).verdict == "refined"
     assert figure_1._counted(minimum, descent_with(minimum, rank == 0, enough / 2)).verdict == "refuted"
     assert figure_1._counted(minimum, descent_with(minimum, rank < 5, 1.0)).verdict == "refined"

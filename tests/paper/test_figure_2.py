@@ -5,15 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_2
-from taichi_bearings_studies.paper.relaxation import (
-    Minima,
-    Run,
-    intermediate_spheres,
-    minima_of,
-    relax,
-    relax_rigidly,
-    without_idle_spin,
-)
+from taichi_bearings_studies.paper.figure_2 import intermediate_spheres, without_idle_spin
+from taichi_bearings_studies.paper.samples import Minima, Run, minima_of, relax, relax_rigidly
 from taichi_bearings_studies.plots.relaxation import Relaxation, draw_relaxation
 
 from taichi_bearings.scene import Scene

@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.paper import figure_3, figure_4, network
-from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper import figure_3, network, samples
+from taichi_bearings_studies.paper.claims import Effort, mean
 from taichi_bearings_studies.paper.network import Sample
 
 from taichi_bearings.analysis.thresholds import THRESHOLDS, View
@@ -83,9 +83,9 @@ def test_thresholds_matter_where_they_change_what_is_seen():
 
 
 def test_means_come_with_their_standard_errors():
-    assert network.mean([1.0, 2.0, 3.0]) == "2.0 +- 0.6"
-    assert [network.mean(values) for values in ([1.0, 1.0], [100.0, 170.0], [1.0] * 3)] == ["1", "135", "1"]
-    assert network.mean([4.0]) == "4"
+    assert mean([1.0, 2.0, 3.0]) == "2.0 +- 0.6"
+    assert [mean(values) for values in ([1.0, 1.0], [100.0, 170.0], [1.0] * 3)] == ["1", "135", "1"]
+    assert mean([4.0]) == "4"
     columns = network.columns_of([GOOD, replace(GOOD, power_over_cut=0.95), CUT])["power_over_cut"]
     assert columns.side.tolist() == [3, 24]
     assert columns.mean == pytest.approx([1.0, 0.96])
@@ -104,34 +104,45 @@ def test_the_study_writes_its_table_and_figure(small, tmp_path):
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
 
 
-def test_samples_that_an_interrupted_study_has_kept_are_not_solved_again(small, tmp_path, monkeypatch):
-    chosen = [network.RunSettings(shape=(side,) * 3, seed=seed) for side in (3, 4) for seed in (0, 1)]
-    undisturbed = network.measured(chosen, tmp_path / "undisturbed")
-    solved, certified = [], network.certified
+def numbers_of(structure):
+    return {"seed": structure.scene.seeds[0], "sides": list(structure.scene.lattice.shape), "power": structure.power}
 
-    def interrupted(settings):
+
+def test_samples_that_an_interrupted_study_has_kept_are_not_solved_again(small, tmp_path):
+    chosen = [network.RunSettings(shape=(side,) * 3, seed=seed) for side in (3, 4) for seed in (0, 1)]
+    undisturbed = samples.measured(chosen, numbers_of, tmp_path / "undisturbed")
+    solved = []
+
+    def interrupted(structure):
         if len(solved) == 3:
             raise KeyboardInterrupt
-        solved.append(settings)
-        return certified(settings)
+        solved.append(structure.scene.lattice.shape[0])
+        return numbers_of(structure)
 
-    monkeypatch.setattr(network, "certified", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        network.measured(chosen, tmp_path / "a")
+        samples.measured(chosen, interrupted, tmp_path / "a")
     with (tmp_path / "a").open("ab") as file:
         file.write(b'{"torn')
     solved.clear()
-    assert network.measured(chosen, tmp_path / "a") == undisturbed
-    assert solved == chosen[3:]
+    assert samples.measured(chosen, interrupted, tmp_path / "a") == undisturbed
+    assert solved == [4]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_workers_find_the_same_numbers_in_the_same_order(small, tmp_path, monkeypatch):
+    chosen = [network.RunSettings(shape=(3, 3, 4), seed=seed) for seed in range(4)]
+    here = samples.measured(chosen, numbers_of, tmp_path / "a")
+    monkeypatch.setattr(samples, "paying_workers", lambda *_, **__: 2)
+    assert samples.measured(chosen, numbers_of, tmp_path / "a") == here
 
 
 def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
-    claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=4)) + figure_4.reproduce(tmp_path, Effort(0, 4))
+    claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=4)) + figure_3.reproduce_planes(tmp_path, Effort(0, 4))
     assert {path.name for path in tmp_path.iterdir()} == {
         "fig3.png", "fig3.pdf", "fig3.csv", "fig4.png", "fig4.pdf"
     }  # fmt: skip
     assert all(claim.finding and claim.numbers for claim in claims)
-    shown = figure_3.spanning_samples(Effort(0, 4))[0]
+    shown = figure_3.minima(tmp_path, Effort(0, 4))[1]
     assert shown.scene.seeds == (1,)  # seed 0 does not span
     with (tmp_path / "fig3.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -146,4 +157,4 @@ def test_without_a_sample_that_spans_there_is_no_path_to_judge(small, tmp_path):
     claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=1))
     assert [claim.verdict for claim in claims] == ["too few samples"] * 2
     assert claims[1].needed == 29
-    assert figure_4.reproduce(tmp_path, Effort(0, 1)) == []
+    assert figure_3.reproduce_planes(tmp_path, Effort(0, 1)) == []

@@ -10,7 +10,7 @@ from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.distributions import EQUAL, SPREAD, TIED, Sample
 from taichi_bearings_studies.paper.drivings import OTHER, REFERENCE, SAME, Driven, axis_name
 from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Courses
-from taichi_bearings_studies.paper.relaxation import Run
+from taichi_bearings_studies.paper.samples import Run
 
 from taichi_bearings.scene import Scene
 

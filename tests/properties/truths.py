@@ -1,4 +1,4 @@
-"""What encloses the least power (or potential) of a scene without the package: exact cuts, 700 bits, and Clarabel.
+"""What encloses the least power (or potential) of a scene without the package: exact cuts, 140 digits, and Clarabel.
 
 An enclosure is rigorous: exact numbers, or spins and forces of whatever origin that are judged in 80 digits, contact by
 contact in the laboratory frame.
@@ -12,14 +12,13 @@ import clarabel
 import networkx
 import numpy as np
 from scipy import sparse
+from taichi_bearings_studies.stress import truth as decimals
 
 from taichi_bearings.verifier.samples import Samples
 from tests.kernels.twins import is_driven, neighbours
 from tests.properties.scenes import arrays_of
-from tests.truth import oracle_or_skip
 from tests.verifier.laboratory import Laboratory
 
-ORACLE = oracle_or_skip()
 EXACT = Fraction(1, 10**60)  # relative: what 80 digits lose on the way
 BOTTOM, TOP = "bottom", "top"
 NEVER, ALWAYS, SOMETIMES, DRIVEN = range(4)  # slips so at the minima, or takes no part; also the numbers of states
@@ -36,24 +35,15 @@ class Enclosure:
 def least(scene):
     """Enclosure of the least objective of a scene of one sample; the tightest there is."""
     if scene.law.name == "viscous" and (scene.coefficient > 0).all():
-        driving = (scene.lattice.radius, scene.spin_top, scene.spin_bottom, scene.direction)
-        power = ORACLE.least_viscous_power(scene.lattice.by_axis(scene.coefficient[0]), *driving)
-        return Enclosure(_exactly(power.lower()), _exactly(power.upper()))
+        truth = decimals.least(scene)
+        return Enclosure(Fraction(truth.lower), Fraction(truth.upper))
     if scene.law.name == "coulomb" and len(turned(scene)) == 1:
         weight, _ = cut(scene)
         unit = Fraction(scene.normal_force) * Fraction(scene.lattice.radius) * jump_of(scene, turned(scene)[0])
         return Enclosure(weight * unit * (1 - EXACT), weight * unit * (1 + EXACT))
     laboratory = Laboratory(by_clarabel(scene))
     lower, upper = max(laboratory.lower_bound(), Decimal(0)), laboratory.objective()
-    return Enclosure(_exactly(lower) * (1 - EXACT), _exactly(upper) * (1 + EXACT))
-
-
-def _exactly(value):
-    """Of a Decimal, or of an arb of no width."""
-    if isinstance(value, Decimal):
-        return Fraction(value)
-    mantissa, exponent = value.man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return Enclosure(Fraction(lower) * (1 - EXACT), Fraction(upper) * (1 + EXACT))
 
 
 def turned(scene):

@@ -1,9 +1,11 @@
-"""Contact states that the verifier proves are those of every minimum, by an oracle in 200 digits."""
+"""Contact states that the verifier proves are those of every minimum, by a truth in 140 digits."""
 
 from dataclasses import replace
+from decimal import Decimal
 
 import numpy as np
 import pytest
+from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
@@ -16,7 +18,6 @@ from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN
 from tests.scenes import make_scene
-from tests.truth import oracle_or_skip
 from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -58,13 +59,9 @@ def minimum(shape, options, method):
 
 @pytest.mark.parametrize(("shape", "options", "method", "wanted"), SCENES, ids=str)
 def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
-    truth = oracle_or_skip()
     solution = minimum(shape, options, method)
     scene, states = solution.scene, Judgement(samples_of(solution)).states[0]
-    exact = truth.solve(
-        scene.lattice.by_axis(scene.coefficient[0]), scene.normal_force, scene.lattice.radius, scene.spin_top,
-        scene.spin_bottom, scene.direction,
-    )  # fmt: skip
+    exact = truth.least(scene, of_all=True)
     for proven, found in zip(states.proven, exact.state, strict=True):
         assert (found[proven == SLIPPING] == truth.SLIPPING).all()
         assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, truth.DRIVEN)).all()
@@ -72,8 +69,8 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     assert everything == wanted if wanted is not None else True
     assert states.unique is (True if everything else None)
     assert bool(solution.states_proven[0]) == everything
-    assert float(solution.lower_bound[0]) <= float(exact.power.upper())
-    assert float(exact.power.lower()) <= float(solution.power[0]) * (1 + 3e-16)
+    assert Decimal(float(solution.lower_bound[0])) <= exact.upper
+    assert float(exact.lower) <= float(solution.power[0]) * (1 + 3e-16)
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +171,7 @@ def test_friction_that_proves_no_bound_proves_no_states():
     assert states.unique is None
     for proven in states.proven:
         assert (proven[..., :] == UNPROVEN).sum() + (proven == SLIPLESS).sum() == proven.size
-    truth = oracle_or_skip()
-    exact = truth.solve([c[0] for c in samples.coefficient], 1.0, 0.5, 1.0, 0.0)
+    exact = truth.least(Scene(samples.coefficient, normal_force=1.0), of_all=True)
     for proven, found in zip(states.proven, exact.state, strict=True):
         assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, truth.DRIVEN)).all()
 

@@ -1,0 +1,64 @@
+"""What all studies write: tables of words, files in a folder, and the machine that numbers come from."""
+
+import os
+import platform
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from taichi_bearings import runtime
+from taichi_bearings.files.whole_file import make_folder, refuse_standing
+from taichi_bearings.runs.run import versions
+from taichi_bearings.version import VERSION
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A table, the first row with the titles, its columns padded so that it reads as plain text too."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [rows[0], ["-" * width for width in widths], *rows[1:]]
+    padded = ([word.ljust(width) for word, width in zip(line, widths, strict=True)] for line in lines)
+    return "\n".join(f"| {' | '.join(words)} |" for words in padded)
+
+
+class Files:
+    """Files of these names in one folder, of which none stands yet unless `force`.
+
+    The folder is made at once, so that one that cannot be written is found before anything is measured.
+    """
+
+    def __init__(self, folder: Path, names: Sequence[str], force: bool = False) -> None:
+        self.folder, self.paths = folder, [folder / name for name in names]
+        refuse_standing(self.paths, force)
+        make_folder(folder)
+
+    def clear(self) -> None:
+        """Nothing was measured: the folder goes unless something is in it."""
+        with suppress(OSError):
+            self.folder.rmdir()
+
+
+def processor() -> str:
+    """The name of this machine's processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return (named or [platform.processor() or platform.machine() or "unknown"])[0]
+
+
+def load() -> float | None:
+    """How many processes want a processor now; None where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def environment() -> dict[str, str]:
+    """The machine and the programs, in words; nothing that names the machine or its owner."""
+    return {
+        "taichi_bearings": VERSION,
+        **versions(),
+        "system": f"{platform.system()}, {platform.machine()}",
+        "processor": processor(),
+        "cores": str(os.cpu_count() or 1),
+        "threads": f"{runtime.available_threads()}, double precision",
+    }
