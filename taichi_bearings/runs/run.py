@@ -76,9 +76,6 @@ def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
     if settings.method == "auto":
         arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
         return fastest(scene, settings.tolerance, on_gpu=arch != "cpu")
-    for row in METHODS.values():
-        if row.also_named and all(getattr(settings, key) == value for key, value in row.also_named.items()):
-            return row
     return METHODS[settings.method]
 
 

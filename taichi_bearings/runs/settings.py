@@ -34,7 +34,7 @@ from taichi_bearings.options import (
 from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene.array_files import lattice_shape, read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
-from taichi_bearings.solvers.table import METHODS, MethodOptions, Springs
+from taichi_bearings.solvers.table import METHODS, MethodOptions
 from taichi_bearings.words import meant
 
 
@@ -142,12 +142,6 @@ class RunSettings:
         POSITIVE,
         "Slip speed up to which a contact counts as slipless. Default: what the method can resolve.",
         unit="length/time",
-    )
-    integrator: str = how(
-        "gear",
-        OneOf("gear", "implicit"),
-        "gear is explicit; implicit has no stability limit and chooses its steps: --method implicit-cundall-strack.",
-        methods=lambda row: issubclass(row, Springs),
     )
     arch: str = how("cpu", OneOf("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
     precision: str = how("f64", OneOf("f64", "f32"), "Precision of the fields; bounds are always f64.")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import (
     MOST_TEXT,
@@ -21,18 +20,8 @@ from taichi_bearings.runs.settings import (
     toml_value,
 )
 from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.solvers.table import METHODS
 
 MOST_SAMPLES = 5_000_000
-NAMING = (
-    "shape", "law", "method", "tolerance", "seed", "spin_top", "spin_bottom", "direction", "coefficients",
-    "distribution", "initial", "normal_force", "radius", "iterations", "time_limit", "duration", "record",
-    "snapshots", "energy", "slip_threshold", "settle", "momentum", "stiffness", "damping", "mass", "inertia",
-    "static_ratio", "slipping_spring", "integrator", "gear_order", "time_step", "error_tolerance", "rest_tolerance",
-    "arch", "precision",
-)  # fmt: skip
-"""Settings that are in the name of every sample in folders of users. The list never grows: any other setting is in a
-name only where it differs from its default and the method and the law of the sample use it."""
 RANGES = (
     "{ start, stop } with an optional step (stop excluded), or { start, stop, number } with spacing = "
     '"linear" or "log" (both ends included)'
@@ -306,18 +295,14 @@ def _too_many(key: str, count: float) -> InputError:
 
 
 def sample_key(settings: RunSettings) -> str:
-    """Hash of what shapes the result of a sample, files by their content."""
-    values = {name: getattr(settings, name) for name in NAMING}
-    if settings.method in METHODS:
-        values |= METHODS[settings.method].also_named
-    later = [key for key in settings.given if key not in NAMING and not settings_table()[key].not_scanned]
-    if later:
-        unused = settings.unused(row_of(settings))
-        values |= {key: getattr(settings, key) for key in later if key not in unused}
+    """Hash of what may shape the result of a sample: the settings that differ from their defaults, files by their
+    content. An option that is added later renames no sample."""
+    table = settings_table()
+    values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
     for name in ("coefficients", "initial"):
-        if values[name] is not None and values[name] not in STARTS:
+        if values.get(name) not in (None, *STARTS):
             values[name] = _content(values[name])
-    lines = [f"{name} = {value!r}" for name, value in values.items()]
+    lines = [f"{name} = {value!r}" for name, value in sorted(values.items())]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 

@@ -51,8 +51,7 @@ class MethodOptions:
 
     name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
     time. cpu_only : it works in the memory of the CPU. alike_in_a_block : spheres up to which it gives a seed the same
-    bits alone and beside others, and gains by it. colour, marker : in every figure. also_named : settings that name it
-    too. solves : True for a law.
+    bits alone and beside others, and gains by it. colour, marker : in every figure. solves : True for a law.
     """
 
     name: ClassVar[str]
@@ -63,7 +62,6 @@ class MethodOptions:
     alike_in_a_block: ClassVar[float] = 0
     colour: ClassVar[str] = "0.4"  # Okabe and Ito's palette, which the colour-blind can tell apart
     marker: ClassVar[str] = "h"
-    also_named: ClassVar[dict[str, str]] = {}
     solves: ClassVar["staticmethod[[Law], bool]"] = staticmethod(lambda law: True)
 
     def __post_init__(self) -> None:
@@ -318,7 +316,6 @@ class ImplicitCundallStrack(Springs):
     cpu_only = True
     colour, marker = "#7A5230", "*"
     solves = _laws()
-    also_named = {"method": "cundall-strack", "integrator": "implicit"}
 
     error_tolerance: float = _error_tolerance()
 

@@ -67,8 +67,6 @@ def _computed(run: StoredRun) -> Iterator[str]:
     run on the host in double precision whatever is asked for."""
     for name, open_to in (("method", "auto"), ("arch", "auto"), ("precision", "")):
         said, asked = run.claimed(name)[0], run.settings.get(name)
-        if name == "method" and asked == "cundall-strack" and run.settings.get("integrator") == "implicit":
-            asked = "implicit-cundall-strack"
         if None not in (said, asked) and asked != open_to and said not in (asked, ON_HOST.get(name)):
             yield f"the scene has {name} = {asked!r}, and the file {said!r}"
 

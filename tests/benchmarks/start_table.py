@@ -22,7 +22,7 @@ METHODS = (
     ("cundall-strack",),
     ("cundall-strack", "--initial", "random"),
     ("cundall-strack", "--law", "viscous", "--energy"),
-    ("cundall-strack", "--integrator", "implicit", "--tolerance", "1e-4"),
+    ("implicit-cundall-strack", "--tolerance", "1e-4"),
     ("rigid-limit", "--tolerance", "1e-4"),
 )
 SHAPES = {"2D": ("10,10", "12,9"), "3D": ("3,3,4", "4,3,5")}
