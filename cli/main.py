@@ -78,7 +78,10 @@ def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
     interrupts.heard_at_once()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
+    os.environ["PYTHONSAFEPATH"] = "1"  # Python's own workers would load modules of the working folder (since 3.11)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
+    if os.path.lexists("matplotlibrc"):
+        _load_matplotlib_elsewhere()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result
             stream.reconfigure(errors="backslashreplace")
@@ -89,6 +92,17 @@ def main() -> None:
         code = 130
     interrupts.ignored()
     sys.exit(code)
+
+
+def _load_matplotlib_elsewhere() -> None:
+    """Matplotlib would read settings from the working folder, which may be a stranger's, and some start programs."""
+    click.echo("bearings: the matplotlibrc of this folder is not read; MATPLOTLIBRC can name one that is", err=True)
+    here = os.getcwd()
+    os.chdir(os.sep)
+    try:
+        importlib.import_module("matplotlib")
+    finally:
+        os.chdir(here)
 
 
 def _exit_code() -> int:

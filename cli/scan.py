@@ -10,7 +10,7 @@ import click
 from taichi_bearings_cli.options import FILES, json_option
 from taichi_bearings_cli.suggestions import Choice
 
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import InputError, printable
 from taichi_bearings.words import counted
 
 
@@ -161,7 +161,7 @@ def describe(report: dict[str, Any]) -> str:
     short = report["done"] - report["reached"]
     lines += [f"{short:,} samples stopped short of what was asked for: see the column status"] if short else []
     lines += [f"{report['failed']:,} samples failed:"] if report["failed"] else []
-    lines += [f"  {item['sample']}: {item['error']}" for item in report["failures"][:10]]
+    lines += [printable(f"  {item['sample']}: {item['error']}") for item in report["failures"][:10]]
     lines += [f"  ... and {report['failed'] - 10:,} more: see the column error"] if report["failed"] > 10 else []
     if report["warned"]:
         have = "has" if report["warned"] == 1 else "have"

@@ -8,7 +8,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILES, json_option
 
-from taichi_bearings.errors import BearingsError
+from taichi_bearings.errors import printable
 from taichi_bearings.scene.law import LAWS
 
 
@@ -74,8 +74,8 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"
         lines.append(f"  friction: {balanced}, {inside}" if law.is_rate_independent else f"  damping: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
-    lines = [str(BearingsError(line)) for line in lines]  # a line each, whatever the names and words in the file
-    names = [str(BearingsError(name)) for name in report["not_checked"] if not name.startswith("scene.")]
+    lines = [printable(line) for line in lines]  # a line each, whatever the names and words in the file
+    names = [printable(name) for name in report["not_checked"] if not name.startswith("scene.")]
     others = f"; {len(report['not_checked']) - len(names)} settings of the scene (--json names them)"
     lines.append(textwrap.fill(f"  not checked: {', '.join(names)}{others}", 100, subsequent_indent="    "))
     lines.append(

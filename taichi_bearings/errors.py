@@ -11,7 +11,12 @@ class BearingsError(Exception):
         text = super().__str__()
         if len(text) > MOST_LETTERS:
             text = f"{text[: 2 * MOST_LETTERS // 3]} ... {text[-MOST_LETTERS // 3 :]}"
-        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+        return printable(text)
+
+
+def printable(text: str) -> str:
+    """A text as one line that does nothing to a terminal or a table: control characters and line ends are escaped."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputError(BearingsError):

@@ -23,7 +23,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, printable
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import ROUNDING
@@ -93,7 +93,7 @@ def column(name: str, values: Sequence[Any], units: str, description: str) -> Co
     """A column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none."""
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):
-        array = np.array(["" if value is None else str(value) for value in values], dtype=object)
+        array = np.array(["" if value is None else printable(str(value)) for value in values], dtype=object)
     elif len(present) < len(values) or not present:
         array = np.array([math.nan if value is None else float(value) for value in values])
     else:
@@ -169,8 +169,9 @@ class StoredScan:
             if not isinstance(self.attributes.get(name), kind):
                 raise FileError(f"{self.path} is damaged or was changed: its attribute {name} holds something else")
         for name, values in table.items():
-            if values.dtype.kind not in "biufO":
-                raise FileError(f"{self.path} is damaged or was changed: its column {name} holds {values.dtype}")
+            texts = values.ravel().tolist() if values.dtype.kind == "O" else []
+            if values.dtype.kind not in "biufO" or not all(isinstance(t, str) and t.isprintable() for t in texts):
+                raise FileError(f"{self.path} is damaged or was changed: its column {name} holds something else")
         if "status" not in table or counts.count.ndim != 2 or counts.edges.ndim != 1:
             raise FileError(f"{self.path} is damaged or was changed: it lacks statuses or histograms")
         lengths = {len(values) if values.ndim == 1 else -1 for values in table.values()}

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.checksums import check, seal
-from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.errors import FileError, InputError, WriteError, printable
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.plain_files import new_file, real_path, write_all
 from taichi_bearings.words import shown
@@ -81,7 +81,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     notes : lines that go before, each after "# ".
     """
     text = io.StringIO()
-    text.writelines(f"# {line}\n" for line in notes)
+    text.writelines(f"# {printable(line)}\n" for line in notes)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     writer.writerows(map(_harmless, row) for row in rows)

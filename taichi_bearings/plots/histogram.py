@@ -16,7 +16,7 @@ from taichi_bearings.plots.style import (
     plain_figure,
     shades,
 )
-from taichi_bearings.plots.symbols import over
+from taichi_bearings.plots.symbols import as_text, over
 
 POWER = "P_{ij}"
 MATHEMATICS = {
@@ -73,11 +73,11 @@ def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
     for (value, found), colour in zip(histograms.items(), shades(len(histograms)), strict=True):
         filled = found.count > 0
         centre, density, error = (v[filled] for v in (_centre(found), found.density, found.density_error))
-        label = f"{value}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"
+        label = f"{as_text(value)}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"
         axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
         axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
-    figure.legend(title=by, loc="outside lower center", ncols=1 if len(histograms) < 9 else 2)
+    figure.legend(title=as_text(by), loc="outside lower center", ncols=1 if len(histograms) < 9 else 2)
     return figure
 
 

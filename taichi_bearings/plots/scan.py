@@ -13,6 +13,7 @@ from matplotlib.ticker import NullLocator
 from taichi_bearings.analysis.fit import Fit
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, in_our_style, new_figure, shades
+from taichi_bearings.plots.symbols import as_text
 from taichi_bearings.words import with_error
 
 MARKERS = "osD^vP*X"
@@ -56,7 +57,7 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     entries = len(curves) * (1 + any(curve.fit for curve in curves)) if len(curves) > 1 or curves[0].fit else 0
     across = max(1, min(entries, int(width / (2.4 if any(curve.fit for curve in curves) else 1.1))))
     rows = -(-entries // across) + (entries > 0)
-    title = [line for part in look.title.split("\n") for line in textwrap.wrap(part, int(LETTERS * width))]
+    title = [line for part in as_text(look.title).split("\n") for line in textwrap.wrap(part, int(LETTERS * width))]
     figure = new_figure(width, 0.68 * min(width, 5.0) + 0.15 * (rows + len(title)), page.dpi)
     axes = figure.add_subplot()
     for name in look.log:
@@ -67,8 +68,9 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
         bars = np.nan_to_num([curve.y - curve.low, curve.high - curve.y])
         style = "none" if curve.fit else "-"
         points = axes.errorbar(
-            curve.x, curve.y, bars, color=colour, label=curve.label or "samples", ls=style, lw=0.9, elinewidth=0.8,
-            capsize=1.5, fmt=MARKERS[number % len(MARKERS)], ms=3.5, mfc="none" if number % 2 else colour,
+            curve.x, curve.y, bars, color=colour, label=as_text(curve.label or "samples"), ls=style, lw=0.9,
+            elinewidth=0.8, capsize=1.5, fmt=MARKERS[number % len(MARKERS)], ms=3.5,
+            mfc="none" if number % 2 else colour,
         )  # fmt: skip
         handles.append(points)
         if curve.fit:
@@ -78,12 +80,12 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     axes.set(xlabel=look.x_label, ylabel=look.y_label)
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
-        axes.set_xticks(range(len(look.ticks)), look.ticks)
+        axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks])
     elif "x" in look.log and len(values) <= MOST_TICKS:
         axes.set_xticks(values, [f"{value:g}" for value in values])
         axes.xaxis.set_minor_locator(NullLocator())
     if entries:
-        figure.legend(handles=handles, title=look.legend or None, loc="outside lower center", ncols=across)
+        figure.legend(handles=handles, title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
     figure.suptitle("\n".join(title))
     return figure
 

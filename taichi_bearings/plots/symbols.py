@@ -54,12 +54,17 @@ SYMBOLS = {name: (row.symbol, _spaced(row.unit)) for name, row in COLUMNS.items(
 """Symbol and unit of the columns of a scan; the others are called by their names."""
 
 
+def as_text(words: object) -> str:
+    """Words from a file as a figure shows them: a dollar sign in them begins no mathematics."""
+    return str(words).replace("$", r"\$")
+
+
 def column_label(name: str, exponent: float = 0.0) -> str:
     """A column of a scan, or the means of one over another, times a power of L, on an axis."""
     parts = name.split("/")
     scale = "" if exponent == 0 else rf"\; L^{{{exponent:g}}}"
     if not all(part in SYMBOLS for part in parts):
-        return f"{name} · ${scale}$" if scale else name
+        return f"{as_text(name)} · ${scale}$" if scale else as_text(name)
     symbols, units = zip(*(SYMBOLS[part] for part in parts), strict=True)
     if len(parts) == 1:
         unit = f" ({units[0]})" if units[0] else ""

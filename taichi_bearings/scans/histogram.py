@@ -20,7 +20,7 @@ from taichi_bearings.analysis.histogram import (
     together,
 )
 from taichi_bearings.analysis.statistics import groups
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import refuse_standing
@@ -75,6 +75,7 @@ class Source:
             return table[name]
         value = _scalar_of_run(self.stored, name)
         listed = value if isinstance(value, list) else [value] * len(self.reasons)
+        listed = [printable(item) if isinstance(item, str) else item for item in listed]
         return np.array(listed, dtype=object if any(isinstance(item, str) for item in listed) else None)
 
     def disorder(self) -> list[Any]:

@@ -5,6 +5,8 @@ import json
 import os
 import pickle
 import shutil
+import struct
+import subprocess
 import sys
 import time
 import zipfile
@@ -13,6 +15,7 @@ import zlib
 import h5py
 import numpy as np
 import pytest
+from taichi_bearings_cli.verify import describe
 from taichi_bearings_studies.paper.claims import Claim
 from taichi_bearings_studies.paper.reproduce import FIGURES
 
@@ -24,6 +27,7 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plain_files import read_lines
 from taichi_bearings.runs.run_directory import claimed, in_use
 from taichi_bearings.runs.settings import parse_toml
+from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.listing import entries
 from tests.fuzz.answers import answer_to
 from tests.fuzz.damage import claiming
@@ -512,3 +516,179 @@ def test_a_lock_that_a_killed_compiler_has_left_goes(tmp_path, monkeypatch):
     os.utime(old, (1e9, 1e9))
     assert compiler.cache_folder() == folder
     assert (old.exists(), new.exists()) == (False, True)
+
+
+def unsealed(folder, change):
+    with h5py.File(folder / "run.h5", "r+") as file:
+        file.attrs.pop("sha256", None)
+        change(file)
+
+
+@pytest.mark.parametrize(
+    "text", ["a." * 12_000 + "a = 1", "[" + "a." * 12_000 + "a]", "a = {" + "a." * 12_000 + "a = 1}"]
+)
+def test_the_scene_in_a_file_costs_verify_no_more_than_it_is_long(stranger, text):
+    """Keys of that many dots took 0.6 GB and 7 s."""
+    unsealed(stranger, lambda file: file.attrs.__setitem__("scene", f"{file.attrs['scene']}{text}\n"))
+    began = time.process_time()
+    assert "not a key and a value on each line" in refused("verify", stranger)
+    assert time.process_time() - began < 3
+
+
+@pytest.mark.parametrize("text", ["[" + "[]," * 300_000 + "[]]", "[]", "1", "null"])
+@pytest.mark.parametrize("command", ["verify", "view"])
+def test_checksums_are_a_table_of_texts(stranger, text, command):
+    with h5py.File(stranger / "run.h5", "r+", libver="latest") as file:
+        file.attrs["sha256"] = text
+    said = refused(command, stranger)
+    assert "checksums" in said or "too many lists" in said
+
+
+@pytest.mark.parametrize("command", ["verify", "view"])
+def test_lists_that_many_entries_share_take_memory_once(stranger, command):
+    """4000 entries that all name one list of 8 MB: 32 GB from a file of 8 MB."""
+
+    def share(file):
+        lists = file.create_dataset("v", (4000,), dtype=h5py.vlen_dtype("f8"))
+        lists[0] = np.zeros(10**6)
+        file.attrs["sha256"] = '{"v": "0"}'
+
+    unsealed(stranger, share)
+    with h5py.File(stranger / "run.h5") as file:
+        place, size = file["v"].id.get_offset(), file["v"].id.get_storage_size()
+    content = bytearray((stranger / "run.h5").read_bytes())
+    content[place : place + size] = content[place : place + size // 4000] * 4000
+    (stranger / "run.h5").write_bytes(content)
+    assert "is not read" in refused(command, stranger)
+
+
+def test_a_packed_array_and_its_header_take_little_memory(tmp_path):
+    np.savez_compressed(tmp_path / "array.npz", spin=np.zeros(2**23))
+    with (
+        zipfile.ZipFile(tmp_path / "header.npz", "w", zipfile.ZIP_DEFLATED) as packed,
+        packed.open("spin.npy", "w") as file,
+    ):
+        file.write(b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**29))
+        for _ in range(2**9):
+            file.write(b" " * 2**20)
+    said = {
+        name: refused("run", "--shape", "4,5", "--initial", tmp_path / f"{name}.npz") for name in ("array", "header")
+    }
+    assert "claims to hold more than" in said["array"]
+    assert "cannot be read" in said["header"]
+
+
+@pytest.mark.skipif(not hasattr(os, "SEEK_DATA"), reason="this system tells of no holes")
+@pytest.mark.parametrize("name", ["run.h5", "samples.jsonl", "spin.npy"])
+def test_holes_are_not_read(stranger, name):
+    """A few bytes on a disk that claim to be 20 GB."""
+    file = stranger / name
+    file.touch()
+    if name == "spin.npy":
+        claiming(file, "<f8", (25 * 10**8,))
+    os.truncate(file, 20 * 10**9)
+    began = time.process_time()
+    if name == "samples.jsonl":
+        (stranger / "run.h5").unlink()
+        (stranger / "scan.toml").write_text("shape = [4, 5]\n")
+        assert "holes" in next(iter(entries(stranger))).words()
+    else:
+        words = ["verify", file] if name == "run.h5" else ["run", "--shape", "4,5", "--initial", file]
+        assert "holes" in refused(*words)
+    assert time.process_time() - began < 3
+
+
+@pytest.mark.parametrize("name", ["view.html", ".in-use", ".view.html.in-use", "run.h5", "."])
+def test_a_link_in_a_circle_is_one_sentence(stranger, name):
+    place = stranger / name
+    if name == ".":
+        shutil.rmtree(stranger)
+        place = stranger
+    place.unlink(missing_ok=True)
+    place.symlink_to(place.name)
+    for words in (
+        ["view", stranger],
+        ["verify", stranger],
+        ["run", "--shape", "4,5", "--out", stranger],
+        ["list", stranger],
+    ):
+        answer = answer_to(*words)
+        assert not answer.fault, answer
+
+
+EVIL = "=cmd\n=1+1, $\\frac{$ \x1b[2J"
+
+
+def test_what_verify_says_of_a_file_does_nothing_to_a_terminal(stranger, capsys):
+    def name_evil(file):
+        file["\x1b]0;x\x07\nverified"] = np.zeros(3)
+        file.attrs["status"] = EVIL
+
+    unsealed(stranger, name_evil)
+    report = describe(verify(stranger))
+    assert all(line.isprintable() for line in report.split("\n"))
+    assert not any(line.startswith("verified") for line in report.split("\n"))
+
+
+@pytest.mark.parametrize("column", ["version", "method", "distribution"])
+def test_texts_of_a_scan_are_lines_and_no_mathematics(scanned, tmp_path, column):
+    shutil.copytree(scanned, tmp_path / "scan")
+    journal = tmp_path / "scan" / "samples.jsonl"
+    records = [json.loads(line)["sample"] for line in journal.read_bytes().splitlines()]
+    for record in records:
+        record["scalars"][column if column in record["scalars"] else "method"] = EVIL
+    texts = [json.dumps(record).encode() for record in records]
+    journal.write_bytes(b"".join(b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n" for text in texts))
+    (tmp_path / "scan" / "scan.h5").unlink()
+    by = column if column in records[0]["scalars"] else "method"
+    figure = ["plot", "scan", tmp_path / "scan", "--y", "power", "--out", tmp_path / "a.png", "--force"]
+    for words in (
+        ["histogram", tmp_path / "scan", "--by", by, "--out", tmp_path / "counts", "--force"],
+        [*figure, "--x", "seed", "--by", by],
+        [*figure, "--x", by],
+        ["scan", tmp_path / "scan", "--merge"],
+    ):
+        answer = answer_to(*words)
+        assert (answer.code, answer.fault) == (0, ""), answer
+    for table in (tmp_path / "counts" / "power_histogram.csv", tmp_path / "a.csv", tmp_path / "scan" / "scan.csv"):
+        assert not any(line.startswith("=") for line in table.read_text().split("\n")), table
+
+
+def test_a_table_with_control_characters_is_refused(scanned, tmp_path):
+    shutil.copytree(scanned, tmp_path / "scan")
+    with h5py.File(tmp_path / "scan" / "scan.h5", "r+") as file:
+        del file.attrs["sha256"]
+        file["table/version"][0] = EVIL
+    (tmp_path / "scan" / "samples.jsonl").unlink()
+    assert "its column version holds something else" in refused("histogram", tmp_path / "scan", "--by", "version")
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 cannot be told to leave out the working folder")
+def test_workers_load_no_module_of_the_working_folder(tmp_path):
+    (tmp_path / "multiprocessing.py").write_text("open('loaded', 'w').close()\n")
+    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = [1, 2]\n")
+    words = [
+        "-c",
+        "from taichi_bearings_cli.main import main; main()",
+        "scan",
+        "scan.toml",
+        "--workers",
+        "2",
+        "--out",
+        "s",
+    ]
+    done = subprocess.run([sys.executable, "-P", *words], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "loaded").exists()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "of other letters", "with programs"])
+def test_no_matplotlibrc_of_the_working_folder_is_read(stranger, tmp_path, kind):
+    place = tmp_path / "matplotlibrc"
+    contents = {"of other letters": b"\xff\xfe\n", "with programs": b"text.usetex: True\n"}
+    os.mkfifo(place) if kind == "pipe" else place.write_bytes(contents[kind])
+    words = ["-c", "from taichi_bearings_cli.main import main; main()", "plot", "power", stranger, "--out", "a.png"]
+    done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "is not read" in done.stderr
+    assert (tmp_path / "a.png").exists()
