@@ -7,7 +7,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILES, json_option
 
-from taichi_bearings.words import counted, share
+from taichi_bearings.words import counted, share, undecided_kinds
 
 
 @click.command()
@@ -122,9 +122,11 @@ def _interface(report: dict[str, Any]) -> list[str]:
 
 def _network(report: dict[str, Any]) -> list[str]:
     total = report["slipless"] + report["slipping"] + report["undecided"]
+    kinds = undecided_kinds(*(report[name] for name in ("undecided", "critical", "tied_contacts")))
+    open_ = ", ".join(kinds) or "0 undecided"
     lines = [
         f"{report['slipless']:,} of {total:,} contacts are slipless ({share(report['slipless_fraction'])}), "
-        f"{report['undecided']:,} undecided; pieces: {report['components']:,}",
+        f"{open_}; pieces: {report['components']:,}",
         f"they touch {share(report['reached_fraction'], 4)} of the free spheres",
     ]
     if not report["spans"]:

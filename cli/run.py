@@ -11,7 +11,7 @@ import click
 from taichi_bearings_cli.options import FILES, SettingsCommand, json_option
 
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.words import counted
+from taichi_bearings.words import counted, undecided_kinds
 
 
 @click.command(cls=SettingsCommand)
@@ -208,10 +208,8 @@ def describe(summary: dict[str, Any], times: str) -> str:
 
 def _others(undecided: int, critical: int, tied: int) -> str:
     """What the contacts are that neither slip nor rest for certain."""
-    left = undecided - critical - tied
-    kinds = [(critical, "critical"), (tied, "tied"), (left, "undecided")]
-    named = [(number, kind) for number, kind in kinds if number] or [(0, "undecided")]
-    return ", ".join(f"{number:,} {'is' if number == 1 else 'are'} {kind}" for number, kind in named)
+    named = undecided_kinds(undecided, critical, tied) or ["0 undecided"]
+    return ", ".join(words.replace(" ", " is " if words.startswith("1 ") else " are ") for words in named)
 
 
 def _separation(summary: dict[str, Any]) -> list[str]:
@@ -225,9 +223,12 @@ def _separation(summary: dict[str, Any]) -> list[str]:
         return [f"{words}; the contact states are proven"]
     if summary["separation_decades"] is None:
         return [f"{words}; not certified, so this says little of a minimum"]
-    if summary["separation_decades"] < 1:
-        return [words]
-    return [f"{words}: {summary['separation_decades']:.1f} decades apart"]
+    if summary["separation_decades"] >= 1:
+        words = f"{words}: {summary['separation_decades']:.1f} decades apart"
+    if summary["unproven"] == 0:
+        return [words, "what each contact is called is proven"]
+    proven = summary["contacts"] - summary["unproven"]
+    return [words, *([f"of {proven:,} contacts it is proven what they are called"] if proven else [])]
 
 
 def _number(value: float | None, form: str) -> str:

@@ -62,6 +62,10 @@ def describe(report: dict[str, Any], times: str = "") -> str:
             continue
         lines.append(f"  {sample}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
         proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]
+        if states["critical"]:
+            proven.append(f"{states['critical']:,} critical: at the limit of friction, and slipping at none")
+        if states["tied"]:
+            proven.append(f"{states['tied']:,} tied: slipping at some, at rest at others")
         if states["unproven"]:
             proven.append(f"{states['unproven']:,} unproven" + (f" ({reason})" if reason else ""))
         elif unique:

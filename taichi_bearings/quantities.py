@@ -92,7 +92,8 @@ def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
     return {row.name: row for row in rows}
 
 
-STATE = "0 slipless, 1 slipping, 2 undecided or critical, 3 between driven spheres or absent"
+STATE = "0 slipless, 1 slipping, 2 undecided, critical or tied, 3 between driven spheres or absent"
+PROVEN = "proven: it slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 as in state"
 FRICTION = {
     2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts",
     3: "friction on the upper sphere, laboratory frame",
@@ -115,6 +116,7 @@ CONTACTS = _named(
         Quantity("power", "energy/time", "power dissipated at the contact", lambda s: s.power_per_contact),
         Quantity("force", "force", "magnitude of the tangential contact force", lambda s: s.force),
         Quantity("state", "1", STATE, lambda s: s.state),
+        Quantity("proven", "1", PROVEN, lambda s: s.proven),
         Quantity("slip_bound", "length/time", "proven: no minimum slips faster at this contact",
                  lambda s: s.slip_bound),
     ]
@@ -173,6 +175,8 @@ SAMPLES = _named(
                  lambda a: critical(a.solution)),
         Quantity("states_proven", "1", "whether the contact states are proven to be those of every minimum",
                  lambda a: a.solution.states_proven),
+        Quantity("unproven", "1", "contacts not proven to slip at every minimum, at none or at some",
+                 lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
                  lambda a: a.separation.largest_slipless),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",

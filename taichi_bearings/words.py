@@ -82,3 +82,10 @@ def meant(word: object, known: Iterable[str]) -> str:
 
 def _folded(word: object) -> str:
     return str(word).lower().replace("_", "-")
+
+
+def undecided_kinds(undecided: int, critical: int, tied: int) -> list[str]:
+    """Words for undecided contacts by what is known of them: "5 critical", "56 tied", "2 undecided"; none if there are
+    none."""
+    kinds = ((critical, "critical"), (tied, "tied"), (undecided - critical - tied, "undecided"))
+    return [f"{number:,} {kind}" for number, kind in kinds if number]

@@ -41,7 +41,8 @@ class Truth:
 
     state : of each contact, an array an axis: SLIPLESS at every minimum, SLIPPING in the middle of the minima, or
     UNCLEAR; empty where it is not known. Of all minima: SLIPPING at every one, or EITHER, and DRIVEN where both ends
-    are; then slip, length/time, is that in their middle, and freedom the dimension of the minima.
+    are; then slip, length/time, is that in their middle, margin the share of the friction that the forces in their
+    middle leave, and freedom the dimension of the minima.
     """
 
     lower: Decimal
@@ -49,6 +50,7 @@ class Truth:
     state: tuple[np.ndarray, ...] = ()
     unit: Decimal = Decimal(0)
     slip: tuple[np.ndarray, ...] = ()
+    margin: tuple[np.ndarray, ...] = ()
     freedom: int = 0
 
 
@@ -209,7 +211,7 @@ def least(scene: Scene, of_all: bool = False, perturbed: tuple[int, Decimal] | N
         if upper - lower > upper * WANTED:
             raise ArithmeticError(f"{scene} is enclosed by {lower:.25e} and {upper:.25e}")
         found = Truth(lower, upper, _states(scene, sample, barrier))
-        return _of_all_minima(found, scene, sample) if of_all else found
+        return _of_all_minima(found, scene, sample, barrier) if of_all else found
 
 
 def _nothing(scene: Scene) -> Truth:
@@ -232,10 +234,10 @@ def _states(scene: Scene, sample: _Sample, barrier: Decimal) -> tuple[np.ndarray
     return tuple(part.reshape(scene.lattice.contact_shape(axis)) for axis, part in enumerate(state))
 
 
-def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample) -> Truth:
+def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample, barrier: Decimal) -> Truth:
     """The same with what every minimum has in common."""
-    slips = sample.slips()
-    length = np.sqrt((slips * slips).sum(axis=1))
+    slips, length, _, stiffness = sample.forces(barrier)
+    length, room = length[:, 0], 1 - (stiffness * length / sample.a)[:, 0]
     moves = length > CLEAR
     size = np.array([own if moving else Decimal(1) for own, moving in zip(length, moves, strict=True)])
     direction = slips / size[:, None]
@@ -245,14 +247,15 @@ def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample) -> Truth:
     either = np.zeros(len(moves), dtype=bool)
     either[moves] = _can_rest(_orthonormal(along))
     state = [np.full(part.shape, UNCLEAR, dtype=np.uint8) for part in truth.state]
-    slip = [np.zeros(part.shape) for part in truth.state]
+    slip, margin = ([value * np.ones(part.shape) for part in truth.state] for value in (0.0, 1.0))
     for axis in range(scene.lattice.dimension - 1):
         state[axis][..., 0] = state[axis][..., -1] = DRIVEN
     speed = Decimal(scene.radius) * abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
-    for (axis, number), many, own, moving in zip(sample.of, either, length, moves, strict=True):
+    for (axis, number), many, own, left, moving in zip(sample.of, either, length, room, moves, strict=True):
         state[axis].flat[number] = EITHER if many else SLIPPING if moving else SLIPLESS
-        slip[axis].flat[number] = float(own * speed)
-    return replace(truth, state=tuple(state), slip=tuple(slip), freedom=len(basis))
+        slip[axis].flat[number], margin[axis].flat[number] = float(own * speed), float(left)
+    arrays = {"state": tuple(state), "slip": tuple(slip), "margin": tuple(margin)}
+    return replace(truth, **arrays, freedom=len(basis))
 
 
 def _freedom(sample: _Sample, moves: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from taichi_bearings.analysis.torque_flow import (
     torque_flow,
 )
 from taichi_bearings.lattice.grid import staggered_forces
-from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState, critical
 from taichi_bearings.scene import Scene, Solution
 
 
@@ -32,6 +32,7 @@ class Structure:
     scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
     slip, state : (E,). power, lower_bound : energy/time.
     friction : laboratory frame, (E, 3), in 2D (E,); None if it is not known.
+    critical, tied : how many of the undecided contacts are known to be that.
     states_proven : True if `state` is proven to be that of every minimum. minimum_is_unique : None if it is not known.
     """
 
@@ -42,6 +43,8 @@ class Structure:
     power: float
     lower_bound: float
     friction: np.ndarray | None = None
+    critical: int = 0
+    tied: int = 0
     states_proven: bool = False
     minimum_is_unique: bool | None = None
 
@@ -134,6 +137,8 @@ def structure_of(solution: Solution, number: int = 0, threshold: float | None = 
         power=float(sample.power[0]),
         lower_bound=float(sample.lower_bound[0]),
         friction=sample.friction[0],
+        critical=int(critical(sample)[0]) if threshold is None else 0,
+        tied=int(sample.findings.get("tied_contacts", [0])[0]) if threshold is None else 0,
         states_proven=bool(sample.states_proven[0]) and threshold is None,
         minimum_is_unique=sample.minimum_is_unique[0] if threshold is None else None,
     )

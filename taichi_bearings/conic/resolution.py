@@ -58,7 +58,8 @@ TINY = np.finfo(np.float64).tiny
 @dataclass(frozen=True)
 class Resolved:
     """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, slipping (n,), critical (n,),
-    contacts that bear all their friction and yet do not slip, and tied (n,), slipping ones that rest at other minima.
+    contacts that bear all their friction and yet do not slip, and tied (n,), those that slip at some minima and rest at
+    others.
 
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
@@ -77,9 +78,9 @@ class Resolved:
     tied: Arrays | None = None
 
     @property
-    def open(self) -> Arrays:
-        """Masks (n,) a group, contacts that are critical or tied."""
-        return self.critical if self.tied is None else self.critical | self.tied
+    def ties(self) -> Arrays:
+        """Masks (n,) a group, contacts that are known to be tied."""
+        return each(np.zeros_like, self.critical) if self.tied is None else self.tied
 
     @property
     def sure(self) -> bool:
@@ -138,8 +139,8 @@ def _with_ties(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Re
     """The same, with what is known of other minima."""
     if not settled.sure:
         return settled
-    of_minimum = iterate.friction, settled.difference, settled.slipping
-    return replace(settled, tied=tied_contacts(lattice.system, lattice.order, *of_minimum))
+    of_minimum = settled.difference, settled.dual, settled.slipping, settled.critical
+    return replace(settled, tied=tied_contacts(lattice.system, lattice.order, iterate.friction, *of_minimum))
 
 
 def _is_least(iterate: Iterate, settled: Resolved) -> bool:

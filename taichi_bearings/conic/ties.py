@@ -12,41 +12,56 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, Grouped, each
+from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
 
 LARGEST = 600  # unknowns of a block that is searched for motions which turn no slip
+NONE = 2e-3  # part of a force at its limit that can be noise, of the other one
 TURNS = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
 MOVES = 1e-7  # least change of a slip, of the largest of its motion, that counts
+FAR = 1e6  # most of a motion that is looked at
 COMES_TO_REST = 1e-7  # share of its slip that is left of one that comes to rest
 MANY = 200  # linear programmes for one polyhedron, at most
 
 
 def tied_contacts(
-    system: ContactSystem, order: np.ndarray, friction: Arrays, difference: Arrays, slipping: Arrays
+    system: ContactSystem,
+    order: np.ndarray,
+    friction: Arrays,
+    difference: Arrays,
+    dual: Arrays,
+    slipping: Arrays,
+    critical: Arrays,
 ) -> Arrays:
-    """Masks (n,) a group of slipping contacts that rest at other minima.
+    """Masks (n,) a group of contacts that slip at some minima and rest at others.
 
-    order : of elimination of the unknowns of `system`. friction, slipping (n,), difference (d, n) : of a minimum, a
-    group each. Only contacts with the same friction can tie.
+    order : of elimination of the unknowns of `system`. friction, slipping, critical (n,), difference, dual (d, n) : of
+    a minimum, a group each. Only contacts with the same friction can tie.
     """
-    none = each(np.zeros_like, slipping)
+    none, moving = each(np.zeros_like, slipping), slipping | critical
     values = np.concatenate([*friction])
     if len(np.unique(values)) == len(values):
         return none
-    tied = Contraction(system, order, ~slipping)
-    motions = _turning_no_slip(tied, difference[tied.kept])
+    tied = Contraction(system, order, ~moving)
+    slipping, difference = slipping[tied.kept], difference[tied.kept]
+    towards = where(slipping, difference, each(_towards, dual[tied.kept]))
+    motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
         return none
-    along = difference[tied.kept] / difference[tied.kept].length()
+    along = towards / towards.length()
     rates = np.concatenate(
         [np.einsum("dn,dnk->nk", n, change) for n, change in zip(along, tied.system.change(motions), strict=True)]
     )
     rates = rates / np.maximum(np.abs(rates).max(axis=0), MOVES)
     rates = np.where(np.abs(rates) > MOVES, rates, 0.0)
-    slips = np.concatenate([*difference[tied.kept].length()])
-    found = _resting_somewhere(slips, rates)
+    slips = np.concatenate([*where(slipping, difference.length(), 0.0)])
+    found = _tied(slips, rates)
     parts = np.split(found, np.cumsum([len(kept) for kept in tied.kept])[:-1])
     return none.placed(tied.kept, Grouped(parts))
+
+
+def _towards(dual: np.ndarray) -> np.ndarray:
+    """(d, n), the one way in which contacts at their limit can slip."""
+    return np.where(np.abs(dual) > NONE * np.abs(dual).max(axis=0), -dual, 0.0)
 
 
 def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
@@ -79,22 +94,25 @@ def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
     return np.concatenate(motions, axis=1)
 
 
-def _resting_somewhere(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Mask (n,), slips >= 0 that vanish at some point of the polyhedron slips + rates @ y >= 0."""
+def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Mask (n,) of slips >= 0 that vanish at some point of the polyhedron slips + rates @ y >= 0, and not at others."""
     found = np.zeros(len(slips), dtype=bool)
     shared = (rates != 0).astype(float)
     count, label = connected_components(sparse.csr_array(shared.T @ shared), directed=False)
     for part in range(count):
         own = np.flatnonzero(label == part)
         some = np.flatnonzero(shared[:, own].any(axis=1))
-        found[some] = _resting(rates[np.ix_(some, own)] / slips[some, None])
+        slip = np.where(slips[some] > 0, slips[some], 1.0)
+        found[some] = _tied_together((slips[some] > 0).astype(float), rates[np.ix_(some, own)] / slip[:, None])
     return found
 
 
-def _resting(rates: np.ndarray) -> np.ndarray:
-    """The same of the polyhedron 1 + rates @ y >= 0, by linear programmes: the least sum of those that have not come to
-    rest, as long as that brings others to rest, and then one by one. With one motion alone: at its two ends."""
-    if rates.shape[1] == 1:
+def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """The same of the polyhedron first + rates @ y >= 0, with 1 or 0 for `first`, by linear programmes: the least sum
+    of those that have not come to rest, less that of those that have not moved, as long as that finds others, and then
+    one by one. With one motion alone, and no contact at its limit: at its two ends."""
+    slips = first > 0
+    if rates.shape[1] == 1 and slips.all():
         ends = (end * rates[:, 0] / np.max(end * rates[:, 0]) for end in (1, -1))
         return np.any([1 - end < COMES_TO_REST for end in ends], axis=0)
     found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
@@ -103,9 +121,11 @@ def _resting(rates: np.ndarray) -> np.ndarray:
         if not len(left):
             break
         some = left if together else left[:1]
-        answer = linprog(rates[some].sum(axis=0), A_ub=-rates, b_ub=np.ones(len(rates)), bounds=(None, None))
-        resting = (1 + rates @ answer.x < COMES_TO_REST) if answer.status == 0 else np.zeros_like(found)
+        towards = np.where(slips[some], 1.0, -1.0) @ rates[some]
+        answer = linprog(towards, A_ub=-rates, b_ub=first, bounds=(-FAR, FAR))
+        there = first + rates @ answer.x if answer.status == 0 else np.ones(len(first)) - ~slips
+        new = np.where(slips, there < COMES_TO_REST, there > MOVES)
         asked[some] |= not together
-        together = together and bool((resting & ~found).any())
-        found |= resting
+        together = together and bool((new & ~found).any())
+        found |= new
     return found

@@ -11,12 +11,13 @@ from taichi_bearings.scene.solution import Solution
 
 
 class ContactState(IntEnum):
-    """Values of ``/contact/<axis>/state``."""
+    """Values of ``/contact/<axis>/state``, and of ``/contact/<axis>/proven``: the state at every minimum."""
 
     SLIPLESS = 0
     SLIPPING = 1
-    UNDECIDED = 2  # critical, tied, or not known
+    UNDECIDED = 2  # critical, tied, or not known; not proven
     DRIVEN = 3  # between two driven spheres, or absent: it takes no part
+    TIED = 4  # slips at some minima and rests at others: undecided in ``state``
 
 
 def all_slipless(scene: Scene) -> np.ndarray:
@@ -66,9 +67,10 @@ def separate(scene: Scene, slip: np.ndarray, state: np.ndarray) -> Separation:
     return Separation(largest, smallest, decades)
 
 
-def unresolved(solution: Solution) -> np.ndarray:
-    """(R, E) True where friction times slip is no more than what power and lower bound leave open."""
-    scene, left = solution.scene, solution.objective - solution.lower_bound
+def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
+    """(R, E) True where friction times slip is no more than what power and lower bound leave open, or so many times
+    that."""
+    scene, left = solution.scene, times * (solution.objective - solution.lower_bound)
     return scene.strength * scene.coefficient * solution.slip <= left[:, None]
 
 
@@ -80,7 +82,13 @@ def critical(solution: Solution) -> np.ndarray:
     if not scene.law.holds:
         return np.zeros(scene.replicas, dtype=np.int64)
     full = solution.force >= SATURATED * scene.strength * scene.coefficient
-    return np.minimum((undecided & full & unresolved(solution)).sum(axis=1), others)
+    found = undecided & full & unresolved(solution) & (solution.proven != ContactState.TIED)
+    return np.minimum(found.sum(axis=1), others)
+
+
+def nothing_proven(state: np.ndarray) -> np.ndarray:
+    """`Solution.proven` of contacts in these states, (R, E), where no proof is known."""
+    return np.where(state == ContactState.DRIVEN, ContactState.DRIVEN, ContactState.UNDECIDED).astype(np.uint8)
 
 
 def counts(state: np.ndarray) -> np.ndarray:

@@ -29,7 +29,8 @@ class Analysis:
 
     power, lower_bound, power_minimum_cut : energy/time. power_over_cut : their ratio.
     cut_is_unique : bool. cut_contacts : number of contacts of the minimum cut.
-    slipping, slipless, undecided : numbers of contacts. slipless_fraction : share of slipless ones.
+    slipping, slipless, undecided, critical, tied_contacts : numbers of contacts. slipless_fraction : share of slipless
+        ones.
     spans : True if slipless contacts join the driven planes. reached_fraction, spanning_fraction : shares of the free
         spheres that the slipless network touches, and that its spanning piece holds.
     shortest_path : contacts. disjoint_paths : number of paths that share no contact.

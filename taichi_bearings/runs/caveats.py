@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import SATURATED, ContactState, count, critical, separate
+from taichi_bearings.proof.contact_state import SATURATED, ContactState, count, critical, separate, unresolved
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE
 from taichi_bearings.words import counted
 
+SLIPPING, UNPROVEN = ContactState.SLIPPING, ContactState.UNDECIDED
+DECADE = 10.0  # slips closer than that to what is resolved, or to those of the other kind, are named
 ELASTIC = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
 UNFINISHED = {
     Status.STEP_LIMIT: "the limit of iterations came",
@@ -88,12 +90,17 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Slips of the two kinds of contacts that are less than a decade apart."""
+    """Slips of the two kinds of contacts that are less than a decade apart, or less than one above what is resolved."""
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():
         return
+    doubtful = near[:, None] & (solution.state == SLIPPING) & (solution.proven == UNPROVEN)
+    faint = int((doubtful & unresolved(solution, DECADE)).sum())
+    if faint:
+        dissipate = "dissipates" if faint == 1 else "dissipate"
+        yield f"{counted(faint, 'slipping contact')} {dissipate} less than {DECADE:g} times what the gap leaves open"
     found = separate(solution.scene, solution.slip, solution.state)
-    near &= found.decades < 1
+    near &= found.decades < np.log10(DECADE)
     if near.any():
         worst = int(np.argmin(np.where(near, found.decades, np.inf)))
         yield (

@@ -15,7 +15,7 @@ from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
 from taichi_bearings.files.scan_journal import NAME as JOURNAL
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
 from taichi_bearings.lattice.grid import friction_by_axis
-from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState, nothing_proven
 from taichi_bearings.quantities import CHECKS, CONTACTS, FRICTION, SPHERES
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
@@ -27,7 +27,8 @@ SCHEMA_VERSION = 1
 AXES = "xyz"
 SCAN = "scan.h5"  # beside the settings and the journal of a scan
 
-COUNTED = re.compile("/state$|^history/")  # data sets that may hold whole numbers
+NOT_IN_ALL = ("slip_bound", "proven")  # data sets of contacts that a run file may lack
+COUNTED = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
 
 
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
@@ -190,9 +191,9 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
     arrays = _Arrays(path, file, tuple(int(side) for side in attributes["shape"]))
     viscosity = arrays.by_axis("viscosity/{}") if "viscosity" in file else ()
     scene = _scene(path, attributes, arrays.by_axis("coefficient/{}"), viscosity)
-    sets = {
-        name: arrays.of_contacts(name) for name in CONTACTS if name != "slip_bound" or "contact/x/slip_bound" in file
-    }
+    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
+    sets = {name: arrays.of_contacts(name) for name in there}
+    sets.setdefault("proven", nothing_proven(sets["state"]))
     number = partial(_numbers, attributes, scene.replicas)
     spin = arrays.get("spin", *arrays.shape, *arrays.vector)
     rounding = arrays.get("spin_rounding", *spin.shape[1:]) if "spin_rounding" in file else np.zeros_like(spin)
@@ -209,6 +210,7 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
         state=sets["state"],
         friction=arrays.of_contacts("friction", *arrays.vector),
         slip_bound=sets.get("slip_bound"),
+        proven=sets["proven"],
         states_proven=number("states_proven") == 1,
         power=number("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),

@@ -27,6 +27,8 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
         "slipping": structure.contacts_in(ContactState.SLIPPING),
         "slipless": slipless,
         "undecided": structure.contacts_in(ContactState.UNDECIDED),
+        "critical": structure.critical,
+        "tied_contacts": structure.tied,
         "slipless_fraction": slipless / scene.lattice.contacts,
         **_interface_numbers(structure),
         **_network_numbers(structure),

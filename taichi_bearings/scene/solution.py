@@ -154,6 +154,7 @@ class Solution:
     slip_bound : Coulomb, (R, E): no minimiser slips faster there; proven. Else None.
     power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
         of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
+    proven : (R, E), a contact slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 driven.
     findings : what else the method has found, by name, (R,) each.
     own : of `iterations` and `slip_threshold` what they are of each replica alone, (R,), where that can be told.
     history : columns of equal length; power and lower_bound are (checks, R).
@@ -174,6 +175,7 @@ class Solution:
     friction: np.ndarray
     state: np.ndarray
     slip_bound: np.ndarray | None
+    proven: np.ndarray
     states_proven: np.ndarray
     power: np.ndarray
     objective: np.ndarray
@@ -202,12 +204,17 @@ class Solution:
     def minimum_is_unique(self) -> list[bool | None]:
         """(R,), True where it is proven that no other slips have the least power, False that others do, else None.
 
-        Ties are exact where cuts are counted in whole numbers, with one component; else they rest on rounded slips.
+        Ties are exact where cuts are counted in whole numbers, with one component.
         """
-        tied = self.findings.get("tied_contacts", np.zeros(len(self.states_proven)))
+        said = self.findings.get("tied_contacts", np.zeros(len(self.states_proven)))
         exact = len(self.scene.minimum_spin_axes) == 1
-        pairs = zip(self.states_proven, tied, strict=True)
-        return [True if proven else False if ties and exact else None for proven, ties in pairs]
+        tied = (self.proven == 4).any(axis=1) | (exact & (said > 0))
+        return [False if ties else True if none else None for ties, none in zip(tied, self.unproven == 0, strict=True)]
+
+    @property
+    def unproven(self) -> np.ndarray:
+        """(R,), contacts of which it is not proven whether they slip at every minimum, at none or at some."""
+        return np.asarray((self.proven == 2).sum(axis=1))
 
     def sample(self, number: int) -> "Solution":
         """One replica of it as if it had been solved alone; its seconds are its share."""

@@ -7,13 +7,20 @@ import numpy as np
 from taichi_bearings.lattice.grid import friction_by_axis, laboratory_forces
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap, saturation
-from taichi_bearings.proof.contact_state import SATURATED, ContactState, classify, separate, unresolved
+from taichi_bearings.proof.contact_state import (
+    SATURATED,
+    ContactState,
+    classify,
+    nothing_proven,
+    separate,
+    unresolved,
+)
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import LAWS, Samples
-from taichi_bearings.verifier.states import UNPROVEN
+from taichi_bearings.verifier.samples import CRITICAL, LAWS, UNPROVEN, Samples
+from taichi_bearings.verifier.states import States
 
 
 def answered(
@@ -55,6 +62,7 @@ def answered(
         friction=friction,
         state=state,
         slip_bound=None if judgement is None else _slip_bound(scene, judgement),
+        proven=nothing_proven(state),
         states_proven=np.zeros(scene.replicas, dtype=bool),
         power=power,
         objective=objective,
@@ -87,6 +95,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         friction=friction,
         force=picked(other.force, answer.force),
         states_proven=answer.states_proven & ~more,
+        proven=picked(nothing_proven(answer.state), answer.proven),
         slip_bound=_slip_bound(answer.scene, judgement),
         largest_balance_residual=judgement.largest_torque,
         lower_bound=judgement.lower_bound,
@@ -181,26 +190,56 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
     return Judgement(samples) if samples.can_be_judged else None
 
 
-def above_noise(answer: Solution, judgement: Judgement | None) -> np.ndarray:
-    """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap resolves."""
-    doubtful = (answer.state == ContactState.SLIPPING) & unresolved(answer) & ~answer.states_proven[:, None]
-    known = _decided(judgement, is_dynamics=False)
-    doubtful &= True if known is None else known == UNPROVEN
-    return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
+def above_noise(answer: Solution) -> np.ndarray:
+    """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap resolves, or
+    to rest while they bear all their friction."""
+    scene, state = answer.scene, answer.state
+    full = answer.force >= SATURATED * scene.strength * scene.coefficient
+    doubtful = (state == ContactState.SLIPPING) | ((state == ContactState.SLIPLESS) & full)
+    doubtful &= unresolved(answer) & (answer.proven == ContactState.UNDECIDED)
+    return np.where(doubtful, ContactState.UNDECIDED, state).astype(np.uint8)
 
 
-def proven(scene: Scene, final: Progress, judgement: Judgement | None, state: np.ndarray) -> np.ndarray:
-    """True (R,) where the verifier proves that these are the states at every minimum.
+def proven(scene: Scene, final: Progress, judgement: Judgement | None) -> list[States | None]:
+    """What the verifier proves of the states at every minimum, sample by sample; None where it is not asked.
 
-    It is asked where the method believes so, and where one component makes that cheap.
+    It is asked where the method believes that it has found them, and where that is cheap.
     """
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
-    found = np.full(scene.replicas, one_component) if final.states_proven is None else np.array(final.states_proven)
-    if judgement is None or not found.any():
-        return np.zeros(scene.replicas, dtype=bool)
-    together = one_component or bool(found.all())
+    together = one_component or scene.law.flows
+    asked = (
+        np.full(scene.replicas, together) if final.states_proven is None or together else np.array(final.states_proven)
+    )
+    if judgement is None or not asked.any():
+        return [None] * scene.replicas
     with one_thread():
-        for replica in np.flatnonzero(found):
-            states = judgement.states[replica] if together else judgement.one(int(replica)).states[0]
-            found[replica] = states.agree(list(scene.lattice.by_axis(state[replica])))
-    return found
+        if asked.all():
+            return list(judgement.states)
+        return [judgement.one(number).states[0] if asks else None for number, asks in enumerate(asked)]
+
+
+def named(answer: Solution, found: list[States | None], as_proven: bool) -> Solution:
+    """The answer with what is proven of its contacts. as_proven : that is what they are called; a dynamics has states
+    of its own motion, and so has an answer for which a threshold was asked for."""
+    lattice, state = answer.scene.lattice, answer.state
+    open_ = np.full(state.shape[1], UNPROVEN)
+    what = np.stack([open_ if states is None else lattice.flat(states.proven) for states in found])
+    driven = state == ContactState.DRIVEN
+    if as_proven:
+        name = np.where(what == CRITICAL, ContactState.UNDECIDED, np.where(what == UNPROVEN, state, what))
+        state = np.where(driven, state, name).astype(np.uint8)
+    known = np.where(driven, state, np.where(what == CRITICAL, ContactState.SLIPLESS, what)).astype(np.uint8)
+    may_be = answer.scene.law.is_rate_independent
+    pairs = zip(found, state, strict=True)
+    agree = [may_be and of is not None and of.agree(list(lattice.by_axis(said))) for of, said in pairs]
+    return replace(answer, state=state, proven=known, states_proven=np.array(agree))
+
+
+def with_ties_counted(answer: Solution) -> Solution:
+    """The answer with contacts that slip at some minima alone counted, and undecided."""
+    tied = answer.state == ContactState.TIED
+    state = np.where(tied, ContactState.UNDECIDED, answer.state).astype(np.uint8)
+    looked = "tied_contacts" in answer.findings or tied.any()
+    return replace(
+        answer, state=state, findings={**answer.findings, **({"tied_contacts": tied.sum(axis=1)} if looked else {})}
+    )

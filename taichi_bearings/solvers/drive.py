@@ -13,7 +13,7 @@ from taichi_bearings.fields import Fields, FieldSpec, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
-from taichi_bearings.solvers.answer import above_noise, answered, proven
+from taichi_bearings.solvers.answer import above_noise, answered, named, proven, with_ties_counted
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
@@ -212,9 +212,11 @@ class _Course:
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
-            found = replace(found, states_proven=proven(scene, final, judgement, found.state))
+            as_proven = threshold is None and (scene.law.flows or not is_dynamics(self.method))
+            found = named(found, proven(scene, final, judgement), as_proven)
         if final.state is not None and scene.law.is_rate_independent:
-            found = replace(found, state=above_noise(found, judgement))
+            found = replace(found, state=above_noise(found))
+        found = with_ties_counted(found)
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
 

@@ -69,7 +69,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
     """Contact states (R * n,) a group, one sample after the other."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     settled = [
-        where(of.open, undecided, where(of.slipping, slipping, slipless))
+        where(of.ties, ContactState.TIED, where(of.critical, undecided, where(of.slipping, slipping, slipless)))
         for of in (sample.resolved for sample in samples)
         if of is not None
     ]

@@ -69,11 +69,11 @@ class PlanarCutMethod:
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
     ) -> None:
-        """Friction and states of the contacts along `axis`; those that slip at some minima only are undecided."""
+        """Friction and states of the contacts along `axis`; those that slip at some minima only are tied."""
         friction = flow * (np.sign(self.top - self.bottom) * self.scene.normal_force)
         self._by_plane(self.scene.lattice.by_axis(self.force[0])[axis])[where] = friction
         states = self._by_plane(self.scene.lattice.by_axis(self.state)[axis])
-        states[where] = np.where(tied, ContactState.UNDECIDED, np.where(cut, ContactState.SLIPPING, states[where]))
+        states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def _note(self, where: tuple[np.ndarray, np.ndarray], cuts: MinimumCuts) -> None:
         self.tied[where] = cuts.tied

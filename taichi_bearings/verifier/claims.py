@@ -13,9 +13,9 @@ DYNAMIC = ("stationary", "finished")  # ends of a dynamics alone
 STATUSES = ("certified", *DYNAMIC, "stalled", "step-limit", "time-limit", "interrupted", "not-finite")
 CHECKED = {
     "power", "potential", "lower_bound", "gap", "law", "shape", "seed", "contacts", "slipping", "slipless", "undecided",
-    "critical", "states_proven", "largest_slipless_slip", "smallest_slipping_slip", "separation_decades", "spin_top",
-    "spin_bottom", "normal_force", "radius", "power_normalised", "minimum_is_unique", "cut_is_unique", "findings",
-    "duration", "coefficients", "scene", "schema", "schema_version", "sha256",
+    "critical", "states_proven", "unproven", "largest_slipless_slip", "smallest_slipping_slip", "separation_decades",
+    "spin_top", "spin_bottom", "normal_force", "radius", "power_normalised", "minimum_is_unique", "cut_is_unique",
+    "findings", "duration", "coefficients", "scene", "schema", "schema_version", "sha256",
 }  # fmt: skip
 """Attributes that are recomputed, or that others of the file leave no choice."""
 CHECKED_SETTINGS = {

@@ -51,13 +51,15 @@ class Slipping:
     place: np.ndarray
 
     @classmethod
-    def of(cls, motion: Motion) -> Slipping:
-        samples = motion.samples
+    def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
+        """domain : numbers (R, *N) of the domains of either component, 0 and 1 for what does not move; those of
+        contacts without slip if not given."""
+        samples, domain = motion.samples, domain or motion.domain
         number, unknowns = [], 0
         for k in samples.needed:
-            free = np.bincount(motion.domain[k].ravel()) > 0
+            free = np.bincount(domain[k].ravel()) > 0
             free[:2] = False
-            number.append(np.where(free, np.cumsum(free) - 1 + unknowns, -1)[motion.domain[k]])
+            number.append(np.where(free, np.cumsum(free) - 1 + unknowns, -1)[domain[k]])
             unknowns += int(free.sum())
         lower, upper, two, places = [], [], [], []
         parts: list[list[Enclosure]] = [[], []]
@@ -176,13 +178,15 @@ def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
     slope = curvature.clusters.T @ contacts.slope().most
     radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
     reach = radius[block] / root  # of each variable, at most
-    entries = [_with(change, np.abs(change.data)) for change in curvature.changes]  # zeros and ones, exactly
-    turn = sum((e @ reach) ** 2 for e in entries) ** 0.5 / contacts.size.least * UP
-    # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
-    loss = np.zeros_like(turn)
-    loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
-    given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in entries)
-    return turn if (turn <= TURN).all() and (given_up * UP < tau * curvature.scale / 2).all() else None
+    turn = sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP
+    return turn if curvature.remains(contacts, turn) else None
+
+
+@np.errstate(all="ignore")
+def rises(contacts: Slipping, turn: np.ndarray) -> bool:
+    """True if the power has curvature in all directions where each slip differs by a share of up to `turn` (n,)."""
+    curvature = Curvature.of(contacts) if contacts.unknowns else None
+    return contacts.unknowns == 0 or (curvature is not None and curvature.remains(contacts, turn))
 
 
 @dataclass(frozen=True)
@@ -214,6 +218,19 @@ class Curvature:
         elimination = Elimination.of((rows.T @ rows).tocsc(), place)
         tau = _proven(rows, doubt, elimination)
         return None if tau is None else cls(clusters, scale, tau, elimination, changes)
+
+    @property
+    def entries(self) -> list[sparse.csr_array]:
+        """Sizes of `changes`, zeros and ones."""
+        return [_with(change, np.abs(change.data)) for change in self.changes]
+
+    def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
+        """True if half of it is left where each slip differs by a share of up to `turn` (n,), a quarter at most."""
+        # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
+        loss = np.zeros_like(turn)
+        loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
+        given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
+        return bool((turn <= TURN).all() and (given_up * UP < self.tau * self.scale / 2).all())
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""

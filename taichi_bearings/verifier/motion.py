@@ -68,16 +68,18 @@ class Motion:
         """Number (R, *N) of the domain of each sphere, component by component: 0 and 1 for all that turns with the
         bottom and with the top, 2 and more for the others, of all samples together. Of components that differ between
         the planes, or seem to; nobody asks for others."""
-        return {k: self._domains(k) for k in self.samples.components if self._jumps(k) or self.shift[k].most.any()}
+        some = (k for k in self.samples.components if self._jumps(k) or self.shift[k].most.any())
+        return {k: self.domains(k, self.still) for k in some}
 
-    def _domains(self, component: int) -> np.ndarray:
+    def domains(self, component: int, joined_by: tuple[np.ndarray, ...]) -> np.ndarray:
+        """The same of one component, of spheres that these contacts join, masks (R, *contacts) an axis."""
         samples, sphere = self.samples, numbers_of(self.samples)
         felt = [axis for axis in range(samples.dimension) if component in samples.felt(axis)]
         joins = np.zeros((*sphere.shape, len(felt) + 1), dtype=bool)  # to the next sphere along each axis
         ahead = np.empty(joins.shape, dtype=np.int32)
         for slot, axis in enumerate(felt):
             low, high = samples.ends(axis)
-            joins[..., slot][low] = self.still[axis]
+            joins[..., slot][low] = joined_by[axis]
             ahead[..., slot][low] = sphere[high]
         joins[..., [0, -1], -1] = True  # and to the first of its plane
         ahead[..., 0, -1], ahead[..., -1, -1] = (end[..., 0] for end in ends_of(sphere))

@@ -20,6 +20,7 @@ from taichi_bearings.verifier.enclosure import Enclosure
 DIGITS = 300
 LEAST, MOST = 1e-60, 1e60  # scales of a sample
 SMALLEST = 1e-140  # component of the jump, of the whole
+SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
 Slices = tuple[slice, ...]
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""

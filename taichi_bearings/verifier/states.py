@@ -26,19 +26,20 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from taichi_bearings.verifier.balance import bearable
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
-from taichi_bearings.verifier.motion import Motion, ends_of, length, whole_planes
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.motion import Motion, ends_of, whole_planes
+from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
+from taichi_bearings.verifier.ties import SATURATED, tied_states
 
-SLIPLESS, SLIPPING, UNPROVEN = 0, 1, 2
 TOGETHER = 200_000  # spheres of the samples that are proven at once, at most
-SATURATED = 1e-6  # share of the friction by which a contact that slips may miss its limit
 
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. proven : one array (*contacts,) an axis of UNPROVEN, SLIPLESS or SLIPPING. unique : is there only
+    """Of one sample. proven : one array (*contacts,) an axis of UNPROVEN, SLIPLESS, SLIPPING, CRITICAL (slips at no
+    minimum, at the limit of this friction) or TIED (slips at some minima, rests at others). unique : is there only
     one minimum? None if that is not known. reason : why not all is proven, or "".
     """
 
@@ -47,9 +48,10 @@ class States:
     reason: str = ""
 
     def agree(self, claimed: list[np.ndarray]) -> bool:
-        """True if all is proven, and as claimed: states (*contacts,) an axis, 0 slipless, 1 slipping, 3 driven."""
+        """True if each contact is proven to slip at every minimum or at none, as claimed: states (*contacts,) an axis,
+        0 slipless, 1 slipping, 3 driven."""
         pairs = zip(self.proven, claimed, strict=True)
-        return all(bool(((p == np.where(c == 3, SLIPLESS, c)) & (p != UNPROVEN)).all()) for p, c in pairs)
+        return all(bool(((p == np.where(c == 3, SLIPLESS, c)) & (p <= SLIPPING)).all()) for p, c in pairs)
 
 
 def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
@@ -165,19 +167,25 @@ def _by_curvature(motion: Motion) -> list[States]:
     """Two components: steps 1 to 3 of the module docstring, of all samples at once, or else of each half of them."""
     samples, count = motion.samples, motion.samples.count
     small = count == 1 or count * samples.sublattice.size <= TOGETHER
-    doubt = _doubt(motion) if small else "too many"
+    contacts = Slipping.of(motion) if small else None
+    doubt = "too many" if contacts is None else _doubt(motion, contacts)
     if not doubt:
         return [States(tuple(np.where(s[r], SLIPLESS, SLIPPING) for s in motion.still), True) for r in range(count)]
-    if count == 1:
-        return [_nothing(samples, doubt)]
+    if contacts is not None and count == 1:
+        tied = tied_states(motion, contacts)
+        return [_nothing(samples, doubt) if tied is None else States(*tied, _why_open(tied[0]))]
     halves = samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))
     return [states for half in halves for states in _by_curvature(Motion(half))]
 
 
+def _why_open(states: tuple[np.ndarray, ...]) -> str:
+    """Why some of these states, found one by one, are not proven."""
+    return "minima tie in ways that are not known closely enough" if any((s == UNPROVEN).any() for s in states) else ""
+
+
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def _doubt(motion: Motion) -> str:
+def _doubt(motion: Motion, contacts: Slipping) -> str:
     """What is missing in the proof; "" if nothing is. Samples are like parts of one that no contact joins."""
-    contacts = Slipping.of(motion)
     if not _saturated(motion):
         return "contacts slip whose friction is not at its limit"
     if not (contacts.size.least > 0).all():
@@ -185,9 +193,9 @@ def _doubt(motion: Motion) -> str:
     near = nearest_minimum(contacts)
     if near is None:
         return "the power is not known to rise in all directions"
-    if not _bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
+    if not bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
         near = nearest_minimum(near[0].improved())
-        if near is None or not _bearable(motion, *near):
+        if near is None or not bearable(motion, *near):
             return "slipless contacts are not known to bear what the others leave to them"
     return ""
 
@@ -199,43 +207,3 @@ def _saturated(motion: Motion) -> bool:
         if not (size >= (1 - SATURATED) * strength.value).all():
             return False
     return True
-
-
-def _bearable(motion: Motion, contacts: Slipping, turn: np.ndarray) -> bool:
-    """Step 2: True if the friction of the contacts that do not slip can be put in balance inside all discs."""
-    samples = motion.samples
-    left = {k: _left_over(motion, contacts, turn, slot) for slot, k in enumerate(samples.needed)}
-    for axis, still in enumerate(motion.still):
-        rests, felt = still & ~samples.between_driven(axis), [k for k in samples.needed if k in samples.felt(axis)]
-        if felt:
-            low, _ = samples.ends(axis)
-            borne = length([Enclosure.exact(samples.turning[axis][k][rests]) for k in felt])
-            room, correction = (
-                samples.strength[axis][rests] - borne,
-                np.sqrt(sum(left[k][low][rests] ** 2 for k in felt)),
-            )
-            if not ((room.high > 0) & (room.least > correction * UP)).all():
-                return False
-    return True
-
-
-def _left_over(motion: Motion, contacts: Slipping, turn: np.ndarray, slot: int) -> np.ndarray:
-    """E_D of the domain of each sphere in a component, (R, *N): the torques left over in it, summed: by the friction as
-    the file says, and by what the contacts that slip differ from that."""
-    samples = motion.samples
-    component, domain = samples.needed[slot], motion.domain[samples.needed[slot]]
-    sides = samples.sublattice.ravel()[contacts.spheres[1] % samples.sublattice.size]
-    said = np.concatenate(
-        [
-            turning[component].take(slips.own) if component in turning else np.zeros(len(slips.own))
-            for turning, slips in zip(samples.turning, motion.slips, strict=True)
-        ]
-    )
-    unsure = contacts.pulls[slot].signed(sides).plus(-said).most
-    unsure[contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
-    residual = samples.torques[component].most
-    residual += np.bincount(contacts.spheres.ravel(), np.tile(unsure, 2), domain.size).reshape(domain.shape)
-    residual[..., [0, -1]] = 0.0
-    sample = np.arange(samples.count).reshape(-1, *(1,) * samples.dimension)
-    own = np.where(domain > 1, domain + 2 * samples.count, domain * samples.count + sample)  # driven ones, too
-    return (np.bincount(own.ravel(), residual.ravel()) * UP)[own]

@@ -31,7 +31,7 @@ NEEDED = (
     "status",
 )
 TEXTS = ("status", "coefficients", "method", "arch", "precision")  # attributes that are no numbers
-WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "critical", "iterations", "tied_contacts")
+WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "critical", "unproven", "iterations", "tied_contacts")
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique")  # in a list with gaps they are numbers
 REPORTED = ("slip", "power", "force", "state")
 MOST_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
@@ -143,7 +143,8 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         friction=by_axis("contact/{}/friction", parts),
         viscosity=by_axis("viscosity/{}") if all(LAWS[law]) else (),
     )
-    names = [*REPORTED, *(["slip_bound"] if "contact/z/slip_bound" in file or "contact/y/slip_bound" in file else [])]
+    last = f"contact/{axes[-1]}"
+    names = [*REPORTED, *(name for name in ("slip_bound", "proven") if f"{last}/{name}" in file)]
     reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
     history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
     known = {"coefficient", "contact", "spin", *(["viscosity"] if samples.viscosity else [])}
@@ -176,7 +177,7 @@ def _array(path: Path, file: h5py.File, count: int, name: str, expected: tuple[i
     stored, whole = file[name], (count, *expected)
     if stored.shape != whole and (count > 1 or stored.shape != expected):
         raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice needs {expected}")
-    kinds, words = ("ui", "whole numbers") if name.endswith("/state") else ("f", "real numbers")
+    kinds, words = ("ui", "whole numbers") if name.endswith(("/state", "/proven")) else ("f", "real numbers")
     if stored.dtype.kind not in kinds:
         raise FileError(f"{path} has {name} of {stored.dtype}; it must hold {words}")
     return np.asarray(stored[()], dtype=np.float64).reshape(whole)

@@ -10,9 +10,10 @@ import numpy as np
 
 from taichi_bearings.verifier.claims import agree, ended, not_checked, of_sample
 from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import Samples
-from taichi_bearings.verifier.states import SATURATED, SLIPLESS, SLIPPING, UNPROVEN, States
+from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN, Samples
+from taichi_bearings.verifier.states import States
 from taichi_bearings.verifier.stored_run import StoredRun
+from taichi_bearings.verifier.ties import SATURATED
 
 ARITHMETIC = (
     "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
@@ -52,7 +53,7 @@ def verdict_of(run: StoredRun) -> Verdict:
     count = samples.count
     nothing: list[Any] = [None] * count
     contacts = sum(int((~samples.between_driven(axis))[0].sum()) for axis in range(samples.dimension))
-    unproven = [{"slipless": 0, "slipping": 0, "unproven": contacts} for _ in range(count)]
+    unproven = [{"slipless": 0, "slipping": 0, "critical": 0, "tied": 0, "unproven": contacts} for _ in range(count)]
     if not samples.can_be_judged:
         text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
         false = [False] * count
@@ -107,7 +108,7 @@ def _finite(value: float) -> float | None:
 
 
 def _counted(samples: Samples, number: int, states: States) -> dict[str, int]:
-    names = {"slipless": SLIPLESS, "slipping": SLIPPING, "unproven": UNPROVEN}
+    names = {"slipless": SLIPLESS, "slipping": SLIPPING, "critical": CRITICAL, "tied": TIED, "unproven": UNPROVEN}
     acting = [~samples.idle(axis)[number] for axis in range(samples.dimension)]
     return {
         name: sum(int((s[a] == value).sum()) for s, a in zip(states.proven, acting, strict=True))
@@ -231,7 +232,7 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
         which = of_sample(run, number)
         given = [run.reported["state"][axis][number] for axis in range(run.samples.dimension)]
         wrong = sum(
-            int(((p == SLIPLESS) & (g == SLIPPING)).sum() + ((p == SLIPPING) & (g == SLIPLESS)).sum())
+            int((np.isin(p, (SLIPLESS, CRITICAL)) & (g == SLIPPING)).sum() + ((p == SLIPPING) & (g == SLIPLESS)).sum())
             for p, g in zip(found.proven, given, strict=True)
         )
         if wrong and _is_minimum(run, number):
@@ -244,12 +245,33 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
         if unique[number] and not found.unique:
             yield f"the minimum{which} is said to be unique, and that is not proven"
         exact = len(run.samples.needed) == 1  # then the method knows ties exactly
-        if bool(unique[number]) != bool(proven[number]) or (exact and unique[number] is None and tied[number]):
+        if (proven[number] and not unique[number]) or (exact and unique[number] is None and tied[number]):
             yield f"it is said whether the minimum{which} is unique, and other words say something else"
         if run.claimed("cut_is_unique")[number] not in (None, not tied[number]):
             yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
-        if unique[number] is not None and not unique[number] and (found.unique or not exact):
+        if unique[number] is False and (found.unique or not (exact or found.unique is False)):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
+        yield from _kinds(run, number, found)
+
+
+def _kinds(run: StoredRun, number: int, found: States) -> Iterator[str]:
+    """What the file says to be proven of each contact is, and as many are tied as can be."""
+    which, unproven, ties = of_sample(run, number), 0, [0, 0]
+    for axis, proven in enumerate(found.proven):
+        driven = run.samples.idle(axis)[number]
+        known = np.where(driven, DRIVEN, np.where(proven == CRITICAL, SLIPLESS, proven))
+        ties = [ties[0] + int((known == TIED).sum()), ties[1] + int(np.isin(known, (TIED, UNPROVEN)).sum())]
+        if "proven" in run.reported:
+            said = run.reported["proven"][axis][number]
+            unproven += int((said == UNPROVEN).sum())
+            false = int(((said != known) & ((said != UNPROVEN) | (known == DRIVEN))).sum())
+            if false:
+                yield f"{false} contacts{which} along {'xyz'[axis]} are said to be proven what they are not"
+    tied, said = run.claimed("tied_contacts")[number], run.claimed("unproven")[number]
+    if tied is not None and not ties[0] <= tied <= ties[1]:
+        yield f"{tied} contacts{which} are said to differ between minima; what is proven allows {ties[0]} to {ties[1]}"
+    if said is not None and "proven" in run.reported and said != unproven:
+        yield f"unproven{which}: the summary says {said!r}, the arrays {unproven!r}"
 
 
 def _is_minimum(run: StoredRun, number: int) -> bool:
@@ -320,7 +342,10 @@ def _at_limit(run: StoredRun, judgement: Judgement, number: int) -> int:
     for axis in range(samples.dimension if samples.holds else 0):
         force, slip, state = (run.reported[name][axis][number] for name in ("force", "slip", "state"))
         friction = samples.normal_force * samples.coefficient[axis][number]
-        found += int(((state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - SATURATED) * friction)).sum())
+        faint = (state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - SATURATED) * friction)
+        found += int(
+            (faint & (run.reported["proven"][axis][number] != TIED if "proven" in run.reported else True)).sum()
+        )
     return found
 
 

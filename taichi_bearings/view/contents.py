@@ -7,8 +7,10 @@ from matplotlib import colormaps
 
 from taichi_bearings.plots.domains import colour_of_turn, turn_of
 from taichi_bearings.plots.lattice import COLOURS
+from taichi_bearings.proof.contact_state import ContactState, count, critical
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
 from taichi_bearings.version import VERSION
+from taichi_bearings.words import undecided_kinds
 
 MOST_BYTES = 64e6  # of snapshots in a page: beyond, only some are shown
 BOTTLENECKS = 200  # busiest contacts that are shown as such
@@ -68,6 +70,13 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         "version": VERSION,
         "shape": list(scene.lattice.shape),
         "proven": bool(solution.states_proven[0]),
+        "open": ", ".join(
+            undecided_kinds(
+                int(count(solution.state, ContactState.UNDECIDED)[0]),
+                int(critical(solution)[0]),
+                int(solution.findings.get("tied_contacts", [0])[0]),
+            )
+        ),
         "spin_max": largest,
         "beyond": bool((np.linalg.norm(spins, axis=-1) > largest * (1 + 1e-9)).any()),
         "jump_speed": scene.lattice.radius * scene.jump,

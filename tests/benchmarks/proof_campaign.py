@@ -9,7 +9,9 @@ command that repeats it; the exit code is 1 if there is one. False proofs, with 
     bound        the lower bound is above the minimum, relative to it
     certificate  the status is certified, but the power is further from the minimum than the tolerance
     gap          the power is further above the minimum than the gap says
-    state        contacts of `states_proven` that are wrong at every minimum, or at some
+    state        contacts of `states_proven` that are wrong at every minimum, or at some; or of which something else is
+                 proven than is true
+    name         contacts that are called slipping, slipless, critical or tied, and are something else (kind `names`)
     perturbed    contacts of `states_proven` that are wrong once coefficients change by random factors 1 + 1e-40 u
     slip-bound   a minimiser slips faster than `slip_bound`, relative to it
     unique       `cut_is_unique`, but there are more minimisers
@@ -30,7 +32,7 @@ import sys
 import time
 import traceback
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -42,12 +44,13 @@ import numpy as np
 from taichi_bearings_studies.stress import truth as truths
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import Run, prepare, solve_job, summarise
+from taichi_bearings.proof.contact_state import SATURATED, ContactState, unresolved
+from taichi_bearings.proof.contact_state import critical as critical_contacts
+from taichi_bearings.runs.run import Job, Run, prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
 
-KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous")
+KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous", "names")
 METHODS = {  # share of the runs
     "auto": 0.3,
     "interior-point": 0.34,
@@ -62,6 +65,15 @@ SHAPES_3D = (
     "2,2,3", "2,2,3", "2,3,3", "3,2,4", "3,3,3", "3,3,3", "2,2,5", "2,2,8", "4,3,3", "4,4,3", "5,4,3", "3,3,5",
     "2,5,4", "4,4,4",
 )  # fmt: skip
+SHAPES_OF_NAMES = ("3,3,4", "3,3,5", "3,4,4", "4,3,4", "4,4,4", "3,4,5")
+DISTRIBUTIONS_OF_NAMES = (  # two values apart, near and whole; one; three whole ones
+    "bimodal:0.1,1.0,0.5", "bimodal:0.1,1.0,0.5", "bimodal:1.0,2.0,0.5", "bimodal:2.0,3.0,0.3", "bimodal:1.0,3.0,0.7",
+    "constant:0.5", "integers", "integers", "five-values",
+)  # fmt: skip
+DRAWN_HERE = {  # not among the distributions of the program
+    "integers": lambda rng, shape: rng.integers(1, 4, shape).astype(float),
+    "five-values": lambda rng, shape: rng.choice(np.random.default_rng(5).uniform(0.1, 1.0, 5), shape),
+}
 SHAPES_2D = ("2,3", "3,3", "3,4", "4,4", "6,4", "5,5", "2,9", "8,3", "6,6")
 ITERATIONS = 20_000  # limit of every run, and its wall time in seconds
 TIME_LIMIT = 20.0
@@ -69,12 +81,15 @@ PERTURBATION = Decimal("1e-40")
 PERTURBED = 1e-12  # slip over the largest slip above which a perturbed minimum contradicts "slipless"
 ROUNDING = 1e-14  # by which the gap may be too small
 BELOW = 1e-12
+AT_LIMIT = 1e-12  # margin in the middle of the optimal forces below which a contact is at its limit
 STRICT = 4e-16  # rounding of the true slips
 
 
 def draw_settings(kind: str, seed: int, number: int, methods: tuple[str, ...]) -> dict:
     """Settings of one scene, as words of the command line."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
+    if kind == "names":
+        return _draw_names(rng)
     planar = rng.random() < 0.2
     flat = rng.random() < 0.15
     settings = {"shape": str(rng.choice(SHAPES_2D if flat else SHAPES_3D)), "seed": int(rng.integers(1, 10**6))}
@@ -99,6 +114,13 @@ def draw_settings(kind: str, seed: int, number: int, methods: tuple[str, ...]) -
     if rng.random() < 0.08:
         settings["replicas"] = 2
     return settings | {"iterations": ITERATIONS, "time_limit": TIME_LIMIT, "threads": 1}
+
+
+def _draw_names(rng: np.random.Generator) -> dict:
+    """Friction of few values, two components, the method that settles every contact."""
+    shape, distribution = rng.choice(SHAPES_OF_NAMES), rng.choice(DISTRIBUTIONS_OF_NAMES)
+    settings = {"shape": str(shape), "seed": int(rng.integers(1, 10**6)), "distribution": str(distribution)}
+    return settings | {"method": "auto", "tolerance": 1e-8, "iterations": ITERATIONS, "threads": 1}
 
 
 def _allowed(kind: str, single: bool) -> tuple[str, ...]:
@@ -189,6 +211,7 @@ class Verdict:
     false: list = field(default_factory=list)
     wrong_states: int = 0
     power_below: float = 0.0
+    names: dict = field(default_factory=dict)  # kind of contact -> how many, and how many of them are proven
     freedom: int = 0
     true_gap: float = 0.0
     unknown: int = 0
@@ -246,6 +269,7 @@ def _judge_states(verdict: Verdict, solution, replica: int, truth: truths.Truth)
     either = int(((slipless | slipping) & (true == truths.EITHER)).sum())
     verdict.freedom, verdict.unknown = truth.freedom, int((true == truths.UNCLEAR).sum())
     faster = slip > bound * (1 + STRICT)
+    _judge_names(verdict, solution, replica, truth)
     if faster.any():
         excess = (slip[faster] / np.maximum(bound[faster], 1e-300) - 1).max()
         verdict.blame("slip-bound", excess, f"{faster.sum()} contacts")
@@ -267,6 +291,52 @@ def _judge_states(verdict: Verdict, solution, replica: int, truth: truths.Truth)
         verdict.blame("unique", truth.freedom)
 
 
+PROVEN = {
+    ContactState.SLIPLESS: (truths.SLIPLESS, truths.DRIVEN),
+    ContactState.SLIPPING: (truths.SLIPPING,),
+    ContactState.TIED: (truths.EITHER,),
+}
+
+
+def _judge_names(verdict: Verdict, solution, replica: int, truth: truths.Truth) -> None:
+    """What each contact is called, and what is proven of it."""
+    lattice, called, known = solution.scene.lattice, called_of(solution, replica), solution.proven[replica]
+    true, margin = lattice.flat(truth.state), lattice.flat(truth.margin)
+    right = np.where(true == truths.SLIPLESS, np.where(margin < AT_LIMIT, "critical", "slipless"), "slipping")
+    right = np.select(
+        [true == truths.EITHER, true == truths.DRIVEN, true == truths.UNCLEAR], ["tied", "driven", called], right
+    )
+    names = defaultdict(lambda: [0, 0])
+    for one, of, sure in zip(called.tolist(), right.tolist(), (known != ContactState.UNDECIDED).tolist(), strict=True):
+        counted = names[one if one == of else f"{one}, truly {of}"]
+        counted[0] += 1
+        counted[1] += sure
+    verdict.names = dict(names)
+    known = np.where(true == truths.UNCLEAR, ContactState.UNDECIDED, known)
+    false = sum(int(((known == what) & ~np.isin(true, allowed)).sum()) for what, allowed in PROVEN.items())
+    if false:
+        verdict.blame("state", false, "something else is proven")
+    wrong = int(((called != right) & (called != OPEN)).sum())
+    if wrong and solution.method == "interior-point":
+        verdict.blame("name", wrong)
+
+
+OPEN = "tied or undecided"
+
+
+def called_of(solution, replica: int) -> np.ndarray:
+    """Names (E,) of the contacts. Files count critical and tied ones; which is which follows where it is proven, or
+    where as many are at their limit as are said to be critical."""
+    state, known, scene = solution.state[replica], solution.proven[replica], solution.scene
+    full = solution.force[replica] >= SATURATED * scene.strength * scene.coefficient[replica]
+    limit = (state == ContactState.UNDECIDED) & (known != ContactState.TIED) & unresolved(solution)[replica] & full
+    if limit.sum() != critical_contacts(solution)[replica]:
+        limit &= known != ContactState.UNDECIDED
+    plain = [state == which for which in (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.DRIVEN)]
+    names = np.select([known == ContactState.TIED, limit], ["tied", "critical"], OPEN)
+    return np.select(plain, ["slipless", "slipping", "driven"], names)
+
+
 def _judge_perturbed(verdict: Verdict, solution, replica: int, truth: truths.Truth) -> None:
     claim, flat = solution.state[replica], solution.scene.lattice.flat
     true, slip = flat(truth.state), flat(truth.slip)
@@ -277,12 +347,23 @@ def _judge_perturbed(verdict: Verdict, solution, replica: int, truth: truths.Tru
         verdict.blame("perturbed", wrong)
 
 
+def _job(words: dict) -> tuple[RunSettings, Job]:
+    """Settings and scene of these words."""
+    own = DRAWN_HERE.get(words["distribution"])
+    settings = RunSettings(**(words if own is None else words | {"distribution": "constant:1.0"}))
+    job = prepare(settings, strict=False)
+    if own is None:
+        return settings, job
+    lattice, rng = job.scene.lattice, np.random.default_rng(words["seed"])
+    coefficients = tuple(own(rng, lattice.contact_shape(axis))[None] for axis in range(lattice.dimension))
+    return settings, replace(job, scene=replace(job.scene, coefficients=coefficients))
+
+
 def run_scene(words: dict, perturbations: int) -> dict:
     """One line of results."""
     began = time.perf_counter()
     try:
-        settings = RunSettings(**words)
-        job = prepare(settings, strict=False)
+        settings, job = _job(words)
     except InputError as refused:
         return {"refused": str(refused)}
     try:
@@ -305,6 +386,7 @@ def run_scene(words: dict, perturbations: int) -> dict:
         "power_below": max(v.power_below for v in verdicts),
         "wrong_states": sum(v.wrong_states for v in verdicts),
         "unknown": sum(v.unknown for v in verdicts),
+        "names": [v.names for v in verdicts],
         "false": [blame for v in verdicts for blame in v.false],
         "seconds": solved - began,
         "seconds_truth": time.perf_counter() - solved,
@@ -316,7 +398,7 @@ def print_table(lines: list[dict]) -> None:
     for line in lines:
         if "refused" not in line:
             groups[line["kind"], line["method"]].append(line)
-    columns = ("bound", "certificate", "gap", "state", "perturbed", "slip-bound", "unique", "crash", "imposed")
+    columns = ("bound", "certificate", "gap", "state", "name", "perturbed", "slip-bound", "unique", "crash", "imposed")
     print("\n| kind | method | runs | certified | proven | " + " | ".join(columns), end="")
     print(" | wrong states | power below | s | s truth |")
     print("|" + "---|" * (9 + len(columns)))
@@ -335,7 +417,21 @@ def print_table(lines: list[dict]) -> None:
         row += [f"{np.mean([f.get(k, 0.0) for f in found]):.2f}" for k in ("seconds", "seconds_truth")]
         print("| " + " | ".join(map(str, row)) + " |")
     refused = sum("refused" in line for line in lines)
+    for kind in sorted({line["kind"] for line in lines}):
+        _print_names(kind, [line for line in lines if line["kind"] == kind])
     print(f"\n{len(lines)} scenes, {refused} refused, {sum(line.get('unknown', 0) for line in lines)} contacts unknown")
+
+
+def _print_names(kind: str, lines: list[dict]) -> None:
+    """How many contacts are called what, of runs that settle them."""
+    total = defaultdict(lambda: [0, 0])
+    for line in lines:
+        for names in line.get("names", []) if line.get("method") == "interior-point" else []:
+            for name, counted in names.items():
+                total[name] = [total[name][0] + counted[0], total[name][1] + counted[1]]
+    total.pop("driven", None)
+    words = [f"{name} {number:,} ({proven:,} proven)" for name, (number, proven) in sorted(total.items())]
+    print(f"{kind}, contacts of interior-point: {'; '.join(words)}")
 
 
 def main() -> int:

@@ -19,7 +19,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, PlanarCut
 from taichi_bearings.solvers.answer import _judged, with_forces_of
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.verifier.states import UNPROVEN
+from taichi_bearings.verifier.samples import UNPROVEN
 from tests.scenes import make_scene
 from tests.verifier.forgeries import RUNS, forged, honest_file, outcome
 from tests.verifier.honest import contradictions, drawn

@@ -15,8 +15,7 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.curvature import Slipping
 from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import Samples
-from taichi_bearings.verifier.states import SLIPLESS, SLIPPING, UNPROVEN
+from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
 from tests.scenes import make_scene
 from tests.verifier.test_bounds import samples_of
 

@@ -157,7 +157,7 @@ class Controls {
     const own = sample.isEnd ? `those of the run (${facts.proven ? "proven" : "not proven"})` : `those up to |v| = ${six(facts.snapshot_threshold)}`;
     element("threshold-text").textContent = choices.slip === null ? own : `those up to ${(choices.slip / facts.jump_speed).toExponential(1)} R Δω`;
     element("threshold").setAttribute("aria-valuetext", element("threshold-text").textContent);
-    const open = counts.undecided ? `, ${grouped(counts.undecided)} undecided` : "";
+    const open = counts.undecided ? `, ${facts.open}` : "";
     element("states").textContent = `${grouped(counts.slipless)} slipless, ${grouped(counts.slipping)} slipping${open}. They ${counts.spans ? "join" : "do not join"} bottom and top and touch ${six(100 * counts.reached)} % of the free spheres.`
       + (choices.slip === null && sample.isEnd ? "" : " Domains, path and bottlenecks stay those of the end state of the run.");
     const what = sample.isEnd ? "P" : "|v|";

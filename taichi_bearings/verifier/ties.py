@@ -1,0 +1,469 @@
+"""Which contacts slip at every minimum, at none, or at some, where there are many minima or contacts at their limit.
+
+Two components. Let S be the contacts that slip as stored, C those that do not and yet bear all their friction, along
+one component, and T the others that do not slip. A *domain* is what T and C join in a component, a *part* what T joins
+alone, and a *body* what T joins and those of C that bear nothing along the component.
+
+1. A contact of S with slip along both components turns as soon as one domain moves. What such contacts join in a
+   component, and no driven plane, is a *cluster*. Moved as a whole it turns no slip, and its other contacts pull it by
+   their whole friction either way. If these pulls, added exactly, cancel, one of its domains can be held where it is:
+   what balances the others balances it as well. So it is with a domain *between* two sets of contacts, each from one
+   other domain, of the same friction in all: held in one component and in balance in the other one, it is pulled along
+   one line.
+2. With these domains held there is one minimum nearby (curvature.py), u*. It is a minimum as long as T and C hold.
+3. Friction that agrees with u* can be put in balance: on C exactly at its limit, if the pulls on each part, added
+   exactly, cancel, but for one part at most of a free domain, on which others act (its balance is that of the domain);
+   on T inside all discs (balance.py). So u* is a minimum of the whole power, and T rests at every minimum.
+4. All minima share that friction. So they differ from u* by motions of bodies that keep T at rest, turn no slip of S
+   and let C slip along its friction alone. Clusters of bodies that move as a whole do so, and what lies between two
+   sets, along the line. By the curvature with one body of each held (rises) there are no others. So minima are all
+   motions y of clusters for which no contact of S and C slips backwards: t + y_b - y_a >= 0, with t its slip at u*,
+   which is 0 on C. How far a slip can go is the length of a shortest path. A contact of S rests at some minimum if t is
+   no longer than any other path, and at none if one is shorter; one of C rests at all if a path of length 0 leads back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from taichi_bearings.verifier.balance import bearable
+from taichi_bearings.verifier.curvature import Slipping, nearest_minimum, rises
+from taichi_bearings.verifier.enclosure import UP, Enclosure
+from taichi_bearings.verifier.motion import Motion, numbers_of
+from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+
+SATURATED = 1e-6  # share of the friction by which a contact at its limit may miss it
+ALONG = 2e-3  # share of the friction across a component that may be none, where a limit is missed by that much
+SURELY = 1 + 1e-12  # factor that makes up for the rounding of sums along a path
+
+
+@dataclass(frozen=True)
+class Pulls:
+    """The n contacts of S, then those of C, of one sample.
+
+    lower, upper : (n,) flat numbers of their spheres. felt : (2, n), which of the needed components they feel.
+    sign : (2, n), of the difference of signed spins, or on C of the friction that would go with it. coefficient : (n,).
+    slips : (n,) mask of S. domain, part, body : (2, spheres), 0 and 1 for what turns with the planes.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    felt: np.ndarray
+    sign: np.ndarray
+    coefficient: np.ndarray
+    slips: np.ndarray
+    domain: np.ndarray
+    part: np.ndarray
+    body: np.ndarray
+
+    def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
+        """(n,) mask of those with ends in different domains, parts or bodies."""
+        return label[slot, self.lower] != label[slot, self.upper]
+
+    def touches(self, label: np.ndarray, value: int, slot: int) -> np.ndarray:
+        """(n,) mask of contacts of C at a domain with this label (spheres,), and of S between it and another one."""
+        ends = label[self.lower] == value, label[self.upper] == value
+        return np.where(self.slips, ends[0] != ends[1], ends[0] | ends[1])
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """(2, n) masks: does a motion of one end in this component turn the slip? So it does if there is slip in the
+        other one."""
+        both = self.felt.all(axis=0)
+        return np.array([both & self.apart(self.domain, 1), both & self.apart(self.domain, 0)])
+
+    def clusters(self, label: np.ndarray, slot: int) -> np.ndarray:
+        """(spheres,), number of the cluster of domains or bodies of each sphere; 0 for what is joined to a plane."""
+        own = label[slot]
+        joins = self.turns[slot] & self.apart(label, slot)
+        first, second = own[self.lower[joins]], own[self.upper[joins]]
+        first, second = np.append(first, 0), np.append(second, 1)  # one plane cannot move past the other
+        size = int(own.max()) + 1
+        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(max(size, 2),) * 2)
+        found = connected_components(graph, directed=False)[1][own]
+        bound = connected_components(graph, directed=False)[1][0]
+        return np.unique(np.append(np.where(found == bound, -1, found), -1), return_inverse=True)[1][:-1]
+
+    @cached_property
+    def pairs(self) -> np.ndarray:
+        """(spheres,), equal numbers for equal domains in both components."""
+        return np.unique(self.domain, axis=1, return_inverse=True)[1].reshape(-1)
+
+    def sums(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
+        """Do the pulls along a component that are known exactly cancel, owner by owner (spheres,) -> number?"""
+        known = self.felt[slot] & ~self.turns[slot] & np.where(
+            self.slips, self.apart(self.domain, slot), self.apart(self.part, slot)
+        )  # fmt: skip
+        found: dict[int, list[float]] = {}
+        pull = self.sign[slot] * self.coefficient
+        for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
+            for number, value in zip(owner[end[known]].tolist(), (sign * pull[known]).tolist(), strict=True):
+                found.setdefault(number, []).append(value)
+        return {number: math.fsum(values) == 0.0 for number, values in found.items()}
+
+
+@dataclass(frozen=True)
+class Line:
+    """The contacts (n,) that a way along which minima differ changes: their ends on it, (n,) numbers of what moves, 0
+    for what does not; sign : by which the motion of the upper end lengthens the slip; twin : equal numbers for equal
+    slips; own : (n,) numbers of the contacts."""
+
+    own: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    sign: np.ndarray
+    twin: np.ndarray
+    is_between: bool = False
+
+    def with_others(self, some: np.ndarray) -> np.ndarray:
+        """(n,) mask of some contacts, and of all that share what moves with them, directly or through others."""
+        size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
+        inner = (self.lower > 0) & (self.upper > 0)
+        joins = self.lower[inner], self.upper[inner]
+        graph = sparse.coo_array((np.ones(len(joins[0]), dtype=np.int8), joins), shape=(size, size))
+        piece = connected_components(graph, directed=False)[1][np.maximum(self.lower, self.upper)]
+        return np.isin(piece, piece[some])
+
+    def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Masks (n,): rests at some minimum, slips at every one, slips at some. least, most : (n,), bounds of the slip
+        at one minimum, both 0 where there is none."""
+        # the slip t of a contact leaves y[head] - y[tail] <= t
+        tail, head = np.where(self.sign > 0, (self.upper, self.lower), (self.lower, self.upper))
+        twins = np.unique(self.twin, return_inverse=True)[1]
+        low, high = np.zeros(twins.max(initial=0) + 1), np.full(twins.max(initial=0) + 1, np.inf)
+        np.maximum.at(low, twins, least)
+        np.minimum.at(high, twins, most)
+        low, high = low[twins], high[twins]
+        shortest, longest = dijkstra(_edges(tail, head, low)), dijkstra(_edges(tail, head, high))
+        always = longest[tail, head] * SURELY < low
+        some = (low > 0) | (shortest[head, tail] > 0)
+        rests = high == 0
+        for one in np.unique(twins[~always & ~rests]):
+            own = np.flatnonzero(twins == one)  # a path that slips by one of these is no shorter than the one alone
+            left, starts = twins != one, np.unique(tail[own])
+            around = dijkstra(_edges(tail[left], head[left], low[left], len(shortest)), indices=starts)
+            rests[own] = high[own] * SURELY <= around[np.searchsorted(starts, tail[own]), head[own]]
+        return rests, always, some
+
+
+def _edges(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
+    """(size, size) directed graph of the shortest edges, with those of length 0."""
+    size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
+    order = np.lexsort((length, head, tail))
+    first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
+    kept = order[first]
+    begin = np.searchsorted(tail[kept], np.arange(size + 1))
+    return sparse.csr_array((length[kept], head[kept].astype(np.int32), begin.astype(np.int32)), shape=(size, size))
+
+
+@dataclass(frozen=True)
+class Between:
+    """The m domains that just two equal sets of contacts pull.
+
+    labels : (2, m), of both components. slot : (m,), that in which each is held. ends : (2, n), numbers of those at the
+    lower and the upper end of each contact of the sets, from 1; 0 for others. twin : (n,), equal for contacts of a set.
+    coupled : (n,), contacts along which such a domain slides that others than its sets touch, and those of its sets.
+    """
+
+    labels: np.ndarray
+    slot: np.ndarray
+    ends: np.ndarray
+    twin: np.ndarray
+    coupled: np.ndarray
+
+    @classmethod
+    def of(cls, pulls: Pulls, contacts: Slipping) -> Between:
+        """contacts : those of S."""
+        pair, known = pulls.pairs, [pulls.sums(pulls.domain[slot], slot) for slot in range(2)]
+        spans = pulls.slips & pulls.turns.all(axis=0)
+        spans &= pulls.apart(pulls.domain, 0) & pulls.apart(pulls.domain, 1)
+        at = {slot: _touching(pulls.domain[slot], pulls, pulls.slips & pulls.turns[slot]) for slot in range(2)}
+        numbers = {one: number for number, one in enumerate(pair.tolist())}
+        ends, twin = np.zeros((2, len(spans)), dtype=np.int64), np.zeros(len(spans), dtype=np.int64)
+        labels, slots, coupled = [], [], np.zeros(len(spans), dtype=bool)
+        for sphere in numbers.values():
+            own = [int(pulls.domain[slot, sphere]) for slot in range(2)]
+            some = at[0].get(own[0], set())
+            if min(own) < 2 or not some or some != at[1].get(own[1], set()):
+                continue
+            chosen = np.array(sorted(some))
+            up = pair[pulls.upper[chosen]] == pair[sphere]
+            mine = up | (pair[pulls.lower[chosen]] == pair[sphere])
+            other = pair[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
+            sides = np.unique(other)
+            if not (spans[chosen].all() and mine.all() and len(sides) == 2):
+                continue
+            weight = np.where(other == sides[0], 1.0, -1.0) * pulls.coefficient[chosen]
+            if math.fsum(weight.tolist()) != 0.0 or not all(
+                k.get(label, True) for k, label in zip(known, own, strict=True)
+            ):
+                continue
+            parts = [part.at(chosen) for part in contacts.difference]
+            slot = int(np.median(parts[1].most) > np.median(parts[0].most))
+            ahead = np.sign(parts[slot].high) * np.where(up, 1, -1) * np.where(other == sides[0], 1, -1)
+            if len(np.unique(ahead)) != 1:  # the domain does not lie between them
+                continue
+            labels.append(own)
+            slots.append(slot)
+            ends[1, chosen[up]] = ends[0, chosen[~up]] = len(labels)
+            twin[chosen] = np.minimum(pair[pulls.lower[chosen]], pair[pulls.upper[chosen]]) * len(pair)
+            twin[chosen] += np.maximum(pair[pulls.lower[chosen]], pair[pulls.upper[chosen]])
+            along = [(pulls.felt[s] & ~pulls.turns[s]) & pulls.touches(pulls.domain[s], own[s], s) for s in range(2)]
+            if np.any(along):
+                coupled |= along[0] | along[1]
+                coupled[chosen] = True
+        return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), ends, twin, coupled)
+
+    def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:
+        """True if near the minimum the contacts of the sets surely slip along the component in which they are held."""
+        for number, slot in enumerate(self.slot, start=1):
+            own = np.flatnonzero((self.ends == number).any(axis=0))
+            if not (contacts.difference[slot].at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
+                return False
+        return True
+
+
+def _touching(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, set[int]]:
+    """Numbers of some contacts, (n,) mask, between different labels (spheres,), by the labels at their ends."""
+    found: dict[int, set[int]] = {}
+    own = np.flatnonzero(some & (label[pulls.lower] != label[pulls.upper]))
+    for end in (pulls.lower, pulls.upper):
+        for one, number in zip(label[end[own]].tolist(), own.tolist(), strict=True):
+            found.setdefault(one, set()).add(number)
+    return found
+
+
+def tied_states(motion: Motion, contacts: Slipping) -> tuple[tuple[np.ndarray, ...], bool | None] | None:
+    """Of one sample with two components: states of its contacts, one array (*contacts,) an axis, and whether there is
+    only one minimum. None if nothing is proven. contacts : those that slip."""
+    samples, limit = motion.samples, Limit.of(motion)
+    absent = any(((c == 0) & ~samples.between_driven(axis)).any() for axis, c in enumerate(samples.coefficient))
+    if absent or limit is None or not (contacts.size.least > 0).all():
+        return None
+    pulls = _pulls(motion, contacts, limit)
+    between = Between.of(pulls, contacts)
+    held, held_bodies = (_held(motion, pulls, label, between) for label in (pulls.domain, pulls.body))
+    if held is None or held_bodies is None or not (held.any() or not pulls.slips.all()):
+        return None
+    near = _balanced(motion, pulls, between, held, limit)
+    if near is None:
+        return None
+    found, turn = near
+    if not pulls.slips.all():
+        of_bodies = replace(
+            Slipping.of(motion, _still_labels(motion, pulls.body, held_bodies)), difference=found.difference
+        )
+        if not rises(of_bodies, turn):
+            return None
+    return _named(motion, pulls, between, found, turn, bool(held_bodies.any()), limit)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Contacts C of one sample, an entry an axis each. full : masks (R, *contacts). along : (R, *contacts), along which
+    of the needed components they bear all their friction; they bear none along the other one."""
+
+    full: tuple[np.ndarray, ...]
+    along: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, motion: Motion) -> Limit | None:
+        """None if contacts bear all their friction along both components."""
+        samples, masks, components = motion.samples, [], []
+        for axis, still in enumerate(motion.still):
+            parts = np.array([np.abs(samples.turning[axis].get(k, np.zeros(still.shape))) for k in samples.needed])
+            strength = samples.strength[axis].value
+            full = still & (np.hypot(*parts) >= (1 - SATURATED) * strength) & ~samples.idle(axis)
+            if (parts.min(axis=0)[full] > ALONG * strength[full]).any():
+                return None
+            masks.append(full)
+            components.append(np.argmax(parts, axis=0))
+        return cls(tuple(masks), tuple(components))
+
+    def friction(self, motion: Motion, axis: int, slot: int) -> Enclosure:
+        """Exactly what they have to bear, (n,), with its sign in `turning`."""
+        samples, full = motion.samples, self.full[axis]
+        said = samples.turning[axis].get(samples.needed[slot], np.zeros(full.shape))[full]
+        return samples.strength[axis][full].signed(np.sign(said) * (self.along[axis][full] == slot))
+
+    def others(self, motion: Motion, slot: int | None) -> tuple[np.ndarray, ...]:
+        """Masks (R, *contacts) an axis of T; with those of C that bear nothing along a component, if it is given."""
+        return tuple(
+            still & ~(full if slot is None else full & (along == slot))
+            for still, full, along in zip(motion.still, self.full, self.along, strict=True)
+        )
+
+    def unsure(self, motion: Motion) -> dict[int, np.ndarray]:
+        """By component, (R, *N): how far that is from what the file says, summed at each sphere."""
+        samples = motion.samples
+        found = {k: np.zeros((samples.count, *samples.shape)) for k in samples.needed}
+        for axis, full in enumerate(self.full):
+            for slot, k in enumerate(samples.needed):
+                if k in samples.felt(axis):
+                    missing = np.zeros(full.shape)
+                    missing[full] = self.friction(motion, axis, slot).plus(-samples.turning[axis][k][full]).most
+                    for end in samples.ends(axis):
+                        found[k][end] += missing
+        return found
+
+
+def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
+    samples, number = motion.samples, numbers_of(motion.samples)
+    lower, upper = [contacts.spheres[0]], [contacts.spheres[1]]
+    sign, felt, coefficient = [np.array([np.sign(part.high) for part in contacts.difference])], [], []
+    for axis, slips in enumerate(motion.slips):
+        felt.append(np.array([np.full(len(slips.own), k in samples.felt(axis)) for k in samples.needed]))
+        coefficient.append(samples.coefficient[axis].take(slips.own))
+    for axis, full in enumerate(limit.full):
+        low, high = (number[end][full] for end in samples.ends(axis))
+        lower.append(low)
+        upper.append(high)
+        felt.append(np.array([np.full(len(low), k in samples.felt(axis)) for k in samples.needed]))
+        coefficient.append(samples.coefficient[axis][full])
+        pull = np.array([np.sign(limit.friction(motion, axis, slot).high) for slot in range(2)])
+        sign.append(pull * samples.sublattice.ravel()[high])
+    return Pulls(
+        np.concatenate(lower),
+        np.concatenate(upper),
+        np.concatenate(felt, axis=1),
+        np.concatenate(sign, axis=1),
+        np.concatenate(coefficient),
+        np.arange(sum(map(len, lower))) < len(lower[0]),
+        *(
+            np.array([motion.domains(k, joined_by(slot)).ravel() for slot, k in enumerate(samples.needed)])
+            for joined_by in (
+                lambda _: motion.still,
+                lambda _: limit.others(motion, None),
+                lambda s: limit.others(motion, s),
+            )
+        ),
+    )
+
+
+def _held(motion: Motion, pulls: Pulls, label: np.ndarray, between: Between) -> np.ndarray | None:
+    """(2, spheres) mask of the domains or parts that are held: one of each cluster, and those between two sets. None if
+    a cluster has none but these."""
+    held = np.zeros(label.shape, dtype=bool)
+    for slot in range(2):
+        cluster, inner = pulls.clusters(label, slot), np.isin(pulls.domain[slot], between.labels[slot])
+        for number in range(1, int(cluster.max()) + 1):
+            some = label[slot][(cluster == number) & ~inner]
+            if not len(some):
+                return None
+            held[slot] |= label[slot] == some[0]
+        for own in between.labels[slot][between.slot == slot]:
+            held[slot] |= label[slot] == label[slot][pulls.domain[slot] == own][0]
+    return held
+
+
+def _still_labels(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
+    """The labels (R, *N), component by component, 0 for what is held."""
+    samples = motion.samples
+    shape = (samples.count, *samples.shape)
+    return {k: np.where(h, 0, own).reshape(shape) for k, own, h in zip(samples.needed, label, held, strict=True)}
+
+
+def _balanced(
+    motion: Motion,
+    pulls: Pulls,
+    between: Between,
+    held: np.ndarray,
+    limit: Limit,
+) -> tuple[Slipping, np.ndarray] | None:
+    """Steps 1 to 3 of the module docstring: contacts of S near the minimum u*, and the share (n,) by which each slip
+    differs there at most; None if it is not known to be one."""
+    rests, unsure = limit.others(motion, None), limit.unsure(motion)
+    near = nearest_minimum(Slipping.of(motion, _still_labels(motion, pulls.domain, held)))
+    for _ in range(2):
+        if near is None:
+            return None
+        found, turn = near
+        known = pulls.felt & ~pulls.turns & pulls.slips
+        signs = np.array([np.sign(part.high) for part in found.difference])
+        same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
+        if not (same.all() and _cancel(pulls) and between.lie_between(found, turn)):
+            return None
+        if bearable(motion, found, turn, rests, unsure):
+            return near
+        near = nearest_minimum(found.improved())
+    return None
+
+
+def _cancel(pulls: Pulls) -> bool:
+    """True if the pulls that are known exactly cancel: on each cluster of domains, and on each part but one at most of
+    each free domain, on which others act."""
+    for slot in range(2):
+        sums = pulls.sums(pulls.clusters(pulls.domain, slot), slot)
+        if not all(cancels for number, cancels in sums.items() if number > 0):
+            return False
+        part, domain = pulls.part[slot], pulls.domain[slot]
+        others = pulls.slips & pulls.turns[slot] & pulls.apart(pulls.domain, slot)
+        ends = np.concatenate([pulls.lower[others], pulls.upper[others]])
+        pulled = np.unique(np.array([part[ends], domain[ends]]), axis=1)
+        pulled = pulled[:, pulled[0] > 1]
+        if (pulled[1] < 2).any() or len(np.unique(pulled[1])) < pulled.shape[1]:
+            return False
+        sums = pulls.sums(part, slot)
+        if not all(cancels for number, cancels in sums.items() if number > 1 and number not in pulled[0]):
+            return False
+    return True
+
+
+def _named(
+    motion: Motion,
+    pulls: Pulls,
+    between: Between,
+    contacts: Slipping,
+    turn: np.ndarray,
+    moves: bool,
+    limit: Limit,
+) -> tuple[tuple[np.ndarray, ...], bool | None]:
+    """Step 4."""
+    rest = len(pulls.slips) - len(turn)
+    least = np.append(contacts.size.least * (1 - turn) / SURELY, np.zeros(rest))
+    most = np.append(contacts.size.most * (1 + turn) * SURELY, np.zeros(rest))
+    state = np.where(pulls.slips, SLIPPING, CRITICAL)
+    state[between.coupled | between.ends.any(axis=0)] = UNPROVEN
+    for line in _lines(pulls, between, contacts, turn):
+        rests, always, some = line.limits(least[line.own], most[line.own])
+        known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, CRITICAL, UNPROVEN)))
+        coupled = line.with_others(between.coupled[line.own])
+        state[line.own] = np.where(coupled & ((known != TIED) | line.is_between), UNPROVEN, known)
+    found, begin = [], 0
+    for slips, still in zip(motion.slips, motion.still, strict=True):
+        found.append(np.full(still.shape, SLIPLESS))
+        found[-1].put(slips.own, state[begin : begin + len(slips.own)])
+        begin += len(slips.own)
+    for whole, full in zip(found, limit.full, strict=True):
+        whole[full] = state[begin : begin + int(full.sum())]
+        begin += int(full.sum())
+    tied, unproven = (any(bool((of == what).any()) for of in found) for what in (TIED, UNPROVEN))
+    unique = False if tied else True if not moves or not unproven else None
+    return tuple(of[0] for of in found), unique
+
+
+def _lines(pulls: Pulls, between: Between, contacts: Slipping, turn: np.ndarray) -> list[Line]:
+    """Along either component, and along the slips of what lies between two sets."""
+    found, size = [], pulls.domain.shape[1] + 2
+    for slot in range(2):
+        cluster = pulls.clusters(pulls.body, slot)
+        ends = cluster[pulls.lower], cluster[pulls.upper]
+        own = np.flatnonzero(pulls.felt[slot] & ~pulls.turns[slot] & (ends[0] != ends[1]))
+        sign = pulls.sign[slot, own]
+        low, high = (pulls.domain[slot, end[own]] for end in (pulls.lower, pulls.upper))
+        twin = np.where(sign > 0, low * size + high, high * size + low)
+        twin = np.where(pulls.slips[own], twin, size * size + own)
+        found.append(Line(own, ends[0][own], ends[1][own], sign, twin))
+    own = np.flatnonzero(between.ends.any(axis=0))
+    for difference in contacts.difference if len(own) else ():  # slips along one line have one sign in any component
+        if (difference.at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
+            sign = np.sign(difference.high[own])
+            found.append(Line(own, between.ends[0, own], between.ends[1, own], sign, between.twin[own], True))
+            break
+    return found
