@@ -254,8 +254,7 @@ def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample, barrier: Decimal
     for (axis, number), many, own, left, moving in zip(sample.of, either, length, room, moves, strict=True):
         state[axis].flat[number] = EITHER if many else SLIPPING if moving else SLIPLESS
         slip[axis].flat[number], margin[axis].flat[number] = float(own * speed), float(left)
-    arrays = {"state": tuple(state), "slip": tuple(slip), "margin": tuple(margin)}
-    return replace(truth, **arrays, freedom=len(basis))
+    return replace(truth, state=tuple(state), slip=tuple(slip), margin=tuple(margin), freedom=len(basis))
 
 
 def _freedom(sample: _Sample, moves: np.ndarray, direction: np.ndarray) -> np.ndarray:
