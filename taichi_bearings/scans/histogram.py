@@ -91,9 +91,7 @@ class Source:
             found = self.stored.histograms
             contacts = (found.slipping + found.slipless + found.undecided)[self.samples]
         else:
-            contacts = sum(
-                (s != ContactState.DRIVEN).reshape(len(s), -1).sum(axis=1) for s in self.stored.solution.state
-            )
+            contacts = (self.stored.solution.state != ContactState.DRIVEN).sum(axis=1)
         return self.numbers("power") / np.maximum(contacts, 1)
 
     def unit(self, normalise: str) -> np.ndarray:

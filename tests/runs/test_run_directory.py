@@ -88,7 +88,7 @@ def test_what_appears_meanwhile_stays_and_the_result_goes_beside_it(tmp_path, ca
     assert names(tmp_path) == ["a", "a-2", "a-3"]
     assert (tmp_path / "a-3" / "run.h5").read_text() == "ours"
     assert kind == "link" or (tmp_path / "a" / ("run.h5" if kind == "run" else "")).read_text() == "theirs"
-    assert f"the result goes to {tmp_path / 'a-3'}" in caplog.text
+    assert f"the result is written to {tmp_path / 'a-3'}" in caplog.text
 
 
 def test_with_force_another_run_that_came_for_the_old_one_stays(tmp_path):
