@@ -310,20 +310,6 @@ def test_several_samples_are_lists_and_stacked_arrays(solved):
         assert group.attrs["domains"].tolist() == report["domains"]
 
 
-def test_a_run_from_before_forces_were_stored_is_analysed_without_them(solved, tmp_path):
-    folder = solved(shape=(4, 5, 7), seed=0)
-    old = tmp_path / "old.h5"
-    old.write_bytes((folder / "run.h5").read_bytes())
-    with h5py.File(old, "r+") as file:
-        for axis in "xyz":
-            del file[f"contact/{axis}/friction"]
-    report, full = analyse(old), analysed(folder)
-    assert "driving_torque" not in report
-    assert "driving_torque" in full
-    assert report["domains"] == full["domains"]
-    assert not (tmp_path / "torque_flow.png").exists()
-
-
 def test_figures_and_files_beside_the_run(solved, tmp_path):
     folder = solved(shape=(4, 5, 7), seed=0)
     before = (folder / "run.h5").read_bytes()
