@@ -161,11 +161,8 @@ def _disorders_of_run(run: StoredRun) -> list[Any]:
     settings, replicas = settings_of(run), run.solution.scene.replicas
     table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.solution.method)}
     if run.attributes.get("coefficients"):
-        contents = [
-            b"".join(values[replica].tobytes() for values in run.solution.scene.coefficient)
-            for replica in range(replicas)
-        ]
-        table["seed"] = np.array([hashlib.sha256(content).hexdigest() for content in contents], dtype=object)
+        digests = [hashlib.sha256(values.tobytes()).hexdigest() for values in run.solution.scene.coefficient]
+        table["seed"] = np.array(digests, dtype=object)
     return disorder_of(table, settings)
 
 
