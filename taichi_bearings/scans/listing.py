@@ -108,7 +108,10 @@ def _size_and_time(path: Path) -> tuple[int, float]:
     size, newest = 0, 0.0
     for root, _, names in os.walk(path):
         for name in names:
-            status = os.stat(os.path.join(root, name), follow_symlinks=False)
+            try:
+                status = os.stat(os.path.join(root, name), follow_symlinks=False)
+            except FileNotFoundError:  # on its way when it was listed, and renamed since
+                continue
             size += status.st_size
             if root == str(path) and (name in RESULTS or JOURNAL.fullmatch(name)):
                 newest = max(newest, status.st_mtime)

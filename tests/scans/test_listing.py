@@ -4,6 +4,7 @@ import doctest
 import json
 import os
 import shutil
+import threading
 import time
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_journal import Journal
+from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.scans import listing
 from taichi_bearings.scans.listing import entries, in_bytes
 from taichi_bearings.scans.plan import count_samples, read_plan
@@ -158,3 +160,22 @@ def test_what_strangers_write_does_nothing_to_a_terminal(outputs, tmp_path):
 def test_sizes_have_three_digits():
     assert doctest.testmod(listing).failed == 0
     assert [in_bytes(size) for size in (0, 999, 1000, 999_600, 1.5e13)] == ["0 B", "999 B", "1 kB", "1 MB", "15 TB"]
+
+
+def test_a_folder_that_is_written_to_meanwhile_can_be_read(outputs, tmp_path):
+    """Files on their way are renamed between being listed and being looked at."""
+    shutil.copytree(outputs / "one", tmp_path / "one")
+    ended = threading.Event()
+
+    def write() -> None:
+        while not ended.is_set():
+            write_text(tmp_path / "one" / "figure.txt", "x")
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for _ in range(1000):
+            assert not entries(tmp_path)[0].problem
+    finally:
+        ended.set()
+        writer.join()
