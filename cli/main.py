@@ -78,7 +78,6 @@ def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
     interrupts.heard_at_once()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
-    os.environ["PYTHONSAFEPATH"] = "1"  # Python's own workers would load modules of the working folder (since 3.11)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
     if os.path.lexists("matplotlibrc"):
         _load_matplotlib_elsewhere()

@@ -62,7 +62,10 @@ def _reason_found(path: str, size: int, *_: int) -> str:
     command, paths = [sys.executable, "-m", __name__, path], os.pathsep.join(sys.path)
     try:
         done = subprocess.run(
-            command, capture_output=True, timeout=10 * (SECONDS + size / PACE), env=os.environ | {"PYTHONPATH": paths}
+            command,
+            capture_output=True,
+            timeout=10 * (SECONDS + size / PACE),
+            env=os.environ | {"PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
         )
     except subprocess.TimeoutExpired:
         return "it is damaged: reading it does not terminate"

@@ -265,13 +265,14 @@ class LocalEngine:
 
 @contextlib.contextmanager
 def _main_left_out() -> Iterator[None]:
-    """Processes that are started within do not run the user's script again, which needs no guard against that."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
+    """Processes that are started within do not run the user's script again, which needs no guard against that, nor
+    modules of the working folder, which Python would look for first (3.10 still does)."""
+    main, before = sys.modules["__main__"], os.environ.get("PYTHONSAFEPATH", "")
+    sys.modules["__main__"], os.environ["PYTHONSAFEPATH"] = types.ModuleType("__main__"), "1"
     try:
         yield
     finally:
-        sys.modules["__main__"] = main
+        sys.modules["__main__"], os.environ["PYTHONSAFEPATH"] = main, before
 
 
 def serve(pipe: Connection, work: Work) -> None:

@@ -667,17 +667,9 @@ def test_a_table_with_control_characters_is_refused(scanned, tmp_path):
 def test_workers_load_no_module_of_the_working_folder(tmp_path):
     (tmp_path / "multiprocessing.py").write_text("open('loaded', 'w').close()\n")
     (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = [1, 2]\n")
-    words = [
-        "-c",
-        "from taichi_bearings_cli.main import main; main()",
-        "scan",
-        "scan.toml",
-        "--workers",
-        "2",
-        "--out",
-        "s",
-    ]
-    done = subprocess.run([sys.executable, "-P", *words], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    as_installed = "import sys; sys.path.remove(''); from taichi_bearings_cli.main import main; main()"
+    words = [sys.executable, "-c", as_installed, "scan", "scan.toml", "--workers", "2", "--out", "s"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert not (tmp_path / "loaded").exists()
 
