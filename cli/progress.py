@@ -169,7 +169,8 @@ def duration(seconds: float) -> str:
 
 def tell(text: str, err: bool = False) -> None:
     """Print a report; on a terminal lines that are too long for it are broken between words."""
-    if (sys.stderr if err else sys.stdout).isatty():
+    stream = sys.stderr if err else sys.stdout  # None where it is closed
+    if stream is not None and stream.isatty():
         width = shutil.get_terminal_size().columns
         text = "\n".join(_broken(line, width) for line in text.splitlines())
     click.echo(text, err=err)

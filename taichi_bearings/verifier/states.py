@@ -140,16 +140,14 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
         apart = (is_above[a] & is_below[b]) | (is_below[a] & is_above[b])
         states = np.where(alike, SLIPLESS, np.where(apart, SLIPPING, UNPROVEN))
         found.append(states if k in samples.felt(axis) else np.full(coefficient.shape, SLIPLESS))
+    open_ = [(states == UNPROVEN) & ~samples.idle(axis) for axis, states in enumerate(found)]  # absent ones never slip
+    done = ~np.any([of_axis.reshape(samples.count, -1).any(axis=1) for of_axis in open_], axis=0)
     return [
-        _of_cuts(samples, tuple(states[r] for states in found), not is_above[bottom[r]]) for r in range(samples.count)
+        States(tuple(states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie")
+        if not is_above[bottom[r]]
+        else _nothing(samples, "the friction contradicts itself")
+        for r in range(samples.count)
     ]
-
-
-def _of_cuts(samples: Samples, states: tuple[np.ndarray, ...], consistent: bool) -> States:
-    if not consistent:
-        return _nothing(samples, "the friction contradicts itself")
-    done = all((axis_states != UNPROVEN).all() for axis_states in states)
-    return States(states, True if done else None, "" if done else "cuts (nearly) tie")
 
 
 def _reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:

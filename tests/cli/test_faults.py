@@ -78,7 +78,7 @@ def test_what_appears_meanwhile_is_not_replaced(tmp_path):
     (tmp_path / "a" / "mine").touch()
     errors = run.communicate()[1]
     assert run.returncode == 1
-    assert f"the result goes to {tmp_path / 'a-2'}" in errors
+    assert f"the result is written to {tmp_path / 'a-2'}" in errors
     assert [file.name for file in (tmp_path / "a").iterdir()] == ["mine"]
     assert read_run_file(tmp_path / "a-2").attribute("run") == str(tmp_path / "a-2")
 

@@ -58,7 +58,7 @@ def test_the_csv_has_one_row_a_sample(path):
     assert [row["seed"] for row in rows] == ["1", "2", "3"]
     assert [row["power"] for row in rows] == [repr(1 / 3), "", "2.5"]
     assert [row["unique"] for row in rows] == ["true", "false", "true"]
-    assert rows[1]["error"] == 'größer, "als"\nerlaubt'
+    assert rows[1]["error"] == 'größer, "als"\\nerlaubt'
 
 
 def test_every_power_lies_in_its_bin():

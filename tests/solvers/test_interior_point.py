@@ -166,7 +166,7 @@ def test_friction_and_viscosity_together_bear_every_force():
 
 def test_the_viscous_law_is_refused():
     scene = make_scene((4, 4, 5), law="viscous")
-    with pytest.raises(InputError, match="law is 'viscous'"):
+    with pytest.raises(InputError, match="does not solve the law 'viscous'"):
         minimum_of(scene)
 
 
