@@ -266,9 +266,9 @@ def _borne(
         critical = together([found.critical for _, found in some])
         duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, critical, heads)
         for (number, found), whole, inside in zip(some, apart(duals, len(some)), fine, strict=True):
-            borne, at_limit = Borne(dual=whole), found.slipping | found.critical
+            borne, states = Borne(dual=whole), (found.slipping, found.critical)
             if not inside:
-                borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, at_limit)
+                borne = borne_nearby(lattice.system, lattice.order, iterates[number].friction, whole, *states)
             with_forces = None if borne.dual is None else replace(found, dual=borne.dual, borne=True)
             settled[number] = with_forces, borne.motion, whole
     return settled

@@ -114,23 +114,27 @@ def nearly_borne(
         side = side if at_limit is None else each(_at_limit, side, at_limit)
         side = side - springs * system.change(matrix.solve(system.torques(side)))
     whole = one_by_one(side)
-    within = ~critical | (whole.length() < (1 + AT_LIMIT) * friction)
+    within = _within(friction, whole, critical)
     inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
     return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
 
 
 @np.errstate(all="ignore")
-def borne_nearby(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
+def borne_nearby(
+    system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays, critical: Arrays
+) -> Borne:
     """As :func:`bear`, but only contacts near those that bear too much change their forces.
 
-    dual : of all contacts, in balance, a few of the slipless ones outside their friction discs.
+    dual : of all contacts, in balance, a few of the slipless ones outside their friction discs. That of slipping and of
+    critical contacts, (n,) masks a group each, is kept: nothing is found where a critical one is beyond its limit.
     """
-    too_much = ~slipping & ~(dual.length() < friction)
-    if not 0 < too_much.sum() <= FEW:
+    at_limit = slipping | critical
+    too_much = ~at_limit & ~(dual.length() < friction)
+    if not 0 < too_much.sum() <= FEW or not _within(friction, dual, critical).all():
         return Borne()
-    nearby = system.around(too_much, FAR, ~slipping)
+    nearby = system.around(too_much, FAR, ~at_limit)
     found = bear(system, order, friction, dual, ~nearby)
-    inside = found.dual is None or _inside(friction, found.dual, slipping, system.torques(found.dual)[:, None])[0]
+    inside = found.dual is None or _inside(friction, found.dual, at_limit, system.torques(found.dual)[:, None])[0]
     return found if inside else Borne()
 
 
@@ -152,6 +156,11 @@ def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarra
     surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
     inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
     return (left.max(axis=1, initial=0.0) < SURELY * BALANCED) & np.all(inside, axis=0)
+
+
+def _within(friction: Arrays, dual: Arrays, critical: Arrays) -> Arrays:
+    """Masks (n,) a group, contacts that are not critical, or bear their friction and no more."""
+    return ~critical | (dual.length() < (1 + AT_LIMIT) * friction)
 
 
 def _at_limit(force: np.ndarray, limit: np.ndarray) -> np.ndarray:

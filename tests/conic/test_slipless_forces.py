@@ -72,6 +72,9 @@ def test_a_free_domain_turns_as_a_whole_at_no_cost():
     assert motion[1] > motion[0]  # apart
 
 
+NONE_CRITICAL = Grouped([np.zeros(6, dtype=bool)])
+
+
 def two_pulled(friction, forces):
     """Two spheres, each held to the bottom by two contacts and dragged by the top with 0.5."""
     ends = [(BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0), (BOTTOM, 1, 0.0), (BOTTOM, 1, 0.0), (1, TOP, 1.0)]
@@ -83,7 +86,7 @@ def two_pulled(friction, forces):
 
 def test_what_one_contact_cannot_bear_its_neighbours_do():
     system, *of = two_pulled((0.4, 0.3), (0.45, 0.05))
-    (dual,), (mu,), (given,) = borne_nearby(system, *of).dual, of[1], of[2]
+    (dual,), (mu,), (given,) = borne_nearby(system, *of, NONE_CRITICAL).dual, of[1], of[2]
     assert system.torques(Grouped([dual])) == pytest.approx([0.0, 0.0], abs=1e-11)
     assert (np.abs(dual[0, :2]) < mu[:2]).all()
     assert (dual[:, 2:] == given[:, 2:]).all()
@@ -91,7 +94,7 @@ def test_what_one_contact_cannot_bear_its_neighbours_do():
 
 def test_what_no_neighbour_can_bear_moves():
     system, *of = two_pulled((0.25, 0.24), (0.3, 0.2))
-    found = borne_nearby(system, *of)
+    found = borne_nearby(system, *of, NONE_CRITICAL)
     assert found.dual is None
     assert found.motion[0] > 0
     assert found.motion[1] == 0
@@ -99,8 +102,16 @@ def test_what_no_neighbour_can_bear_moves():
 
 def test_a_sphere_whose_contacts_bear_enough_is_left_alone():
     system, *of = two_pulled((0.4, 0.3), (0.3, 0.2))
-    found = borne_nearby(system, *of)
+    found = borne_nearby(system, *of, NONE_CRITICAL)
     assert (found.dual, found.motion) == (None, None)
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+def test_nothing_is_borne_where_a_critical_contact_bears_more_than_its_friction(beyond):
+    system, order, mu, dual, slipping = two_pulled((0.4, 0.3), (0.45, 0.05))
+    mu.parts[0][3], critical = 0.15 if beyond else 0.2, Grouped([np.arange(6) == 3])
+    found = borne_nearby(system, order, mu, dual, slipping, critical)
+    assert (found.dual is None, found.motion) == (beyond, None)
 
 
 @pytest.mark.parametrize(("friction", "moves"), [((0.3, 0.3), False), ((0.25, 0.24), True)], ids=str)

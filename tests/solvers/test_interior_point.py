@@ -296,3 +296,11 @@ def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():
     assert solution.states_proven[0]
     slips = solution.slip[solution.state == ContactState.SLIPPING]
     assert (len(slips), slips.min() > 1e-9) == (975, True)
+
+
+@pytest.mark.parametrize("seed", [110, 350])
+def test_contacts_first_thought_critical_slip_where_they_would_have_to_bear_more(seed):
+    """They were left at rest with 1.07 times their friction, which proves nothing of any contact."""
+    solution = minimum_of(make_scene((12, 12, 12), seeds=(seed,)))
+    assert solution.states_proven[0]
+    assert solution.gap[0] < 1e-13
