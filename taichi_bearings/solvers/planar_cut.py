@@ -106,6 +106,7 @@ class PlanarCutMethod:
             largest_balance_residual=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
             state=self.state.copy() if cut else None,
+            settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
             states_proven=unique if cut else None,
             findings=findings if cut and self.top != self.bottom and not self.absent else {},
         )

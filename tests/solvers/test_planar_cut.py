@@ -115,6 +115,13 @@ def test_without_disorder_other_cuts_are_undecided():
     assert not np.isin(sideways, [ContactState.SLIPPING, ContactState.UNDECIDED]).any()
 
 
+@pytest.mark.parametrize("shape", [(3, 4), (4, 4), (5, 7)], ids=str)
+def test_ties_are_known_where_the_start_has_the_least_power_less_a_rounding(shape):
+    solution = solved(make_scene(shape, distribution="constant:1"))
+    assert solution.findings["tied_contacts"][0] == shape[0] * (shape[1] - 1)
+    assert solution.minimum_is_unique == [False]
+
+
 def test_what_slips_at_every_minimum_is_told_from_what_slips_at_some():
     """Two cuts of weight 4: straight on at the third column, or down by one contact."""
     upward = np.full((1, 3, 3), 9.0)
