@@ -208,7 +208,7 @@ if sys.platform != "win32":
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
     @pytest.mark.usefixtures("cold")
-    @pytest.mark.parametrize("shown", ["loading", "compiling"])
+    @pytest.mark.parametrize("shown", ["", "compiling"], ids=["anything", "compiling"])
     def test_ctrl_c_before_the_first_result_says_that_nothing_is_kept(tmp_path, shown):
         out = tmp_path / "r"
         session = on_terminal("run", "--shape", "6,6,6", "--out", out, stop=shown)
