@@ -178,9 +178,10 @@ class ContactSystem:
             chosen = chosen | (self.at(reached[:-1]) & among)
         return chosen
 
-    def rows(self, spins: np.ndarray, place: np.ndarray | None = None) -> ContactRows:
-        """Memory for Newton steps of several samples side by side; see there for spins and place."""
-        return ContactRows([g.operator for g in self.groups], [len(offset) for offset in self.offset], spins, place)
+    def rows(self, spins: np.ndarray, place: np.ndarray, laplacian: sparse.csr_matrix) -> ContactRows:
+        """Memory for Newton steps of several samples side by side; see there for the rest."""
+        components = [len(offset) for offset in self.offset]
+        return ContactRows([g.operator for g in self.groups], components, spins, place, laplacian)
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactSystem, lattice_system, stacked
 from taichi_bearings.conic.grouped import Arrays, each
-from taichi_bearings.conic.rows import ContactRows, Sums
+from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
@@ -56,7 +56,7 @@ class NewtonMatrix:
             end += cholesky.pattern.entries
         columns = sum(len(g.below) * (len(g.below) + 1) // 2 * g.below.shape[1] for g in system.groups)
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
-        self._kept: dict[int, tuple[ContactRows, Sums]] = {}
+        self._kept = dict[int, ContactRows]()
 
     def compile(self, samples: int = 1) -> None:
         """Compile what so many alike samples need, and smaller systems, before the clock starts."""
@@ -105,9 +105,11 @@ class NewtonMatrix:
     def rows(self, samples: int = 1) -> ContactRows:
         """Memory for Newton steps of a single sample or of LANES; right-hand sides and solutions go to its spins."""
         if samples not in self._kept:
-            rows = self._system.rows(self._choleskys[0].factor(samples).solution, self._choleskys[0].pattern.place)
-            self._kept[samples] = rows, rows.stiffness_sums(self._map)
-        return self._kept[samples][0]
+            cholesky = self._choleskys[0]
+            self._kept[samples] = self._system.rows(
+                cholesky.factor(samples).solution, cholesky.pattern.place, self._map
+            )
+        return self._kept[samples]
 
     def factorise_rows(
         self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
@@ -115,7 +117,7 @@ class NewtonMatrix:
         """As :meth:`factorise_each`, for the stiffnesses in the rows, and `viscous` ones to add, as `stacked` gives
         them, (entries, S)."""
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
-        rows.add_stiffnesses(self._kept[rows.samples][1], factor.entries)
+        rows.add_stiffnesses(factor.entries)
         if viscous is not None:
             factor.entries[: self._map.shape[0]] += self._map @ viscous
         if inertia:

@@ -32,10 +32,12 @@ class ContactRows:
         components: Sequence[int],
         spins: np.ndarray,
         place: np.ndarray | None = None,
+        laplacian: sparse.csr_matrix | None = None,
     ) -> None:
         """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. S is 1 or 8.
 
         spins : where they are to be. place : (unknowns,), that of each among them; the same if None.
+        laplacian : map from `stacked` stiffnesses to the entries of the Laplacian, for :meth:`add_stiffnesses`.
         """
         self.samples, self._components, self.spins = spins.shape[1], components, spins
         sizes = [operator.shape[0] // d for operator, d in zip(operators, components, strict=True)]
@@ -56,27 +58,23 @@ class ContactRows:
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
         self.place = np.arange(operators[0].shape[1]) if place is None else place
         of_all = sparse.vstack(operators).tocoo()
-        rows = np.concatenate([places.ravel() for places in self._vector_places()])
+        rows = self._places(components)
         ends = rows[of_all.row], self.place[of_all.col], of_all.data
         self._changes = _sums(*ends, 2 * contacts)
         self._torques = _sums(ends[1], ends[0], ends[2], len(spins))
+        if laplacian is not None:
+            terms, stiffness = laplacian.tocoo(), self._places([d * (d + 1) // 2 for d in components])
+            self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, terms.shape[0])
         self._starts: dict[tuple, Callable[[], None]] = {}
 
-    def _vector_places(self) -> list[np.ndarray]:
-        """Where the components (d, n) of each group are in two rows one after the other."""
-        return [
-            np.arange(span.start, span.stop) + self._contacts * np.arange(d)[:, None]
-            for span, d in zip(self._spans, self._components, strict=True)
-        ]
-
-    def stiffness_sums(self, laplacian_map: sparse.spmatrix) -> Sums:
-        """For :meth:`add_stiffnesses`, from the map from `stacked` stiffnesses to the entries of the Laplacian."""
-        places = [
-            np.arange(span.start, span.stop) + self._contacts * np.arange(d * (d + 1) // 2)[:, None]
-            for span, d in zip(self._spans, self._components, strict=True)
-        ]
-        terms = laplacian_map.tocoo()
-        return _sums(terms.row, np.concatenate([p.ravel() for p in places])[terms.col], terms.data, terms.shape[0])
+    def _places(self, counts: Sequence[int]) -> np.ndarray:
+        """Where so many numbers of the contacts of each group are in rows one after the other, row by row."""
+        return np.concatenate(
+            [
+                (np.arange(span.start, span.stop) + self._contacts * np.arange(count)[:, None]).ravel()
+                for span, count in zip(self._spans, counts, strict=True)
+            ]
+        )
 
     def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> np.ndarray:
         """Walk all contacts, for what is found, (found, S). slots : of the step that is read and that is written.
@@ -107,9 +105,9 @@ class ContactRows:
         """Write the torques of the forces in two rows from this one on over the spins: the transpose of `change`."""
         self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
-    def add_stiffnesses(self, sums: Sums, entries: np.ndarray) -> None:
+    def add_stiffnesses(self, entries: np.ndarray) -> None:
         """Write the entries (n or more, S) of the Laplacian that they make."""
-        self._add_up(sums, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
+        self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
         key = (id(sums), first, to)
@@ -136,12 +134,6 @@ class ContactRows:
     def two(self, row: int) -> np.ndarray:
         """Two rows from one on, one after the other, (2*contacts, S), as a view."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
-
-    def upper_stiffness(self) -> np.ndarray:
-        """Upper triangles of the stiffnesses (entries, S), as `stacked` has them."""
-        groups = zip(self._components, self._spans, strict=True)
-        rows = [(kernels.STIFFNESS + k, span) for d, span in groups for k in range(d * (d + 1) // 2)]
-        return np.concatenate([self.values[row, span] for row, span in rows])
 
 
 @lru_cache

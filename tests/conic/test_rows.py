@@ -14,6 +14,7 @@ from tests.conic.cone_twin import Scaling, clipped_towards, jordan_product
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 SIZES = ((1, 37), (2, 50), (1, 16), (2, 1))  # components and contacts of the groups: kinds mixed, blocks not full
+UPPER = [n for d, n in SIZES for _ in range(d * (d + 1) // 2)]  # numbers of upper triangles
 SPINS = 8
 
 
@@ -38,7 +39,8 @@ class Contacts:
         self.operators = [_differences(rng, d * n) for d, n in SIZES]
         self.place = rng.permutation(SPINS)
         spins = aligned_zeros(SPINS * samples, 8).reshape(SPINS, samples)
-        self.rows = ContactRows(self.operators, [d for d, _ in SIZES], spins, self.place)
+        stacked = sparse.identity(sum(UPPER), format="csr")  # each stiffness an entry of its own
+        self.rows = ContactRows(self.operators, [d for d, _ in SIZES], spins, self.place, stacked)
         self.sample, self.spins = int(rng.integers(samples)), rng.standard_normal((SPINS, samples))
         for sample in range(samples):
             points = [(interior(rng, d, n), interior(rng, d, n)) for d, n in SIZES]
@@ -101,12 +103,10 @@ def contacts(request):
 
 
 def test_stiffness_is_that_of_the_scaling_or_of_the_law(contacts):
-    found = iter(
-        np.split(
-            contacts.rows.upper_stiffness()[:, contacts.sample],
-            np.cumsum([n for d, n in SIZES for _ in range(d * (d + 1) // 2)])[:-1],
-        )
-    )
+    samples = contacts.rows.samples
+    entries = aligned_zeros(sum(UPPER) * samples, 8).reshape(-1, samples)
+    contacts.rows.add_stiffnesses(entries)
+    found = iter(np.split(entries[:, contacts.sample], np.cumsum(UPPER)[:-1]))
     for scaling, smooth, friction, slip in zip(
         contacts.scaling, contacts.smooth, contacts.friction, contacts.slip, strict=True
     ):

@@ -1,6 +1,5 @@
 """Cholesky factorisations of one matrix or of several of one pattern, by whatever is quickest for their size."""
 
-import weakref
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from enum import Enum
@@ -44,29 +43,22 @@ class Engine(Enum):
 class Memory:
     """Memory for one factor by calls at a time: who factorises next takes it from who did before.
 
-    The first touch of new memory costs as much as a factorisation, at 32^3.
+    The first touch of new memory costs as much as a factorisation, at 32^3. turn : how often it was taken or freed.
     """
 
-    _holder: "weakref.ref[Factor] | None"
-
     def __init__(self) -> None:
-        self.free()
+        self._numbers, self.turn = np.zeros(0), 0
 
     def free(self) -> None:
-        self._numbers, self._holder = np.zeros(0), None
+        self._numbers, self.turn = np.zeros(0), self.turn + 1
 
-    def is_held_by(self, factor: "Factor") -> bool:
-        return self._holder is not None and self._holder() is factor
-
-    def taken_by(self, factor: "Factor", size: int, what: str) -> np.ndarray:
-        """Zeros, as many as these or more. Raises MemoryError if there is no room for them."""
+    def take(self, size: int, what: str) -> np.ndarray:
+        """So many numbers or more, whatever they are. Raises MemoryError if there is no room for them."""
+        self.turn += 1
         if len(self._numbers) < size:
-            self.free()
+            self._numbers = np.zeros(0)
             refuse_beyond(8 * size, what)
-            self._numbers = aligned_zeros(size, LANES)
-        else:
-            self._numbers[:size] = 0.0
-        self._holder = weakref.ref(factor)
+            self._numbers = np.zeros(size)
         return self._numbers
 
 
@@ -108,13 +100,6 @@ class Cholesky:
             else:
                 self._factors[lanes] = CalledFactor(self.pattern, self._memory)
         return self._factors[lanes]
-
-    def factorise(self, values: np.ndarray) -> np.ndarray:
-        """Factorise the matrices with these values (entries, S) at the entries of the pattern; True (S,) for those that
-        are positive definite to working precision."""
-        factor, samples = self.factor(values.shape[1]), values.shape[1]
-        factor.entries[: len(values), :samples] = values
-        return factor.factorise()[:samples]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
@@ -212,6 +197,7 @@ class CalledFactor(Factor):
         self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
         self.solution = self._vector[: pattern.size]
         self._numbers, self._work, self._halves = np.zeros(0), list[_Work](), list[Callable[[], None]]()
+        self._turn = -1  # of the memory, when it was this one's
 
     def factorise(self) -> np.ndarray:
         self._hold()
@@ -226,10 +212,11 @@ class CalledFactor(Factor):
 
     def _hold(self) -> None:
         """Have the memory, and be ready to work in it."""
-        if self._memory.is_held_by(self):
+        if self._turn == self._memory.turn:
             return
         layout = self._layout
-        numbers = self._memory.taken_by(self, layout.size, f"the factorisation of {self._size:,} unknowns")
+        numbers = self._memory.take(layout.size, f"the factorisation of {self._size:,} unknowns")
+        self._turn = self._memory.turn
         if numbers is self._numbers:
             return
         self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers)
@@ -249,7 +236,7 @@ class CalledFactor(Factor):
         self._memory.free()
 
     def substitute(self) -> None:
-        assert self._memory.is_held_by(self)
+        assert self._turn == self._memory.turn
         look_up()
         for start in self._halves:
             start()
