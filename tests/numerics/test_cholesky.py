@@ -138,13 +138,12 @@ def test_every_unknown_is_eliminated_once_and_separators_separate(price):
     system = system_of(scene)
     pattern = analyse(dissect(scene.lattice.free_shape, scene.minimum_spin_axes, 20), *system.couplings(), price)
     assert sorted(pattern.order) == list(range(system.unknowns))
-    parent = {child: number for number, front in enumerate(pattern.fronts) for child in front.children}
-    owner = np.repeat(np.arange(len(pattern.fronts)), [front.own for front in pattern.fronts])
+    owner = np.repeat(np.arange(len(pattern.own)), pattern.own)
     ancestors = {}
-    for number in range(len(pattern.fronts)):
+    for number in range(len(pattern.own)):
         chain, at = {number}, number
-        while at in parent:
-            at = parent[at]
+        while pattern.parent[at] >= 0:
+            at = pattern.parent[at]
             chain.add(at)
         ancestors[number] = chain
     for a, b in zip(*(owner[pattern.place[ends]] for ends in system.couplings()), strict=True):
@@ -248,7 +247,7 @@ def test_no_update_lies_where_another_waits_to_be_used(monkeypatch, grove, unit,
     size = update_size(layout.border, layout.update_height)
     batches = [batch.fronts for batch in layout.batches] if apart else np.arange(len(size))[:, None]
     for members in batches:
-        children = {child for n in members for child in pattern.fronts[n].children}
+        children = set(np.flatnonzero(np.isin(pattern.parent, members)).tolist())
         assert children <= set(waiting)
         waiting.update((int(n), (layout.update[n], layout.update[n] + size[n])) for n in members)
         ends = [layout.columns[-1], *np.ravel(sorted(waiting.values())), layout.size]
@@ -262,8 +261,7 @@ def test_few_updates_wait_at_a_time(monkeypatch):
     """At 32^3: 16 million numbers of the factor, and 34 of all updates."""
     pattern = pattern_of((32, 32, 30))
     assert pattern.factor_entries == 16_374_710
-    border = np.array([len(front.border) for front in pattern.fronts])
-    assert update_size(border, border).sum() > 33_000_000
+    assert update_size(pattern.width, pattern.width).sum() > 33_000_000
     assert Layout(pattern, apart=True).size < 16_374_710 + 17_000_000
     monkeypatch.setattr(tuning, "GROVE_NUMBERS", 4_000_000)  # as large as that of 64^3 is for the 40 million
     assert Layout(pattern, apart=True).size < 16_374_710 + 6_000_000

@@ -16,35 +16,26 @@ from taichi_bearings.numerics.cholesky.tuning import Price
 
 
 @dataclass(frozen=True)
-class Front:
-    """One part of the tree. Numbers are places in the order of elimination.
-
-    first : its own unknowns are first ... first + own - 1. border : sorted later unknowns. place_in_parent : of each
-    border unknown, counted along the parent's own unknowns and border. depth : 0 at the root.
-    """
-
-    first: int
-    own: int
-    border: np.ndarray
-    children: tuple[int, ...]
-    place_in_parent: np.ndarray
-    depth: int
-
-
-@dataclass(frozen=True)
 class Pattern:
     """Everything about a factorisation that does not depend on the numbers.
 
-    order : unknown at each place of the elimination order; place : its inverse.
-    fronts : in postorder.
-    row, column : places of the stored entries (row >= column), sorted by column, then row.
+    order : unknown at each place of the elimination order; place : its inverse. All else are such places.
+    row, column : of the stored entries (row >= column), sorted by column, then row.
+    first, own : (fronts,) own unknowns of a front are first ... first + own - 1; fronts are in postorder.
+    parent : (fronts,) the front above, or -1. depth : (fronts,) 0 at a root.
+    border, share : sorted later unknowns of all fronts, front by front, and where those of each begin, (fronts + 1,).
     """
 
     order: np.ndarray
     place: np.ndarray
-    fronts: tuple[Front, ...]
     row: np.ndarray
     column: np.ndarray
+    first: np.ndarray
+    own: np.ndarray
+    parent: np.ndarray
+    depth: np.ndarray
+    border: np.ndarray
+    share: np.ndarray
 
     @property
     def size(self) -> int:
@@ -60,23 +51,27 @@ class Pattern:
         """Which of the stored entries are on the diagonal, (size,)."""
         return np.flatnonzero(self.row == self.column)
 
-    @property
-    def kin(self) -> np.ndarray:
-        """First child of each front, and the next child of its parent, (fronts, 2); -1 of none."""
-        found = np.full((len(self.fronts), 2), -1)
-        for number, front in enumerate(self.fronts):
-            found[number, 0] = front.children[0] if front.children else -1
-            found[list(front.children[:-1]), 1] = front.children[1:]
-        return found
-
     @cached_property
+    def width(self) -> np.ndarray:
+        """Length of the border of each front, (fronts,)."""
+        return np.diff(self.share)
+
+    @property
     def factor_entries(self) -> int:
-        return sum(f.own * (f.own + len(f.border)) for f in self.fronts)
+        return int((self.own * (self.own + self.width)).sum())
 
     @property
     def operations(self) -> float:
         """Floating-point multiplications and additions of one factorisation."""
-        return sum(f.own**3 / 3 + f.own**2 * len(f.border) + f.own * len(f.border) ** 2 for f in self.fronts)
+        own, width = self.own.astype(float), self.width
+        return float((own**3 / 3 + own**2 * width + own * width**2).sum())
+
+    def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
+        """Rows of unknowns within fronts: own ones first, then the border."""
+        number = np.repeat(np.arange(len(self.own)), self.width) * np.int64(self.size) + self.border
+        behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]
+        own = unknown - self.first[front]
+        return np.where(own < self.own[front], own, self.own[front] + behind)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Where the entries that couple the unknowns `first` and `second` are stored."""
@@ -123,26 +118,21 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
     half = sparse.tril(pattern).tocoo()
     a, b = place[half.row], place[half.col]
     column, row = np.divmod(np.sort(np.minimum(a, b) * len(order) + np.maximum(a, b)), len(order))
-    entries = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=len(order)))]).tolist()
-    starts = np.cumsum([0, *parts.own]).tolist()
-    borders: list[np.ndarray] = []
-    for begin, end, children in zip(starts[:-1], starts[1:], parts.children, strict=True):
-        touched = row[entries[begin] : entries[end]]
-        later = np.unique(np.concatenate([touched, *(borders[child] for child in children)]))
-        borders.append(later[later >= end])
-
-    parent = {child: number for number, children in enumerate(parts.children) for child in children}
-    depth, fronts = [0] * len(borders), list[Front]()
-    for number, border in reversed(list(enumerate(borders))):
-        places = np.zeros(0, dtype=np.int64)
-        if number in parent:
-            above = parent[number]
-            depth[number] = depth[above] + 1
-            begin, end = starts[above], starts[above + 1]
-            places = np.where(border < end, border - begin, end - begin + np.searchsorted(borders[above], border))
-        own, children = parts.own[number], parts.children[number]
-        fronts.append(Front(starts[number], own, border, children, places, depth[number]))
-    return Pattern(order, _inverse(order), tuple(reversed(fronts)), row, column)
+    first = np.cumsum(parts.own) - parts.own
+    touched = np.split(row, np.searchsorted(column, first[1:]))
+    depth, known = np.zeros(len(first), dtype=np.int64), [[rows] for rows in touched]
+    for number, (end, above) in enumerate(zip(first + parts.own, parts.parent.tolist(), strict=True)):
+        later = np.unique(np.concatenate(known[number]))
+        known[number] = [later[later >= end]]
+        if above >= 0:
+            known[above] += known[number]
+    for number, above in reversed(list(enumerate(parts.parent.tolist()))):
+        depth[number] = depth[above] + 1 if above >= 0 else 0
+    borders = [of[0] for of in known]
+    share = np.cumsum([0, *map(len, borders)])
+    return Pattern(
+        order, _inverse(order), row, column, first, parts.own, parts.parent, depth, np.concatenate(borders), share
+    )
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:

@@ -4,7 +4,6 @@ A subtree with few numbers in its updates is worked on depth by depth, all its f
 those best. Above such groves come the fronts one by one, children before parents: so few updates wait at a time.
 """
 
-from bisect import insort
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -40,52 +39,43 @@ class Layout:
     def __init__(self, pattern: Pattern, unit: int = 1, apart: bool = False) -> None:
         """unit : rows that make a vector; columns begin at multiples of it. apart : threads share what there is to do;
         else fronts are worked on one by one."""
-        fronts = pattern.fronts
-        self.own = np.array([front.own for front in fronts], dtype=np.int64)
-        self.border = np.array([len(front.border) for front in fronts], dtype=np.int64)
+        self.own, self.border = pattern.own, pattern.width
         self.height, self.skip = whole(self.own + self.border, unit), self.own // unit * unit
         self.update_height = self.height - self.skip
-        ends, share = np.cumsum(self.own * self.height), np.cumsum(self.border) - self.border
+        ends, share = np.cumsum(self.own * self.height), pattern.share[:-1]
         self.columns = ends - self.own * self.height
         updates = update_size(self.border, self.update_height)
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1)
-        places, peak = places_of(pattern, updates, batches)
+        places, peak = _places(pattern.parent, updates, batches)
         self.update, self.size = ends[-1] + places, int(ends[-1]) + peak
         if self.size > tuning.MOST_NUMBERS:
             raise MemoryError(
                 f"the factorisation needs {self.size} numbers; at most {tuning.MOST_NUMBERS} can be indexed"
             )
         self.vector = pattern.size + int(self.border.sum())
-        first = np.array([front.first for front in fronts])
-        front, within = np.repeat(np.arange(len(fronts)), self.own), np.arange(pattern.size)
-        within = within - first[front]
-        self.pivots = self.columns[front] + within * (self.height[front] + 1)
+        first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
+        self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
         table = np.stack(
             [
-                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *pattern.kin.T),
+                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_kin(pattern.parent)),
                 *(share, first, self.height, self.update_height, self.skip, pattern.size + share),
             ],
             axis=1,
         )
+        of_entry = front[pattern.column]
+        place = (pattern.column - first[of_entry]) * self.height[of_entry] + pattern.within(of_entry, pattern.row)
+        above = np.repeat(pattern.parent, self.border)
+        rows = pattern.within(above, pattern.border)
+        slots = np.where(rows < self.own[above], pattern.border, pattern.size + share[above] + rows - self.own[above])
         items, self.batches = self._work(batches, updates) if apart else (np.zeros((0, 3), dtype=np.int64), [])
         stages = _stages(pattern, self.own * self.height) if apart else []
         ends_at = np.cumsum([len(stage) for stage in stages]).tolist()
         self.stages = list(zip([0, *ends_at[:-1]], ends_at, strict=True)) if apart else []
-        parts = [table, self._entries(pattern, start), *_maps(pattern, first, share, self.own), items, *stages]
+        parts = [table, place, rows, slots, items, *stages]
         ends_at = np.cumsum([part.size for part in parts[:5]])
-        header = np.array([len(fronts), *(HEADER + ends_at), tuning.SHEET_COLUMNS, 1])
+        header = np.array([len(self.own), *(HEADER + ends_at), tuning.SHEET_COLUMNS, 1])
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
-
-    def _entries(self, pattern: Pattern, start: np.ndarray) -> np.ndarray:
-        """The place of each entry within the own columns of its front, (entries,)."""
-        place = np.empty(pattern.entries, dtype=np.int64)
-        for number, front in enumerate(pattern.fronts):
-            inside, end = slice(start[number], start[number + 1]), front.first + front.own
-            rows, column = pattern.row[inside], pattern.column[inside] - front.first
-            row = np.where(rows < end, rows - front.first, front.own + np.searchsorted(front.border, rows))
-            place[inside] = column * self.height[number] + row
-        return place
 
     def _work(self, batches: list[np.ndarray], updates: np.ndarray) -> tuple[np.ndarray, list[Batch]]:
         """Items (n, 3), a front and its first and last column each, and the batches that they belong to."""
@@ -115,70 +105,70 @@ def update_size(border: Integers, height: Integers) -> Integers:
     return before * height - before * (before - width) // 2 + (border - before) * (height - before)
 
 
+def _kin(parent: np.ndarray) -> np.ndarray:
+    """First child of each front, and the next child of its parent, (2, fronts); -1 of none."""
+    child, sibling = np.full((2, len(parent)), -1)
+    for n, above in reversed(list(enumerate(parent.tolist()))):
+        if above >= 0:
+            sibling[n], child[above] = child[above], n
+    return np.stack([child, sibling])
+
+
+def _of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums of (fronts,) values over each front and all below it, (fronts,)."""
+    total = values.tolist()
+    for n, above in enumerate(parent.tolist()):
+        if above >= 0:
+            total[above] += total[n]
+    return np.array(total)
+
+
 def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
     """Numbers of fronts that are worked on at once, children first. size : (fronts,), of updates; most : of a grove."""
-    within, grove, depth = size.copy(), np.arange(len(size)), np.array([front.depth for front in pattern.fronts])
-    for n, front in enumerate(pattern.fronts):
-        within[n] += within[list(front.children)].sum()
-    for n in np.flatnonzero(within <= most)[::-1].tolist():  # the root of a grove lends its number to all below
-        grove[list(pattern.fronts[n].children)] = grove[n]
-    order = np.lexsort((-depth, grove))
-    return np.split(order, np.flatnonzero(np.diff(grove[order]) | np.diff(depth[order])) + 1)
+    small, grove = (_of_branches(pattern.parent, size) <= most).tolist(), list(range(len(size)))
+    for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
+        if above >= 0 and small[above]:
+            grove[n] = grove[above]
+    order = np.lexsort((-pattern.depth, grove))
+    ends = np.diff(np.array(grove)[order]) | np.diff(pattern.depth[order])
+    return np.split(order, np.flatnonzero(ends) + 1)
 
 
-def places_of(pattern: Pattern, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
+def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
     """Where updates of this size (fronts,) lie until their parents have taken them, (fronts,), the first place that
     fits; and how much room all need at a time."""
     places, free, peak = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)], 0  # starts and lengths, never touching
-    stretch = dict[int, tuple[int, int]]()  # of the updates of a batch, by the number of its first front
-    for members in batches:
+    batch, waiting = np.empty(len(size), dtype=np.int64), [list[tuple[int, int]]() for _ in batches]
+    for number, members in enumerate(batches):
+        batch[members] = number
+    for number, members in enumerate(batches):
         ends = np.cumsum(size[members])
         length = int(ends[-1])
         which = next(i for i, (_, room) in enumerate(free) if room >= length)
         start, room = free[which]
         free[which : which + 1] = [(start + length, room - length)] if room > length else []
         peak, places[members] = max(peak, start + length), start + ends - size[members]
-        stretch[int(members[0])] = start, length
-        used = {child for n in members.tolist() for child in pattern.fronts[n].children}
-        for first in used & stretch.keys():  # all of a batch is used by one other
-            free = _given_back(free, stretch.pop(first))
+        if parent[members[0]] >= 0:  # all of a batch is used by one other
+            waiting[batch[parent[members[0]]]].append((start, length))
+        for stretch in waiting[number]:
+            free = _given_back(free, stretch)
     return places, peak
 
 
 def _given_back(free: list[tuple[int, int]], stretch: tuple[int, int]) -> list[tuple[int, int]]:
     joined: list[tuple[int, int]] = []
-    if stretch[1]:
-        insort(free, stretch)
-    for start, length in free:
+    for start, length in sorted([*free, stretch] if stretch[1] else free):
         if joined and sum(joined[-1]) == start:
             start, length = joined[-1][0], joined.pop()[1] + length
         joined.append((start, length))
     return joined
 
 
-def _maps(pattern: Pattern, first: np.ndarray, share: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the border of each front in the front of the parent, front by front, and where they are in vectors."""
-    none, parent = np.zeros(0, dtype=np.int64), np.zeros(len(own), dtype=np.int64)
-    for number, front in enumerate(pattern.fronts):
-        parent[list(front.children)] = number
-    rows = np.concatenate([none, *(front.place_in_parent for front in pattern.fronts)])
-    above = np.repeat(parent, [len(front.place_in_parent) for front in pattern.fronts])
-    slots = np.where(rows < own[above], first[above] + rows, pattern.size + share[above] + rows - own[above])
-    return rows, slots
-
-
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
     """Branches (n, 2), first front and end of each, that can be solved at once; stage by stage, children first."""
-    fronts = pattern.fronts
-    within, begin = entries.copy(), np.arange(len(fronts))
-    for number, front in enumerate(fronts):  # children come first, right before their parent
-        for child in front.children:
-            within[number] += within[child]
-            begin[number] = min(begin[number], begin[child])
-    small = within <= tuning.BRANCH_SHARE * entries.sum()
-    parent = {child: number for number, front in enumerate(fronts) for child in front.children}
-    roots = [n for n in range(len(fronts)) if small[n] and not (n in parent and small[parent[n]])]
-    depth = np.array([front.depth for front in fronts])
+    small = _of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
+    roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))
+    size, depth = _of_branches(pattern.parent, np.ones_like(entries)), pattern.depth
     above = [np.flatnonzero(~small & (depth == level)) for level in range(int(depth[~small].max(initial=-1)), -1, -1)]
-    stages = [np.array([[begin[n], n + 1] for n in roots]), *(np.stack([n, n + 1], axis=1) for n in above)]
+    stages = [np.stack([roots + 1 - size[roots], roots + 1], axis=1), *(np.stack([n, n + 1], axis=1) for n in above)]
     return [stage for stage in stages if len(stage)]

@@ -19,12 +19,12 @@ from taichi_bearings.numerics.cholesky.tuning import Price
 class Parts:
     """Unknowns that are eliminated together, part by part, children before parents and a branch before the next.
 
-    order : the places of their columns in the order before. own : how many a part has. children : their numbers.
+    order : the places of their columns in the order before. own : how many a part has. parent : the part above, or -1.
     """
 
     order: np.ndarray
-    own: list[int]
-    children: list[tuple[int, ...]]
+    own: np.ndarray
+    parent: np.ndarray
 
 
 def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
@@ -35,20 +35,15 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
     elimination_tree.grow(pattern.indptr.astype(np.int32), pattern.indices.astype(np.int32), parent, count, home)
     elimination_tree.join(*astuple(price), parent, count, home, own, child, sibling)
     first, following = child.tolist(), sibling.tolist()
-
-    def below(column: int) -> list[int]:
-        found, column = [], first[column]
-        while column >= 0:
-            found.append(column)
-            column = following[column]
-        return found
-
     lasts, waiting = list[int](), np.flatnonzero(parent < 0).tolist()
     while waiting:
         lasts.append(waiting.pop())
-        waiting += below(lasts[-1])
+        below = first[lasts[-1]]
+        while below >= 0:
+            waiting.append(below)
+            below = following[below]
     lasts.reverse()
     number = np.zeros(size, dtype=np.int64)
     number[lasts] = np.arange(len(lasts))
-    children = [tuple(number[below(last)].tolist()) for last in lasts]
-    return Parts(np.argsort(number[home], kind="stable"), own[lasts].tolist(), children)
+    above = np.where(parent[lasts] >= 0, number[home[parent[lasts]]], -1)
+    return Parts(np.argsort(number[home], kind="stable"), own[lasts].astype(np.int64), above)
