@@ -129,8 +129,9 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
     for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
         if above >= 0 and small[above]:
             grove[n] = grove[above]
-    order = np.lexsort((-pattern.depth, grove))
-    ends = np.diff(np.array(grove)[order]) | np.diff(pattern.depth[order])
+    of_front = np.array(grove)
+    order = np.lexsort((-pattern.depth, of_front))
+    ends = np.diff(of_front[order]) | np.diff(pattern.depth[order])
     return np.split(order, np.flatnonzero(ends) + 1)
 
 
