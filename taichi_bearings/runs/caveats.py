@@ -13,7 +13,7 @@ from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE
 from taichi_bearings.words import counted
 
-SLIPPING, UNPROVEN = ContactState.SLIPPING, ContactState.UNDECIDED
+SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED
 DECADE = 10.0  # slips closer than that to what is resolved, or to those of the other kind, are named
 ELASTIC = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
 UNFINISHED = {
@@ -78,14 +78,16 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     if number > 0:
         scene, full = solution.scene, SATURATED * solution.scene.strength
         undecided = solution.state == ContactState.UNDECIDED
-        fast = int(
-            (undecided & (solution.slip > solution.slip_threshold) & (solution.force < full * scene.coefficient)).sum()
-        )
+        fast = undecided & (solution.slip > solution.slip_threshold)
+        bears_all = solution.force >= full * scene.coefficient
+        held = int((fast & ~bears_all).sum())
+        passing = int((fast & bears_all & (solution.proven == SLIPLESS) & ~unresolved(solution)).sum())
         all_contacts = scene.lattice.contacts * scene.replicas
         yield (
-            f"{number:,} of {counted(all_contacts, 'contact')} undecided: {fast:,} slip faster than "
-            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - fast:,} slip slower, "
-            "or by less than the gap resolves, and bear it"
+            f"{number:,} of {counted(all_contacts, 'contact')} undecided: {held:,} slip faster than "
+            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - held - passing:,} slip "
+            "slower, or by less than the gap resolves, and bear it"
+            + (f", {passing:,} slip now and at no minimum" if passing else "")
         )
 
 

@@ -19,7 +19,7 @@ from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method, is_dynamics
 from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import CRITICAL, LAWS, UNPROVEN, Samples
+from taichi_bearings.verifier.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.states import States
 
 
@@ -37,7 +37,7 @@ def answered(
     judgement = _judged(scene, spin, spin_rounding, friction)
     slip = _slips(scene, final) if judgement is None else scene.lattice.flat(judgement.slip)
     state, resolves, of_all = _told_apart(
-        scene, slip, final, threshold, _decided(judgement, is_dynamics(method)), proof
+        scene, slip, final, threshold, _decided(scene, judgement, is_dynamics(method)), proof
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = scene.law.power(scene.contact, slip)
@@ -135,14 +135,14 @@ def _told_apart(
     return state, each, of_all
 
 
-def _decided(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
+def _decided(scene: Scene, judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
     """What is proven of the states at every minimum, (R, E), where it is contact by contact.
 
     A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
     """
     if judgement is None or not (judgement.samples.flows or (len(judgement.samples.needed) < 2 and not is_dynamics)):
         return None
-    return np.stack([np.concatenate([values.ravel() for values in found.proven]) for found in judgement.states])
+    return np.stack([scene.lattice.flat(found.proven) for found in judgement.states])
 
 
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
@@ -200,13 +200,14 @@ def above_noise(answer: Solution) -> np.ndarray:
     return np.where(doubtful, ContactState.UNDECIDED, state).astype(np.uint8)
 
 
-def proven(scene: Scene, final: Progress, judgement: Judgement | None) -> list[States | None]:
+def proven(scene: Scene, final: Progress, judgement: Judgement | None, at_minimum: bool) -> list[States | None]:
     """What the verifier proves of the states at every minimum, sample by sample; None where it is not asked.
 
-    It is asked where the method believes that it has found them, and where that is cheap.
+    It is asked where the method believes that it has found them, where that is cheap, and, at_minimum, of a motion that
+    is proven to have come there.
     """
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
-    together = one_component or scene.law.flows
+    together = one_component or scene.law.flows or at_minimum
     asked = (
         np.full(scene.replicas, together) if final.states_proven is None or together else np.array(final.states_proven)
     )
@@ -218,9 +219,10 @@ def proven(scene: Scene, final: Progress, judgement: Judgement | None) -> list[S
         return [judgement.one(number).states[0] if asks else None for number, asks in enumerate(asked)]
 
 
-def named(answer: Solution, found: list[States | None], as_proven: bool) -> Solution:
+def named(answer: Solution, found: list[States | None], as_proven: bool, at_minimum: bool) -> Solution:
     """The answer with what is proven of its contacts. as_proven : that is what they are called; a dynamics has states
-    of its own motion, and so has an answer for which a threshold was asked for."""
+    of its own motion, and so has an answer for which a threshold was asked for. at_minimum : a motion that is proven
+    to have come there leaves those contacts undecided that are proven to be something else than what they do now."""
     lattice, state = answer.scene.lattice, answer.state
     open_ = np.full(state.shape[1], UNPROVEN)
     what = np.stack([open_ if states is None else lattice.flat(states.proven) for states in found])
@@ -228,6 +230,10 @@ def named(answer: Solution, found: list[States | None], as_proven: bool) -> Solu
     if as_proven:
         name = np.where(what == CRITICAL, ContactState.UNDECIDED, np.where(what == UNPROVEN, state, what))
         state = np.where(driven, state, name).astype(np.uint8)
+    elif at_minimum:
+        passing = np.isin(what, (SLIPLESS, CRITICAL)) & (state == ContactState.SLIPPING)
+        passing |= (what == SLIPPING) & (state == ContactState.SLIPLESS)
+        state = np.where(passing & ~driven, ContactState.UNDECIDED, state).astype(np.uint8)
     known = np.where(driven, state, np.where(what == CRITICAL, ContactState.SLIPLESS, what)).astype(np.uint8)
     may_be = answer.scene.law.is_rate_independent
     pairs = zip(found, state, strict=True)

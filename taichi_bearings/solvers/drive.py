@@ -213,7 +213,8 @@ class _Course:
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
             as_proven = threshold is None and (scene.law.flows or not is_dynamics(self.method))
-            found = named(found, proven(scene, final, judgement), as_proven)
+            at_minimum = threshold is None and not as_proven and status is Status.CERTIFIED
+            found = named(found, proven(scene, final, judgement, at_minimum), as_proven, at_minimum)
         if final.state is not None and scene.law.is_rate_independent:
             found = replace(found, state=above_noise(found))
         found = with_ties_counted(found)

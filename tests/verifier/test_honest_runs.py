@@ -31,6 +31,10 @@ HONEST = {
         "shape": (2, 2, 3), "method": "operator-splitting", "distribution": "bimodal:1e-12,1,0.5", "iterations": 7,
     },
     "springs that still load": {"shape": (3, 9), "method": "cundall-strack", "seed": 25, "iterations": 5000},
+    "a contact that slips on its way to rest": {
+        "shape": (2, 3), "method": "implicit-cundall-strack", "seed": 964873, "distribution": "bimodal:1,2,0.5",
+        "tolerance": 1e-3, "radius": 1e-12, "iterations": 300,
+    },
     "a plane by splitting": {"shape": (3, 9), "method": "operator-splitting", "seed": 33, "tolerance": 1e-3},
     "nearly equal driving": {
         "shape": (3, 9), "method": "operator-splitting", "spin_bottom": 1 - 1e-14, "iterations": 1000,
