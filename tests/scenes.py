@@ -31,6 +31,12 @@ def make_scene(
     return Scene(law=law, radius=radius, seeds=tuple(seeds), **found, **driving)
 
 
+def axis_of(scene):
+    """Unit vector (3,) of the imposed spins."""
+    axis = np.array([0.0, 0.0, 1.0] if scene.lattice.dimension == 2 else scene.direction)
+    return axis / np.linalg.norm(axis)
+
+
 def minima(*shapes):
     """The stored exact minima of the given shapes."""
     return [entry for entry in MINIMA if tuple(entry["shape"]) in shapes]

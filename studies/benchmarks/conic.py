@@ -53,7 +53,7 @@ class Differences:
 def build_differences(scene: Scene) -> Differences:
     """The differences of a scene of one replica, as functions of its free spins in units of the jump."""
     axes = scene.minimum_spin_axes
-    system = lattice_system(scene.lattice, axes, scene.driven_values(axes)[1] / (scene.jump or 1.0))
+    system = lattice_system(scene.lattice, axes, scene.top_spin(axes) / (scene.jump or 1.0))
     components = each(lambda z: np.full(z.shape, len(z)), system.offset)
     part = each(lambda z: np.indices(z.shape)[0], system.offset)
     order = np.lexsort((_flat(part), _flat(components)))
@@ -97,9 +97,9 @@ class ConicProgramme:
         staggered = np.zeros((len(axes), 1, *scene.lattice.shape))
         free = ~scene.lattice.is_driven
         own = np.nan_to_num(x[: len(axes) * free.sum()]).reshape(len(axes), -1)
-        for spins, values, top in zip(staggered, own, scene.driven_values(axes)[1], strict=True):
-            spins[0, free] = np.clip(scene.jump * values, min(0.0, top), max(0.0, top))
-        return scene.impose_driving(staggered, axes)
+        for spins, values in zip(staggered, own, strict=True):
+            spins[0, free] = scene.jump * values
+        return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
         """Contact forces (C, 1, E) of the multipliers z of the rows."""

@@ -162,7 +162,7 @@ def _counted(name: str, scene: Scene, iterations: int) -> dict[str, Any]:
 def factorisation(scene: Scene) -> tuple[float, int]:
     """Operations of one factorisation of the Newton matrix on the central path, and numbers of its factor."""
     axes = scene.minimum_spin_axes
-    system = lattice_system(scene.lattice, axes, scene.driven_values(axes)[1] / (scene.jump or 1.0))
+    system = lattice_system(scene.lattice, axes, scene.top_spin(axes) / (scene.jump or 1.0))
     small = scene.lattice.sites < InteriorPoint.alike_in_a_block
     price = tuning.LAUNCH_PRICE if small else tuning.CALLS_PRICE
     pattern = analyse(dissect(scene.lattice.free_shape, axes), *system.couplings(), price)

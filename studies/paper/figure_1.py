@@ -238,10 +238,10 @@ def least_rise(solution: Solution) -> float:
     """Least difference of the mean staggered spin from a layer to the next, over the jump, towards the top."""
     scene = solution.scene
     axes = scene.minimum_spin_axes
-    bottom, top = scene.driven_values(axes)
+    top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]
     staggered = scene.staggered_spin(solution.spin, axes)
     layers = staggered.mean(axis=tuple(range(2, staggered.ndim - 1)))
-    along = np.tensordot((top - bottom) / scene.jump**2, layers, axes=1)
+    along = np.tensordot(top / scene.jump**2, layers, axes=1)
     return float(np.diff(along, axis=-1).min())
 
 

@@ -41,7 +41,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     with stage("minima of larger samples"):
         larger = minima_of(Scene.random(LARGER, effort.seed, replicas=min(LARGER_SAMPLES, effort.samples)))
     write_curves(folder / "fig2.csv", scene, {"cundall-strack": runs, "rigid-limit": rigid}, minima)
-    largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
+    largest = scene.fastest
     shown = shown_sample(minima, rigid_scene.replicas)
     drawn = []
     for run, hard in zip(runs, rigid, strict=True):
@@ -107,8 +107,8 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(spin, axes)
     apart = [
-        np.linalg.norm(np.moveaxis(staggered, 0, -1) - value, axis=-1) > 1e-3 * scene.jump
-        for value in scene.driven_values(axes)
+        np.linalg.norm(staggered - value, axis=0) > 1e-3 * scene.jump
+        for value in (0.0, scene.top_spin(axes)[:, None, ..., None])
     ]
     return np.asarray((apart[0] & apart[1] & ~scene.lattice.is_driven).reshape(scene.replicas, -1).sum(axis=1))
 

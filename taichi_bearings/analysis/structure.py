@@ -100,8 +100,8 @@ class Structure:
         if self.force is None:
             return None
         scene = self.scene
-        bottom, top = scene.driven_values(scene.minimum_spin_axes)
-        return torque_flow(scene.lattice, scene.minimum_spin_axes, self.force, self.state, top - bottom)
+        top = scene.top_spin(scene.minimum_spin_axes)
+        return torque_flow(scene.lattice, scene.minimum_spin_axes, self.force, self.state, top)
 
     @cached_property
     def friction_load(self) -> FrictionLoad | None:

@@ -46,7 +46,8 @@ class TorqueFlow:
     strongest : (C, H - 1), share of sum |t| that the strongest tenth of these contacts (one at least) carries.
     backwards : (C, H - 1), share of sum |t| that goes against the flow.
     left_over : (C,), largest torque that is left on a free sphere, force * length.
-    jump : (C,), staggered spin of the top plane minus that of the bottom plane, 1/time.
+    power : that the driven planes spend, energy/time; for certifying forces of the Coulomb law a lower bound.
+    slipless_power : the part of it that goes through slipless contacts, mean over the gaps.
     """
 
     spin_axes: tuple[int, ...]
@@ -60,7 +61,8 @@ class TorqueFlow:
     strongest: np.ndarray
     backwards: np.ndarray
     left_over: np.ndarray
-    jump: np.ndarray
+    power: float
+    slipless_power: float
 
     @property
     def total(self) -> np.ndarray:
@@ -75,14 +77,9 @@ class TorqueFlow:
         return difference / largest if largest > 0 else difference
 
     @property
-    def power(self) -> float:
-        """Power that the driven planes spend, energy/time; for certifying forces of the Coulomb law a lower bound."""
-        return float(self.total @ self.jump)
-
-    @property
     def slipless_share(self) -> float:
         """Share of the power that goes through slipless contacts, mean over the gaps; 0 without power."""
-        return float(self.slipless.mean(axis=1) @ self.jump) / self.power if self.power != 0 else 0.0
+        return self.slipless_power / self.power if self.power != 0 else 0.0
 
 
 def torque_flow(
@@ -90,7 +87,7 @@ def torque_flow(
 ) -> TorqueFlow:
     """The flow of torque through a sample.
 
-    force : (C, E). state : values of ContactState, (E,). jump : (C,), 1/time.
+    force : (C, E). state : values of ContactState, (E,). jump : (C, *plane), of the top above the bottom, 1/time.
     """
     height = lattice.height_axis
     gaps, components = lattice.shape[-1] - 1, len(spin_axes)
@@ -109,6 +106,8 @@ def torque_flow(
         np.where(kind == which, flow, 0.0).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.SLIPPING)
     )
     through_gap, size = flow.sum(axis=1), np.abs(flow)
+    spent = flow * jump.reshape(components, -1, 1)
+    unmoved = np.where(kind == ContactState.SLIPLESS, spent, 0.0)
     sizes, squares = size.sum(axis=1), (flow**2).sum(axis=1)
     strong = max(1, round(STRONGEST * flow.shape[1]))
     most = np.sort(size, axis=1)[:, -strong:].sum(axis=1)
@@ -126,7 +125,8 @@ def torque_flow(
         strongest=_ratio(most, sizes),
         backwards=_ratio(against, sizes),
         left_over=lattice.radius * np.abs(pull).reshape(components, -1).max(axis=1),
-        jump=np.asarray(jump, dtype=np.float64),
+        power=float(spent.sum()) / gaps,
+        slipless_power=float(unmoved.sum()) / gaps,
     )
 
 

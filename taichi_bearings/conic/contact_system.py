@@ -18,6 +18,7 @@ from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
+from taichi_bearings.numerics.double_double import Pair
 
 
 @dataclass(frozen=True)
@@ -227,16 +228,23 @@ def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndar
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
+def above_free_spins(top: Pair, lattice: Lattice) -> Pair:
+    """What is imposed on the top, (C, *plane), above each unknown of a sample, (unknowns,)."""
+    high, low = (np.repeat(part[..., None], lattice.free_shape[-1], axis=-1) for part in top)
+    return np.moveaxis(high, 0, -1).ravel(), np.moveaxis(low, 0, -1).ravel()
+
+
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
     """All contacts of a lattice that can slip; unknown = free sphere * components + position in `spin_axes`.
 
-    jump : (C,), staggered spin of the top minus that of the bottom.
+    jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on all of it.
     """
     sphere, free = number_free(lattice.shape), int(np.prod(lattice.free_shape))
     is_top = np.zeros(lattice.shape, dtype=bool)
     is_top[..., -1] = True
     unknowns, felt = free * len(spin_axes), lattice.felt(spin_axes)
     (below, above), rises = sphere.ravel()[lattice.ends], is_top.ravel()[lattice.ends[1]]
+    imposed = np.broadcast_to(jump.reshape(len(jump), -1), (len(jump), lattice.sites // lattice.shape[-1]))
     groups, places = [], []
     for count in range(1, len(spin_axes) + 1):
         contact = np.flatnonzero(~lattice.between_driven & (felt.sum(axis=0) == count))
@@ -246,7 +254,8 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
         first, second = (
             np.where(end >= 0, end * len(spin_axes) + slot, -1) for end in (below[contact], above[contact])
         )
-        groups.append(ContactGroup(first, second, jump[slot] * rises[contact], unknowns))
+        top = imposed[slot, lattice.column[contact]]
+        groups.append(ContactGroup(first, second, top * rises[contact], unknowns))
         places.append(Places(contact, slot))
     place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
     return ContactSystem(unknowns, tuple(groups), tuple(places), place)

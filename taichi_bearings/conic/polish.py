@@ -38,7 +38,7 @@ def polished(
     samples (samples,), of those chosen, in which no slip is lost.
 
     matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
-    may be more precise than those of the spins. top : (C,), imposed on the top.
+    may be more precise than those of the spins. top : imposed on the top above each unknown of a sample.
     """
     system, owners = _PreciseSystem(tied, top), tied.owners
     rough = chosen & owners.any(difference.length() < VISIBLE)
@@ -103,15 +103,15 @@ class _PreciseSystem:
     """
 
     def __init__(self, tied: Contraction, top: Pair) -> None:
-        self.contracted, self.owners, self.top, self._tied = tied.system, tied.owners, top, tied
-        self.slot = np.arange(len(tied.number)) % len(top[0])
+        self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
+        self.top = np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number))
         self.imposed = Grouped(map(self._imposed, tied.whole.groups, tied.system.groups, tied.kept))
 
     def _imposed(self, before: ContactGroup, group: ContactGroup, kept: np.ndarray) -> tuple[Places, Pair]:
         places = np.nonzero(group.offset)
-        slot = np.maximum(before.below, before.above)[:, kept][places] % len(self.top[0])
-        times = _multiples(group.offset[places], self.top[0][slot])
-        return places, (times * self.top[0][slot], times * self.top[1][slot])
+        spin = np.maximum(before.below, before.above)[:, kept][places]
+        times = _multiples(group.offset[places], self.top[0][spin])
+        return places, (times * self.top[0][spin], times * self.top[1][spin])
 
     def differences(self, unknown: Pair) -> Grouped[Pair]:
         """Across each contact, (d, n) a group."""
@@ -144,9 +144,9 @@ class _PreciseSystem:
 
     def expanded(self, unknown: Pair) -> Pair:
         """Spins of the whole system: equal within each tied set, and just those imposed where it is tied to a plane."""
-        times = _multiples(self._tied.imposed, self.top[0][self.slot])
+        times = _multiples(self._tied.imposed, self.top[0])
         high, low = (np.append(part, 0.0)[self._tied.number] for part in unknown)
-        return high + times * self.top[0][self.slot], low + times * self.top[1][self.slot]
+        return high + times * self.top[0], low + times * self.top[1]
 
 
 def _high(pairs: Grouped[Pair]) -> Arrays:

@@ -98,7 +98,8 @@ class Resolved:
 class Surroundings:
     """What samples of one lattice share. system : of each; order : of elimination of its unknowns.
 
-    matrix : of one of them, or of several at once. top : (C,), imposed on the top, in twice the precision.
+    matrix : of one of them, or of several at once. top : imposed on the top above each spin of a sample, in twice
+        the precision.
     """
 
     system: ContactSystem

@@ -104,6 +104,11 @@ class Lattice:
         pairs = [(sphere[_part(a, slice(-1))], sphere[_part(a, slice(1, None))]) for a in range(self.dimension)]
         return np.stack([self.flat(end) for end in zip(*pairs, strict=True)])
 
+    @cached_property
+    def column(self) -> np.ndarray:
+        """(E,) number, in C order, of the sphere of the top plane above the upper end of each contact."""
+        return self.ends[1] // self.shape[-1]
+
     def felt(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """(C, E) True for the components that make a contact slip: all but the one along it."""
         return np.array(spin_axes)[:, None] != self.axis

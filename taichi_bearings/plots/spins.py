@@ -44,7 +44,7 @@ def draw_spins(
     spin : laboratory frame, (*N) or (*N, 3). state : of the contacts, one array (*contacts) an axis.
     note : what black lines mean.
     """
-    speed = speed_of(spin, scene.spin_top, scene.spin_bottom)
+    speed = speed_of(spin, *scene.imposed)
     colour = colormaps[COLOURS](speed)
     slips = tuple(values == ContactState.SLIPPING for values in state)
     slipping = sum(int(values.sum()) for values in slips)
@@ -56,9 +56,10 @@ def draw_spins(
     figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)
     figure.suptitle(f"{title or describe(scene)}\n{note}")
     axes = figure.axes
+    bottom, top = scene.imposed
     below = speed.ndim == 3 and columns_on(page, len(axes), NARROW) < 3
     look = {"location": "bottom", "aspect": 30} if below else {}
-    draw_speed_bar(figure, axes, scene.spin_top, scene.spin_bottom, shrink=0.8, pad=0.02, **look)
+    draw_speed_bar(figure, axes, top, bottom, shrink=0.8, pad=0.02, **look)
     return figure
 
 

@@ -27,7 +27,8 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
 
 def driving(scene: Scene) -> tuple[float, str]:
     """The imposed spin that times and powers are counted in, 1/time, and its symbol."""
-    return (abs(scene.spin_top), SPEED_OF[True]) if scene.spin_top else (abs(scene.spin_bottom) or 1.0, SPEED_OF[False])
+    bottom, top = scene.imposed
+    return (abs(top), SPEED_OF[True]) if top else (abs(bottom) or 1.0, SPEED_OF[False])
 
 
 def power_unit(scene: Scene) -> tuple[float, str]:

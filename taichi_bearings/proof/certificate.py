@@ -5,7 +5,8 @@ conjugate of the potential of a contact (scene/law.py), for any forces that the 
 
     least potential >= R [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]  -  sum_e phi*(|f_e|)
 
-where c and w are the middle and the half width of the interval that the two driven planes span in each component: a
+where c and w are the middle and the half width of the interval that the two driven planes span in each component and,
+where the imposed states differ in their dilation, in each layer x_k = const of component k: a
 minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Candidates are
 made from the given forces and the best bound is kept. With friction: the forces capped contact by contact, the forces
 after removing the left-over torque by a Poisson solve, scaled into the friction discs as a whole, and the same capped.
@@ -99,12 +100,11 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
 
 def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Work (R,) of the driven planes against balanced forces of contacts that only hold, without an allowance."""
-    bottom, top = scene.driven_values(spin_axes)
-    work = np.zeros(scene.replicas)
+    top, work = scene.top_spin(spin_axes), np.zeros(scene.replicas)
     upward = scene.lattice.by_axis(force)[-1]
     for slot in tangential(scene.lattice.height_axis, spin_axes):
-        ends = (upward[slot][..., 0] + upward[slot][..., -1]).reshape(scene.replicas, -1)
-        work += (top[slot] - bottom[slot]) / 2 * ends.sum(axis=1)
+        ends = top[slot] / 2 * (upward[slot][..., 0] + upward[slot][..., -1])
+        work += ends.reshape(scene.replicas, -1).sum(axis=1)
     return scene.lattice.radius * scene.law.share * work
 
 
@@ -167,7 +167,7 @@ def relative_gap(scene: Scene, objective: np.ndarray, bound: np.ndarray) -> np.n
     """
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
-        speed = np.full((), scene.lattice.radius * (scene.jump or abs(scene.spin_top)))
+        speed = np.full((), scene.lattice.radius * (scene.jump or abs(scene.imposed[1])))
         unit = np.where(idle, np.maximum(objective, scene.law.objective(scene.contact, speed).sum(axis=1)), objective)
     with np.errstate(invalid="ignore", over="ignore"):
         gap = np.divide(objective - bound, unit, out=np.full(np.shape(objective), np.nan), where=unit > 0)
@@ -183,14 +183,13 @@ def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int,
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """What admissible forces prove (R,), torque-balanced or not: the dual objective minus an allowance for rounding."""
     pull = precise_torques(scene, force, spin_axes)
-    bottom, top = scene.driven_values(spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
-    for slot in range(len(spin_axes)):
-        half_width = (top[slot] - bottom[slot]) / 2
-        planes = (pull[slot][..., -1] - pull[slot][..., 0]).reshape(scene.replicas, -1)
-        left_over = np.abs(pull[slot][..., 1:-1]).reshape(scene.replicas, -1).sum(axis=1)
-        work -= half_width * planes.sum(axis=1) + abs(half_width) * left_over
-        allowance += ROUNDING * abs(half_width) * (np.abs(planes).sum(axis=1) + left_over)
+    for slot, half_width in enumerate(scene.top_spin(spin_axes) / 2):
+        planes = (half_width * (pull[slot][..., -1] - pull[slot][..., 0])).reshape(scene.replicas, -1)
+        left_over = np.abs(half_width) * np.abs(pull[slot][..., 1:-1]).sum(axis=-1)
+        left_over = left_over.reshape(scene.replicas, -1).sum(axis=1)
+        work -= planes.sum(axis=1) + left_over
+        allowance += ROUNDING * (np.abs(planes).sum(axis=1) + left_over)
     total = np.abs(force).sum(axis=(0, 2))
     allowance += ROUNDING**2 * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius

@@ -61,7 +61,7 @@ def separate(scene: Scene, slip: np.ndarray, state: np.ndarray) -> Separation:
     still, moving = state == ContactState.SLIPLESS, state == ContactState.SLIPPING
     largest = np.where(still.any(axis=1), np.where(still, slip, 0.0).max(axis=1), np.nan)
     smallest = np.where(moving.any(axis=1), np.where(moving, slip, np.inf).min(axis=1), np.nan)
-    rounding = np.finfo(np.float64).eps * scene.lattice.radius * max(abs(scene.spin_top), abs(scene.spin_bottom))
+    rounding = np.finfo(np.float64).eps * scene.lattice.radius * scene.fastest
     with np.errstate(divide="ignore", invalid="ignore"):
         decades = np.log10(smallest / np.maximum(largest, rounding))
     return Separation(largest, smallest, decades)

@@ -119,8 +119,8 @@ def _report(
         "method": solution.method,
         "law": str(scene.law),
         "contacts": scene.lattice.contacts,
-        "spin_top": scene.spin_top,
-        "spin_bottom": scene.spin_bottom,
+        "spin_top": scene.imposed[1],
+        "spin_bottom": scene.imposed[0],
         "shape": list(scene.lattice.shape),
         "version": VERSION,
     }

@@ -34,7 +34,7 @@ def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
     scene = solution.scene
     if scene.jump == 0:
         yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
-    elif not scene.jump_pair[0][list(scene.minimum_spin_axes)].any():
+    elif not scene.top_spin(scene.minimum_spin_axes).any():
         yield (
             "the least power is 0: the imposed spins point along the height, contacts along the height do not feel "
             "such spins, and every layer turns in a bearing state of its own"

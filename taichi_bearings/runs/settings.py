@@ -32,6 +32,7 @@ from taichi_bearings.options import (
     real,
 )
 from taichi_bearings.plain_files import read_whole
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import lattice_shape, read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.solvers.table import METHODS, MethodOptions
@@ -49,7 +50,16 @@ def _times(value: Any) -> str:
     return text
 
 
+def _state(value: Any) -> tuple[float, ...]:
+    """A bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs."""
+    parts = numbers(REAL.read, (1, 3, 4))(value.replace(";", ",") if isinstance(value, str) else value)
+    return (*parts, 0.0) if len(parts) == 3 else parts
+
+
 SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
+STATE = Kind(
+    _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
+)
 VECTOR = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TIMES = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
@@ -83,6 +93,16 @@ class RunSettings:
     spin_bottom: float = option(0.0, REAL, "Imposed spin of the bottom.", unit="1/time")
     direction: tuple[float, ...] = option(
         (1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.", dimensions=(3,)
+    )
+    top: tuple[float, ...] | None = option(
+        None,
+        STATE,
+        "Bearing state of the top plane, instead of the spins and their axis: AX,AY,AZ;C for spins A + C x, x measured "
+        "from the first sphere. In 2D one number.",
+        unit="1/time",
+    )
+    bottom: tuple[float, ...] | None = option(
+        None, STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
     )
     coefficients: str | None = option(
         None,
@@ -206,6 +226,11 @@ class RunSettings:
         flat = [key for key in given if len(self.shape) not in table[key].dimensions]
         unused |= {
             key: f"{key} is {given[key]}, but spins of discs point along z; it needs three sides" for key in flat
+        }
+        beside = [key for key in Scene.BY_SPINS if key in given and (self.top is not None or self.bottom is not None)]
+        unused |= {
+            key: f"{key} is {given[key]}, but the planes have the states top and bottom; leave one of the two out"
+            for key in beside
         }
         drawn = [key for key in ("distribution", "viscosity") if key in given and self.coefficients is not None]
         words = f"but the coefficients are those of {self.coefficients}; leave one of the two out"

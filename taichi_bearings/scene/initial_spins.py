@@ -8,7 +8,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.minimum_cut import MinimumCut, minimum_cut
 from taichi_bearings.scene.given import own_array
-from taichi_bearings.scene.scene import Scene
+from taichi_bearings.scene.scene import Scene, vector_length
 from taichi_bearings.words import meant
 
 STARTS = ("random", "zero", "linear", "minimum-cut")
@@ -16,7 +16,7 @@ STARTS = ("random", "zero", "linear", "minimum-cut")
 
 def random_spin(scene: Scene) -> np.ndarray:
     """Free spheres uniform in [-w, w] for each component, w the larger imposed spin; drawn from [seed, 1]."""
-    largest = max(abs(scene.spin_top), abs(scene.spin_bottom))
+    largest = scene.fastest
     shape = scene.lattice.shape if scene.lattice.dimension == 2 else (*scene.lattice.shape, 3)
     draws = [np.random.default_rng([seed, 1]).uniform(-largest, largest, shape) for seed in scene.seeds]
     return np.stack(draws)
@@ -26,9 +26,7 @@ def linear_spin(scene: Scene) -> np.ndarray:
     """Staggered spin linear in the height: the viscous answer without disorder."""
     height = np.linspace(0.0, 1.0, scene.lattice.shape[-1])
     axes = scene.lattice.all_spin_axes
-    bottom, top = scene.driven_values(axes)
-    staggered = bottom[:, None] + (top - bottom)[:, None] * height
-    staggered = staggered.reshape(len(axes), *(1,) * scene.lattice.dimension, -1)
+    staggered = scene.top_spin(axes)[:, None, ..., None] * height
     full = np.broadcast_to(staggered, (len(axes), scene.replicas, *scene.lattice.shape))
     return scene.laboratory_spin(full, axes)
 
@@ -48,25 +46,26 @@ def cut_weights(scene: Scene) -> np.ndarray:
 
     Viscous contacts weigh by the square of their slip, and viscosities beside a friction by their share in it.
     """
-    units = (1.0, scene.lattice.radius * scene.jump / scene.normal_force)
+    unit = float(scene.driving.unit[0][0])
+    units = (1.0, scene.lattice.radius * unit / scene.normal_force)
     coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))
-    across = np.array([np.linalg.norm(np.delete(scene.axis_vector, axis)) for axis in range(scene.lattice.dimension)])
-    return scene.law.objective(coefficients, across[scene.lattice.axis])
+    axes = scene.lattice.all_spin_axes
+    jump = scene.driving.top_in_units(axes)[0].reshape(len(axes), -1)[:, scene.lattice.column]
+    across = vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
+    return scene.law.objective(coefficients, across)
 
 
 def cut_unit(scene: Scene) -> float:
-    """Objective of an interface over its weight: strength * R jump with friction, else (R jump)^2; energy/time."""
-    speed = scene.lattice.radius * scene.jump
+    """Objective of an interface over its weight: strength * R unit with friction, else (R unit)^2; energy/time."""
+    speed = scene.lattice.radius * float(scene.driving.unit[0][0])
     return scene.strength * (speed if scene.law.holds else speed**2)
 
 
 def minimum_cut_spin(scene: Scene) -> np.ndarray:
     """Every sphere turns with the bottom or with the top: of all such states the one of least power."""
     axes = scene.lattice.all_spin_axes
-    bottom, top = (
-        np.reshape(values, (-1, *(1,) * (1 + len(scene.lattice.shape)))) for values in scene.driven_values(axes)
-    )
-    return scene.laboratory_spin(np.where(cut_of(scene).above, top, bottom), axes)
+    top = scene.top_spin(axes)[:, None, ..., None]
+    return scene.laboratory_spin(np.where(cut_of(scene).above, top, 0.0), axes)
 
 
 def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:

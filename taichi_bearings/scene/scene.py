@@ -13,18 +13,10 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import MOST_SITES
 from taichi_bearings.lattice.incidence import contact_differences
-from taichi_bearings.numerics.double_double import (
-    Pair,
-    add,
-    divide,
-    exactly,
-    multiply,
-    square_root,
-    two_product,
-    two_sum,
-)
+from taichi_bearings.numerics.double_double import Pair, add
 from taichi_bearings.options import SEED
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients, draw_viscosities
+from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
 from taichi_bearings.words import shown
@@ -47,6 +39,8 @@ class Scene:
     law : "coulomb", "viscous" or "coulomb-viscous".
     spin_top, spin_bottom : 1/time; imposed spin of the top and bottom planes, with the sign of the sublattice.
     direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
+    top, bottom : bearing states (A_x, A_y, A_z, C) imposed instead: staggered spins A + C x, with x from the centre of
+        sphere (0, 0, 0); C, 1/(time length), may be left out. In 2D one number. One of the two alone: the other is 0.
     normal_force : force at every contact, of laws with friction. radius : of the spheres, length.
     seeds : seed of each sample, for the record and for random initial spins. Default: 0, 1, ...
     viscosity : like the coefficients, of a law that has both, else empty; force * time / length.
@@ -62,9 +56,12 @@ class Scene:
     radius: float = 0.5
     seeds: tuple[int, ...] = ()
     viscosity: tuple[np.ndarray, ...] = ()
+    top: tuple[float, ...] | None = None
+    bottom: tuple[float, ...] | None = None
     drawn: Mapping[str, str] = field(init=False, default_factory=dict)
     DRAWN: ClassVar = ("distribution", "viscosity")
-    PARAMETERS: ClassVar = ("spin_top", "spin_bottom", "direction", "normal_force", "radius")  # settings of a run too
+    BY_SPINS: ClassVar = ("spin_top", "spin_bottom", "direction")
+    PARAMETERS: ClassVar = (*BY_SPINS, "top", "bottom", "normal_force", "radius")  # settings of a run too
 
     @classmethod
     def random(
@@ -84,7 +81,7 @@ class Scene:
         distribution : "uniform:low,high", "lognormal:median,sigma", "power-law:low,high,exponent",
             "bimodal:low,high,fraction" or "constant:value", or a function (rng, shape) -> array of coefficients.
         others : `replicas`, for the seeds seed ... seed + replicas - 1; `viscosity`, the distribution of the second
-            coefficient of "coulomb-viscous"; `normal_force` and `radius`.
+            coefficient of "coulomb-viscous"; `normal_force`, `radius`, and the states `top` and `bottom`.
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
         try:
@@ -131,6 +128,7 @@ class Scene:
         if self.normal_force <= 0:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
         object.__setattr__(self, "direction", _direction(self.direction))
+        self._read_states()
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
         object.__setattr__(self, "viscosity", _arrays("viscosities", self.viscosity))
         if bool(self.viscosity) != (len(self.law.quantities) > 1):
@@ -161,6 +159,18 @@ class Scene:
                     "both must be positive, or both 0 for a contact that is absent"
                 )
 
+    def _read_states(self) -> None:
+        """The states as tuples of 1 or 4 numbers, both or none."""
+        if self.top is None and self.bottom is None:
+            return
+        for name in self.BY_SPINS:
+            if getattr(self, name) != getattr(type(self), name):
+                raise InputError(f"{name} is {getattr(self, name)}, beside a state of top or bottom; leave one out")
+        dimension = len(self.coefficients)
+        for name in ("top", "bottom"):
+            given = getattr(self, name)
+            object.__setattr__(self, name, bearing_state(name, (0.0,) if given is None else given, dimension))
+
     def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
         for axis, values in enumerate(coefficients):
             name, one = AXIS_NAMES[axis], self.lattice.contact_shape(axis)
@@ -179,7 +189,8 @@ class Scene:
     def __repr__(self) -> str:
         shape, seeds = "x".join(map(str, self.lattice.shape)), f"seed {self.seeds[0]}"
         seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
-        return f"<Scene {shape} {self.law}, {seeds}, top {self.spin_top:g}, bottom {self.spin_bottom:g}>"
+        bottom, top = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.bottom, self.top)
+        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}>"
 
     @cached_property
     def lattice(self) -> Lattice:
@@ -221,20 +232,21 @@ class Scene:
         return len(self.seeds)
 
     @cached_property
-    def axis_pair(self) -> Pair:
-        """Unit vector (3,) of the imposed spins, in twice the precision."""
-        vector = np.array([0.0, 0.0, 1.0] if self.lattice.dimension == 2 else self.direction, dtype=np.float64)
-        vector = np.ldexp(vector, -int(np.frexp(np.abs(vector).max())[1]))
-        squares = two_product(vector, vector)
-        total = exactly(np.zeros(1))
-        for k in range(3):
-            total = add(total, (squares[0][k : k + 1], squares[1][k : k + 1]))
-        return divide(exactly(vector), square_root(total))
+    def driving(self) -> Driving:
+        """What is imposed on the two planes."""
+        if self.top is not None and self.bottom is not None:
+            return Driving.by_states(self.lattice, self.top, self.bottom)
+        return Driving.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
 
     @property
-    def axis_vector(self) -> np.ndarray:
-        """Unit vector (3,) of the imposed spins."""
-        return self.axis_pair[0]
+    def imposed(self) -> tuple[float, float]:
+        """Spins of bottom and top, 1/time; where states are imposed, their largest sizes on the planes."""
+        return (self.spin_bottom, self.spin_top) if self.top is None else self.driving.largest_spins
+
+    @property
+    def fastest(self) -> float:
+        """The larger of their sizes, 1/time."""
+        return max(map(abs, self.imposed))
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:
@@ -243,38 +255,28 @@ class Scene:
         Where top and bottom agree, the staggered spin is constant (equations.md, 3). Nor is the component along the
         height of a cubic lattice ever needed: contacts along it do not feel it, so it is constant in each layer.
         """
-        jump = self.jump_pair[0]
-        height = self.lattice.height_axis
-        needed = tuple(k for k in self.lattice.all_spin_axes if jump[k] != 0.0 and k != height)
+        every, height = self.lattice.all_spin_axes, self.lattice.height_axis
+        jumps = [bool(jump.any()) for jump in self.driving.imposed_on_top(every)[0]]
+        needed = tuple(k for k, jump in zip(every, jumps, strict=True) if jump and k != height)
         return needed or self.lattice.all_spin_axes[:1]  # no frustration: one component, to have something to show
 
-    def driven_values(self, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Staggered spin (C,) of the bottom and of the top plane: zero and the jump.
+    def top_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Staggered spin of the top plane, (C, *plane), 1/time; that of the bottom is 0.
 
-        All staggered spins are measured from the bottom, whose bearing state makes no contact slip (equations.md, 1).
+        All staggered spins are measured from the bottom's bearing state, in which no contact slips (equations.md, 1).
         Where the driving is nearly equal, slips are then not lost in the rounding of the spins.
         """
-        top = self.jump_pair[0][list(spin_axes)]
-        return np.zeros_like(top), top
+        return self.driving.imposed_on_top(spin_axes)[0]
 
-    @cached_property
-    def jump_pair(self) -> Pair:
-        """Imposed staggered spin (3,) of the top above that of the bottom, in twice the precision, 1/time."""
-        return multiply(two_sum(np.array([self.spin_top]), np.array([-self.spin_bottom])), self.axis_pair)
-
-    @cached_property
-    def bottom_pair(self) -> Pair:
-        """Staggered spin (3,) of the bottom, from which all others are measured, in twice the precision, 1/time."""
-        return multiply(exactly(np.array([self.spin_bottom])), self.axis_pair)
-
-    def bottom_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(C,) what the staggered spins are measured from, 1/time."""
-        return self.bottom_pair[0][list(spin_axes)]
+    def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """(2, C) lower and upper ends of the interval in which a minimiser has each component (equations.md, 4)."""
+        top = self.top_spin(spin_axes).reshape(len(spin_axes), -1)
+        return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     @property
     def jump(self) -> float:
-        """|difference of the imposed staggered spins|, 1/time: the natural unit of spin differences."""
-        return abs(self.spin_top - self.spin_bottom)
+        """|difference of the imposed staggered spins|, the largest on the plane, 1/time: the natural unit of them."""
+        return self.driving.largest_jump
 
     @property
     def strength(self) -> float:
@@ -367,18 +369,17 @@ class Scene:
         """
         every = self.lattice.all_spin_axes
         high = np.empty((len(every), self.replicas, *self.lattice.shape))
-        low = np.zeros_like(high)
+        low, top = np.zeros_like(high), self.driving.imposed_on_top(every)
         for slot, component in enumerate(every):
-            top = self.jump_pair[0][component]
-            high[slot] = np.linspace(0.0, top, self.lattice.shape[-1])
             if component in spin_axes:
                 high[slot] = staggered[spin_axes.index(component)]
                 if rest is not None:
                     low[slot] = rest[spin_axes.index(component)]
-            if top != 0:
-                low[slot][..., -1] = self.jump_pair[1][component]
-        bottom = tuple(part[list(every)].reshape(-1, *(1,) * (high.ndim - 1)) for part in self.bottom_pair)
-        pair = [part * self.lattice.parity for part in add((high, low), (bottom[0], bottom[1]))]
+            else:
+                high[slot] = np.linspace(0.0, top[0][slot], self.lattice.shape[-1], axis=-1)
+            low[slot][..., -1] = np.where(top[0][slot] != 0, top[1][slot], low[slot][..., -1])
+        bottom = self.driving.bottom_state(every)
+        pair = [part * self.lattice.parity for part in add((high, low), bottom)]
         spin, rounding = (
             p[0] if self.lattice.dimension == 2 else np.ascontiguousarray(np.moveaxis(p, 0, -1)) for p in pair
         )
@@ -391,13 +392,12 @@ class Scene:
         else:
             staggered = np.moveaxis((spin * self.lattice.parity[..., None])[..., list(spin_axes)], -1, 0)
             staggered = np.ascontiguousarray(staggered, dtype=np.float64)
-        staggered -= self.bottom_spin(spin_axes).reshape(-1, *(1,) * (staggered.ndim - 1))
+        staggered -= self.driving.bottom_state(spin_axes)[0]
         return self.impose_driving(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """The same staggered spins (C, R, *N), changed in place: the driven planes carry their imposed values."""
-        for slot, (bottom, top) in enumerate(zip(*self.driven_values(spin_axes), strict=True)):
-            staggered[slot][..., 0], staggered[slot][..., -1] = bottom, top
+        staggered[..., 0], staggered[..., -1] = 0.0, self.top_spin(spin_axes)[:, None]
         return staggered
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -405,7 +405,7 @@ class Scene:
 
         A minimiser lies there, and clipping never raises the power.
         """
-        low, high = np.sort(self.driven_values(spin_axes), axis=0)
+        low, high = self.box(spin_axes)
         shape = (-1, *(1,) * (staggered.ndim - 1))
         return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
@@ -423,6 +423,20 @@ def _direction(given: Any) -> tuple[float, float, float]:
     if ((sizes > 0) & (sizes / sizes.max() < FAINT)).any():
         raise InputError(f"direction is {list(parts)}; a part that is not 0 must be {FAINT:g} of the largest or more")
     return parts
+
+
+def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
+    """A state as (A_x, A_y, A_z, C), in 2D (A_z,), of three or four numbers, in 2D of one; 0 alone is at rest."""
+    try:
+        parts = tuple(finite_number(name, part) for part in (given if isinstance(given, Iterable) else (given,)))
+    except (TypeError, InputError):
+        parts = ()
+    if dimension == 2 and len(parts) == 1:
+        return parts
+    if dimension == 3 and (len(parts) in (3, 4) or parts == (0.0,)):
+        return (*parts, 0.0) if len(parts) == 3 else parts if len(parts) == 4 else (0.0,) * 4
+    needed = "one number, the spin about z" if dimension == 2 else "A_x, A_y, A_z, and C if it is not 0"
+    raise InputError(f"{name} is {shown(given)}; the state of a plane must be {needed}")
 
 
 def _seeds(given: Any) -> tuple[int, ...]:

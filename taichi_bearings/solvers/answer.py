@@ -180,12 +180,12 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
 
 def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
-    by_axis = scene.lattice.by_axis
+    by_axis, (bottom, top) = scene.lattice.by_axis, scene.imposed
     samples = Samples(
-        scene.lattice.shape, scene.law.name, by_axis(scene.coefficient), scene.spin_top, scene.spin_bottom,
+        scene.lattice.shape, scene.law.name, by_axis(scene.coefficient), top, bottom,
         scene.direction, scene.normal_force, scene.lattice.radius, spin, spin_rounding,
         friction_by_axis(friction, scene.lattice),
-        by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (),
+        by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (), scene.top, scene.bottom,
     )  # fmt: skip
     return Judgement(samples) if samples.can_be_judged else None
 

@@ -33,7 +33,7 @@ def replica_sum(values: np.ndarray) -> np.ndarray:
 
 def absolute(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for kinetic energies."""
-    return staggered + scene.bottom_spin(spin_axes).reshape(-1, *(1,) * (staggered.ndim - 1))
+    return staggered + scene.driving.bottom_state(spin_axes)[0]
 
 
 def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ...], inertia: float) -> np.ndarray:

@@ -66,7 +66,7 @@ class GradientDescentMethod:
         if self.viscosity is not None:
             fields.load("viscosity", layout.at_lower_sphere(self.viscosity))
         box = np.zeros((2, 3))  # lower and upper ends
-        box[:, : len(self.spin_axes)] = np.sort(scene.driven_values(self.spin_axes), axis=0)
+        box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)
         self.box = box.ravel().tolist()
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
         self.team = Team(team_size(layout, self.stencil.components))

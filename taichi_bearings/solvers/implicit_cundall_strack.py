@@ -25,7 +25,14 @@ from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.solvers.cundall_strack import BELIEVED
-from taichi_bearings.solvers.dynamics import RestWatch, Saturation, default_inertia, elastic_share, moving_spin_axes
+from taichi_bearings.solvers.dynamics import (
+    RestWatch,
+    Saturation,
+    absolute,
+    default_inertia,
+    elastic_share,
+    moving_spin_axes,
+)
 from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
@@ -65,9 +72,10 @@ class ImplicitCundallStrackMethod:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         options = self.options
         self.inertia = options.inertia or default_inertia(scene, options.mass)
-        self.system = lattice_system(scene.lattice, self.spin_axes, scene.driven_values(self.spin_axes)[1])
+        self.system = lattice_system(scene.lattice, self.spin_axes, scene.top_spin(self.spin_axes))
         self.imposed = _imposed(scene, self.system, self.spin_axes)
-        self.bottom_spins = np.tile(scene.bottom_spin(self.spin_axes), self.system.unknowns // len(self.spin_axes))
+        at_rest = np.zeros((len(self.spin_axes), 1, *scene.lattice.shape))
+        self.bottom_spins = free_spins(absolute(scene, at_rest, self.spin_axes))[0]
         staggered = scene.staggered_spin(spin, self.spin_axes)
         self._set_stage(float(np.abs(staggered).max()) or 1.0)
         free = free_spins(staggered)
@@ -313,10 +321,12 @@ class ImplicitCundallStrackMethod:
 
 def _imposed(scene: Scene, system: ContactSystem, spin_axes: tuple[int, ...]) -> Arrays:
     """What the driven spheres, as they turn in the laboratory, add to the differences: (d, n) a group."""
-    bottom = scene.bottom_spin(spin_axes)
-    top = bottom + scene.driven_values(spin_axes)[1]
+    at_rest = np.zeros((len(spin_axes), 1, *scene.lattice.shape))
+    spins = absolute(scene, scene.impose_driving(at_rest, spin_axes), spin_axes).reshape(len(spin_axes), -1)
+    lower, upper = scene.lattice.ends
     return Grouped(
-        top[places.slot] * (group.above < 0) - bottom[places.slot] * (group.below < 0)
+        spins[places.slot, upper[places.contact]] * (group.above < 0)
+        - spins[places.slot, lower[places.contact]] * (group.below < 0)
         for group, places in zip(system.groups, system.places, strict=True)
     )
 

@@ -22,7 +22,13 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.conic.central_path import Path, balance, flowing
-from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import (
+    ContactSystem,
+    above_free_spins,
+    free_spins,
+    lattice_system,
+    place_free_spins,
+)
 from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -33,7 +39,7 @@ from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect
-from taichi_bearings.numerics.double_double import Pair, multiply, two_sum
+from taichi_bearings.numerics.double_double import Pair, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
@@ -90,7 +96,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
 _Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None]
 
 
-def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
+def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
     """What all samples of a lattice have in common: made once for small ones, of which there are many."""
     if lattice.sites < QUICK:
         return _kept_skeleton(threading.get_ident(), lattice, spin_axes, jump)
@@ -104,9 +110,10 @@ def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
     return _new_skeleton(*alike)
 
 
-def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: tuple[float, ...]) -> _Skeleton:
-    system, order = lattice_system(lattice, spin_axes, np.array(jump)), dissect(lattice.free_shape, spin_axes)
-    if not any(jump):  # nothing turns, and nothing is to be solved
+def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
+    top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
+    system, order = lattice_system(lattice, spin_axes, top), dissect(lattice.free_shape, spin_axes)
+    if not top.any():  # nothing turns, and nothing is to be solved
         return system, order, None
     return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < SMALL else None)
 
@@ -122,11 +129,10 @@ class InteriorPointMethod:
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        sign, axes = np.sign(scene.spin_top - scene.spin_bottom), list(self.spin_axes)
-        self.top = (sign * scene.axis_pair[0][axes], sign * scene.axis_pair[1][axes])
-        jump = self.top[0]
-        self.frustrated = bool((jump != 0).any())
-        self.system, self.order, matrix = _skeleton(scene.lattice, self.spin_axes, tuple(jump.tolist()))
+        top, self.unit = scene.driving.top_in_units(self.spin_axes), float(scene.driving.unit[0][0])
+        self.frustrated = bool(top[0].any())
+        self.system, self.order, matrix = _skeleton(scene.lattice, self.spin_axes, top[0].tobytes())
+        self.top = above_free_spins(top, scene.lattice)
         if matrix is not None:
             self.matrix = matrix
             compile_passes()  # all before the clock starts
@@ -136,10 +142,10 @@ class InteriorPointMethod:
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
     def _start(self, spin: np.ndarray) -> np.ndarray:
-        """Free spins (R, unknowns) in units of the jump, inside the interval of the driven ones."""
+        """Free spins (R, unknowns) in units of the driving, inside the interval of the driven ones."""
         scene = self.scene
         inside = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
-        return free_spins(inside / (scene.jump or 1.0))
+        return free_spins(inside / (self.unit or 1.0))
 
     def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
         scene = self.scene
@@ -147,7 +153,7 @@ class InteriorPointMethod:
         strength = friction
         beside = scene.viscosity_beside_friction
         if beside is not None:
-            flow = scene.lattice.radius * scene.jump / scene.normal_force * self.system.gather(beside, replica)
+            flow = scene.lattice.radius * self.unit / scene.normal_force * self.system.gather(beside, replica)
             strength = friction + flow
         unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*strength]))))))  # dividing by it rounds nothing
         if beside is not None and self.frustrated:
@@ -279,7 +285,7 @@ class InteriorPointMethod:
 
     def progress(self) -> Progress:
         scene = self.scene
-        (staggered, rest), speed = self._spins(), scene.lattice.radius * scene.jump
+        (staggered, rest), speed = self._spins(), scene.lattice.radius * self.unit
         state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)
         force = np.zeros((len(self.spin_axes), *slip.shape))
         answers = [sample.resolved or sample.iterate for sample in self.samples]
@@ -332,10 +338,8 @@ class InteriorPointMethod:
             high[number] = (sample.resolved or sample.iterate).spins
             if sample.resolved is not None and sample.resolved.rest is not None:
                 low[number] = sample.resolved.rest
-        sign = np.sign(self.scene.spin_top - self.scene.spin_bottom)
-        jump = two_sum(np.array([sign * self.scene.spin_top]), np.array([-sign * self.scene.spin_bottom]))
         found = np.zeros((2, len(self.spin_axes), len(high), *self.scene.lattice.shape))
-        for whole, free in zip(found, multiply(jump, (high, low)), strict=True):
+        for whole, free in zip(found, multiply(self.scene.driving.unit, (high, low)), strict=True):
             place_free_spins(whole, slice(None), free)
         return found[0], found[1]
 

@@ -39,7 +39,6 @@ class LinearSolverMethod:
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        self.bottom, self.top = scene.driven_values(self.spin_axes)
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
@@ -103,7 +102,6 @@ class LinearSolverMethod:
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
         force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
-        fastest = max(abs(scene.spin_top), abs(scene.spin_bottom))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -112,7 +110,7 @@ class LinearSolverMethod:
             force=force,
             objective=scene.objective(staggered, self.spin_axes),
             lower_bound=lower_bound(scene, force, self.spin_axes),
-            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
+            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
             largest_balance_residual=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=self.iteration == len(self.bundles),
             needed=len(self.bundles),

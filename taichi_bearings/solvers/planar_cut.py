@@ -30,10 +30,10 @@ class PlanarCutMethod:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         (self.component,) = self.spin_axes
-        self.bottom, self.top = (float(value[0]) for value in scene.driven_values(self.spin_axes))
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.state = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
-        planes = 1 if scene.lattice.dimension == 2 else scene.lattice.shape[self.component]
+        self.top = self._by_plane(scene.top_spin(self.spin_axes)[..., None])[0, :, 0, 0]  # (planes,)
+        planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
         self.absent = bool((scene.coefficient == 0).any())  # then ties are not known exactly
@@ -45,21 +45,16 @@ class PlanarCutMethod:
     def advance(self, steps: int) -> None:
         """Cut every grid, or turn everything alike where top and bottom agree."""
         self.iteration += 1
-        if self.top == self.bottom:
-            self.staggered[...] = self.bottom
-            return
+        self._by_plane(self.staggered[0])[:, self.top == 0] = 0.0  # no jump: all turns alike
         height = self.scene.lattice.height_axis
         (sideways,) = (axis for axis in range(height) if axis != self.component)
         coefficient = self.scene.lattice.by_axis(self.scene.positive_coefficient)
-        replicas, planes, *_ = self._by_plane(coefficient[height]).shape
-        replica, plane = (index.ravel() for index in np.indices((replicas, planes)))
-        weights = [
-            values.reshape(-1, *values.shape[2:])
-            for values in (self._by_plane(coefficient[axis]) for axis in (sideways, height))
-        ]
-        for part, cuts in minimum_cuts(*weights):
+        replica, plane = (index.ravel() for index in np.indices((self.scene.replicas, len(self.top))))
+        replica, plane = replica[self.top[plane] != 0], plane[self.top[plane] != 0]
+        weights = [self._by_plane(coefficient[axis])[replica, plane] for axis in (sideways, height)]
+        for part, cuts in minimum_cuts(*weights) if len(plane) else ():
             where = replica[part], plane[part]
-            self._by_plane(self.staggered[0])[where] = np.where(cuts.above, self.top, self.bottom)
+            self._by_plane(self.staggered[0])[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
             self._store(
                 sideways, where, cuts.above[:, 1:] != cuts.above[:, :-1], cuts.sideways_flow, cuts.sideways_tied
             )
@@ -70,7 +65,7 @@ class PlanarCutMethod:
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
     ) -> None:
         """Friction and states of the contacts along `axis`; those that slip at some minima only are tied."""
-        friction = flow * (np.sign(self.top - self.bottom) * self.scene.normal_force)
+        friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
         self._by_plane(self.scene.lattice.by_axis(self.force[0])[axis])[where] = friction
         states = self._by_plane(self.scene.lattice.by_axis(self.state)[axis])
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
@@ -94,7 +89,6 @@ class PlanarCutMethod:
             "next_cut_over_minimum": self.next_over_minimum.min(axis=1),
             "tied_contacts": tied,
         }
-        fastest = max(abs(scene.spin_top), abs(scene.spin_bottom))
         return Progress(
             iteration=self.iteration,
             staggered=self.staggered.copy(),
@@ -102,13 +96,13 @@ class PlanarCutMethod:
             force=self.force.copy(),
             objective=scene.objective(self.staggered, axes),
             lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
-            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * fastest,
+            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
             largest_balance_residual=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
             state=self.state.copy() if cut else None,
             settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
             states_proven=unique if cut else None,
-            findings=findings if cut and self.top != self.bottom and not self.absent else {},
+            findings=findings if cut and self.top.any() and not self.absent else {},
         )
 
 

@@ -176,14 +176,14 @@ class RigidLimitMethod:
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
         scene, moving = self.scene, []
-        bottom, (_, jump) = scene.bottom_spin(self.spin_axes), scene.driven_values(self.spin_axes)
+        bottom, top = scene.driving.bottom_state(self.spin_axes)[0], scene.top_spin(self.spin_axes)
         for component in self.moving:
             slot = self.spin_axes.index(component)
             free = self.staggered[slot][..., 1:-1]
             rest = np.zeros_like(free)
             if component == scene.lattice.height_axis:
                 rest = np.broadcast_to(free.mean(axis=(1, 2), keepdims=True), free.shape)
-            elif jump[slot] != 0:
+            elif top[slot].any():
                 moving.append(component)
                 continue
             energy = self.inertia / 2 * replica_sum(((free - rest) * (free + rest + 2 * bottom[slot]))[None])

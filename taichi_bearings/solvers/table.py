@@ -129,9 +129,10 @@ class PlanarCut(MethodOptions):
             return reason
         if len(scene.minimum_spin_axes) == 1:
             return ""
-        return (
-            f"method {cls.name} needs imposed spins about x or about y alone on a cubic lattice; "
+        return f"method {cls.name} needs imposed spins about x or about y alone on a cubic lattice; " + (
             f"direction is {list(scene.direction)}"
+            if scene.top is None
+            else f"top is {scene.top}, bottom {scene.bottom}"
         )
 
     @classmethod

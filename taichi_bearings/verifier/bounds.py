@@ -50,13 +50,14 @@ def work_of(samples: Samples) -> Work:
     work = price = cost = Enclosure.exact(np.zeros(count))
     largest, saturation = np.zeros(count), np.zeros(count)
     for k, torque in samples.torques.items():  # nothing that turns about others does any work
-        jump, signed = samples.jump[k], torque.signed(samples.sublattice)
-        top, free = signed[..., -1].reshaped((count, -1)), signed[..., 1:-1].reshaped((count, -1))
-        work = work + row_sum(top) * spread(jump, count)
-        largest = np.maximum(largest, free.most.max(axis=1, initial=0.0))
+        signed = torque.signed(samples.sublattice)
+        top, free = signed[..., -1], signed[..., 1:-1]
+        on_top, everywhere = (samples.jump_over(k, axes) for axes in (samples.dimension - 1, samples.dimension))
+        work = work + row_sum((top * on_top).reshaped((count, -1)))
+        largest = np.maximum(largest, free.most.reshape(count, -1).max(axis=1, initial=0.0))
         # the least of torque * spin for a spin from 0 to the jump: 0 where the two have the same sign for sure
-        taken = np.where(np.sign(jump.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
-        price = price + row_sum(Enclosure.exact(taken)) * spread(abs(jump), count)
+        taken = np.where(np.sign(everywhere.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
+        price = price + row_sum((Enclosure.exact(taken) * abs(everywhere)).reshaped((count, -1)))
     sizes = [length([Enclosure.exact(part) for part in turning.values()]) for turning in samples.turning]
     for axis, whole in enumerate(sizes):
         acts = ~samples.idle(axis)
@@ -123,7 +124,7 @@ def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.
             slope = samples.slope[axis].least
             root = np.sqrt(inside**2 + 2 * slope * excess)
             bound = np.where(excess > 0, 2 * excess / (inside + root), 0.0) + np.maximum(-room, 0.0) / slope
-        box = np.sqrt(sum(samples.jump[k].most[0] ** 2 for k in samples.felt(axis)))
+        box = np.sqrt(sum(samples.jump_over(k, samples.dimension).most ** 2 for k in samples.felt(axis)))
         bound = np.fmin(bound, box) * UP
         found.append(np.where(samples.between_driven(axis), 0.0, bound))
     return found

@@ -19,7 +19,7 @@ CHECKED = {
 }  # fmt: skip
 """Attributes that are recomputed, or that others of the file leave no choice."""
 CHECKED_SETTINGS = {
-    "law", "shape", "spin_top", "spin_bottom", "normal_force", "radius", "seed", "replicas",
+    "law", "shape", "spin_top", "spin_bottom", "top", "bottom", "normal_force", "radius", "seed", "replicas",
 }  # fmt: skip
 ON_HOST = {"arch": "cpu", "precision": "f64"}
 DESCRIPTIONS = "units and descriptions"
@@ -34,11 +34,11 @@ def agree(run: StoredRun) -> Iterator[str]:
     """The scene in the file, from which it can be run again, is the one whose numbers these are."""
     settings, samples = run.settings, run.samples
     seed = run.claimed("seed")
+    by_spins = {"spin_top": samples.spin_top, "spin_bottom": samples.spin_bottom} if samples.top is None else {}
     expected = {
         "law": samples.law,
         "shape": list(samples.shape),
-        "spin_top": samples.spin_top,
-        "spin_bottom": samples.spin_bottom,
+        **by_spins,
         "normal_force": samples.normal_force,
         "radius": samples.radius,
         "seed": seed[0],
@@ -126,8 +126,10 @@ def not_checked(run: StoredRun, judged: bool) -> list[str]:
         sure |= {"status"}
     if settings.get("method") != "auto":
         sure |= {"method"}
-    if samples.dimension == 3:
+    if samples.dimension == 3 and samples.top is None:
         keys |= {"direction"}
+    if samples.top is not None:
+        keys -= {"spin_top", "spin_bottom"}
     if "slip_threshold" in settings:
         sure, keys = sure | {"slip_threshold"}, keys | {"slip_threshold"}
     if is_dynamics and "duration" in settings:

@@ -153,9 +153,9 @@ def _cut_off(samples: Samples) -> np.ndarray:
 
 
 def _joined(samples: Samples, number: int, component: int) -> bool:
-    """True if contacts that feel a component lead from the bottom of a sample to its top."""
+    """True if contacts that feel a component lead from the bottom of a sample to its top, in a layer with a jump."""
     reached, before = np.zeros(samples.shape, dtype=bool), -1
-    reached[..., 0] = True
+    reached[..., 0] = samples.jump_over(component, samples.dimension - 1).most[0] > 0
     while int(reached.sum()) > before:
         before = int(reached.sum())
         for axis in range(samples.dimension):

@@ -33,7 +33,8 @@ class Slips:
 class Motion:
     """The spins of samples, exactly: what the file says of the free spheres, and exactly what is imposed on the others.
 
-    Spheres that contacts without slip join are a domain of a component; those joined to a driven plane turn with it.
+    Spheres that contacts without slip join are a domain of a component; those joined to a driven plane turn with it, as
+    it turns in their layer.
     """
 
     samples: Samples
@@ -68,7 +69,7 @@ class Motion:
         """Number (R, *N) of the domain of each sphere, component by component: 0 and 1 for all that turns with the
         bottom and with the top, 2 and more for the others, of all samples together. Of components that differ between
         the planes, or seem to; nobody asks for others."""
-        some = (k for k in self.samples.components if self._jumps(k) or self.shift[k].most.any())
+        some = (k for k in self.samples.components if self.samples.jumps(k) or self.shift[k].most.any())
         return {k: self.domains(k, self.still) for k in some}
 
     def domains(self, component: int, joined_by: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -81,28 +82,28 @@ class Motion:
             low, high = samples.ends(axis)
             joins[..., slot][low] = joined_by[axis]
             ahead[..., slot][low] = sphere[high]
-        joins[..., [0, -1], -1] = True  # and to the first of its plane
-        ahead[..., 0, -1], ahead[..., -1, -1] = (end[..., 0] for end in ends_of(sphere))
+        joins[..., [0, -1], -1] = True  # and to the first of its plane and layer
+        ahead[..., [0, -1], -1] = samples.first_in_layers(sphere, component)[..., [0, -1]]
         degree = sum(joins[..., slot].ravel() for slot in range(len(felt) + 1))
         begin = np.append(0, np.cumsum(degree))
         graph = sparse.csr_array((np.ones(begin[-1]), ahead[joins], begin), shape=(sphere.size,) * 2)
         label = connected_components(graph, directed=False)[1].reshape(sphere.shape)
-        bottom, top = ends_of(label)
-        return np.where(label == bottom, 0, np.where(label == top, 1, label + 2))
+        first = samples.first_in_layers(label, component)
+        return np.where(label == first[..., :1], 0, np.where(label == first[..., -1:], 1, label + 2))
 
     @cached_property
     def torn(self) -> np.ndarray:
         """(R,), True if contacts without slip join bottom and top in a component in which they differ: impossible."""
-        jumps = [k for k in self.samples.components if self._jumps(k)]
-        joined_planes = [(self.domain[k][..., -1] == 0).reshape(self.samples.count, -1).any(axis=1) for k in jumps]
-        return np.any([np.zeros(self.samples.count, dtype=bool), *joined_planes], axis=0)
-
-    def _jumps(self, component: int) -> bool:
-        return bool(self.samples.jump[component].most[0] > 0)
+        samples, found = self.samples, np.zeros(self.samples.count, dtype=bool)
+        for k in (k for k in samples.components if samples.jumps(k)):
+            differs = samples.jump_over(k, samples.dimension - 1).most > 0
+            found |= ((self.domain[k][..., -1] == 0) & differs).reshape(samples.count, -1).any(axis=1)
+        return found
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """(R,), what the signed spin of the top, as stored, lacks of the imposed one, measured from the bottom.
+        """(R * layers,) or (R,), what the signed spin of the top, as stored, lacks of the imposed one, measured from
+        the bottom; one a layer along the component where the jump varies.
 
         It is far below the rounding of the spins and yet not of the smallest slips.
         """
@@ -110,11 +111,14 @@ class Motion:
         with localcontext() as context:
             context.prec = DIGITS
             for k, stored in self.samples.signed_spin.items():
-                corners = np.concatenate([end.reshape(1, -1) for part in stored for end in ends_of(part)])
+                jump = self.samples.exact_jump[k]
+                first = [self.samples.first_in_layers(part, k).reshape(self.samples.count, -1, part.shape[-1])
+                         for part in stored]  # fmt: skip
+                corners = np.stack([part[:, : len(jump), end] for part in first for end in (0, -1)], axis=-1)
                 missing = [
-                    self.samples.exact_jump[k]
-                    - sum(sign * Decimal(float(v)) for sign, v in zip((-1, 1, -1, 1), of_one, strict=True))
-                    for of_one in corners.T
+                    jump[layer] - sum(sign * Decimal(float(v)) for sign, v in zip((-1, 1, -1, 1), of_one, strict=True))
+                    for of_sample in corners
+                    for layer, of_one in enumerate(of_sample)
                 ]
                 found[k] = Enclosure.of_decimals(missing)
         return found
@@ -139,8 +143,16 @@ class Motion:
             at_top = (self.domain[component] == 1).ravel()
             sign = at_top[slips.upper].astype(float) - at_top[slips.lower]
             some = np.flatnonzero(sign)
-            found.put(some, found.at(some) + self.shift[component].at(slips.sample[some]).signed(sign[some]))
+            found.put(some, found.at(some) + self._shift_at(component, slips, some).signed(sign[some]))
         return found
+
+    def _shift_at(self, component: int, slips: Slips, some: np.ndarray) -> Enclosure:
+        """What the top lacks in the layers of some of these contacts."""
+        layers, place = len(self.samples.exact_jump[component]), slips.sample[some]
+        if layers > 1:
+            sphere = slips.lower[some] % self.samples.sublattice.size
+            place = place * layers + np.unravel_index(sphere, self.samples.shape)[component]
+        return self.shift[component].at(place)
 
     @cached_property
     def size(self) -> tuple[Enclosure, ...]:
@@ -179,17 +191,11 @@ def numbers_of(samples: Samples) -> np.ndarray:
     return np.arange(samples.count * math.prod(samples.shape)).reshape(samples.count, *samples.shape)
 
 
-def whole_planes(samples: Samples) -> np.ndarray:
-    """The same, one for all spheres of a driven plane."""
+def whole_planes(samples: Samples, component: int) -> np.ndarray:
+    """The same, one for all spheres of a driven plane in a layer along the component."""
     number = numbers_of(samples)
-    number[..., 0], number[..., -1] = (end[..., 0] for end in ends_of(number))
+    number[..., [0, -1]] = samples.first_in_layers(number, component)[..., [0, -1]]
     return number
-
-
-def ends_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of values (R, *N), those of one sphere of the bottom and of one of the top, (R, 1, ...)."""
-    corner = (slice(None), *(slice(0, 1),) * (values.ndim - 2))
-    return values[corner + (slice(0, 1),)], values[corner + (slice(-1, None),)]
 
 
 def spread(one: Enclosure, count: int) -> Enclosure:

@@ -4,7 +4,10 @@ Everything is in the laboratory frame. With n the direction of a contact, s = +1
 w_i, w_j the spins at its lower and upper end, the upper surface slips past the lower one with v = -R (w_i + w_j) x n
 (paper, Eq. 2); friction F on the upper sphere turns both spheres alike, with the torque -R n x F. Call s w the signed
 spin: across a contact the sum w_i + w_j is, up to its sign, the difference of the signed spins, and where all signed
-spins are equal nothing slips. Such a bearing state can be added to all spins, so these are measured from the bottom.
+spins are equal nothing slips, nor does it where they are A + C x, which differs along the contacts alone. Such a
+bearing state can be added to all spins, so these are measured from that of the bottom. Component k of the jump, the
+state of the top measured so, depends on x_k alone, and no contact that feels component k leads from a layer x_k to
+another: what is said of a component is said layer by layer.
 """
 
 from __future__ import annotations
@@ -34,6 +37,8 @@ class Samples:
     coefficient : one array (R, *contacts) an axis; viscosity : the same of contacts that have friction and damping,
     else empty. spin, spin_rounding : (R, *N, 3), in 2D (R, *N); the spin is the sum of the two.
     friction : (R, *contacts, 3) an axis, on the upper sphere; in 2D the component along z x n.
+    top, bottom : states (A_x, A_y, A_z, C) that are imposed, in 2D (A_z,), x from the first sphere; spin_top and
+    spin_bottom are then their largest sizes on the planes. None: spins along `direction`.
     """
 
     shape: tuple[int, ...]
@@ -48,6 +53,8 @@ class Samples:
     spin_rounding: np.ndarray
     friction: tuple[np.ndarray, ...]
     viscosity: tuple[np.ndarray, ...] = ()
+    top: tuple[float, ...] | None = None
+    bottom: tuple[float, ...] | None = None
 
     @property
     def count(self) -> int:
@@ -74,7 +81,7 @@ class Samples:
         or not positive where they must be."""
         if self.law not in LAWS:
             return False
-        scales = [self.normal_force, self.radius, abs(self.spin_top - self.spin_bottom) or 1.0]
+        scales = [self.normal_force, self.radius, self.jump_size or 1.0]
         strengths = [self.normal_force * c for c in self.coefficient]
         strengths += [self.radius * self.spin_unit * values for values in self.viscosity]
         arrays = (self.spin, self.spin_rounding, *self.friction, *strengths)
@@ -84,7 +91,7 @@ class Samples:
             and all(size < MOST for size in sizes)  # False for what is no number
             and all(bool(((values > LEAST) | (values == 0)).all()) for values in strengths)
             and all(((c == 0) == (v == 0)).all() for c, v in zip(self.coefficient, self.viscosity, strict=False))
-            and all(value == 0 or abs(value) > SMALLEST for value in self.exact_jump.values())
+            and all(value == 0 or abs(value) > SMALLEST for jump in self.exact_jump.values() for value in jump)
         )
 
     @property
@@ -105,34 +112,93 @@ class Samples:
         """Components that some minimum needs: others are the same everywhere, or, about the height, in each layer, at
         every minimum, but for motions that no contact feels."""
         height = self.dimension - 1
-        return tuple(k for k in self.components if self.jump[k].most[0] > 0 and k != height)
+        return tuple(k for k in self.components if self.jumps(k) and k != height)
 
     @cached_property
-    def exact_jump(self) -> dict[int, Decimal]:
-        """By component, signed spin of the top less that of the bottom, in units of `spin_unit`, to DIGITS digits."""
+    def states(self) -> tuple[list[Decimal], list[Decimal]]:
+        """States (A_x, A_y, A_z, C) of bottom and top, to DIGITS digits."""
         with localcontext() as context:
             context.prec = DIGITS
-            whole = (Decimal(self.spin_top) - Decimal(self.spin_bottom)) / Decimal(self.spin_unit)
-            if self.dimension == 2:
-                return {2: whole}
-            parts = [Decimal(d) for d in self.direction]
+            if self.top is not None and self.bottom is not None:
+                padded = ((0.0, 0.0, *s, 0.0) if len(s) == 1 else s for s in (self.bottom, self.top))
+                bottom, top = ([Decimal(part) for part in state] for state in padded)
+                return bottom, top
+            parts = [Decimal(d) for d in ((0.0, 0.0, 1.0) if self.dimension == 2 else self.direction)]
             size = sum((part * part for part in parts), Decimal(0)).sqrt()
-            return {k: whole * part / size for k, part in enumerate(parts)}
+            bottom, top = (
+                [*(Decimal(spin) * part / size for part in parts), Decimal(0)]
+                for spin in (self.spin_bottom, self.spin_top)
+            )
+            return bottom, top
+
+    @cached_property
+    def exact_jump(self) -> dict[int, list[Decimal]]:
+        """By component k, signed spin of the top less that of the bottom's state, in units of `spin_unit`, in each
+        layer x_k along k, one where it is the same in all of them, to DIGITS digits."""
+        with localcontext() as context:
+            context.prec = DIGITS
+            if self.top is None:  # the difference of the spins first, which may be far below both
+                whole = (Decimal(self.spin_top) - Decimal(self.spin_bottom)) / Decimal(self.spin_unit)
+                parts = [Decimal(d) for d in ((0.0, 0.0, 1.0) if self.dimension == 2 else self.direction)]
+                size = sum((part * part for part in parts), Decimal(0)).sqrt()
+                return {k: [whole * parts[k] / size] for k in self.components}
+            unit = Decimal(self.spin_unit)
+            return {
+                k: [(high - low) / unit for low, high in zip(*self.imposed_in_layers(k), strict=True)]
+                for k in self.components
+            }
+
+    @property
+    def is_layered(self) -> bool:
+        """True if what is imposed varies along a plane."""
+        return any(state is not None and len(state) == 4 and state[3] != 0 for state in (self.top, self.bottom))
+
+    def imposed_in_layers(self, component: int) -> tuple[list[Decimal], list[Decimal]]:
+        """Component k of the states of bottom and top at the top plane, layer by layer along k; one value where all
+        are the same."""
+        with localcontext() as context:
+            context.prec = DIGITS
+            height, spacing = self.dimension - 1, 2 * Decimal(self.radius)
+            (low, fall), (high, rise) = ((state[component], state[3]) for state in self.states)
+            last = self.shape[-1] - 1
+            steps = range(self.shape[component]) if component < height else [last]
+            at = [spacing * step for step in steps] if self.is_layered else [Decimal(0)]
+            return [low + fall * x for x in at], [high + rise * x for x in at]
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """The same in doubles, (1,) each."""
-        return {k: Enclosure.of_decimals([value]) for k, value in self.exact_jump.items()}
+        """The same in doubles, (layers,) or (1,) each."""
+        return {k: Enclosure.of_decimals(values) for k, values in self.exact_jump.items()}
 
-    @property
+    def jumps(self, component: int) -> bool:
+        """True if the planes differ in this component."""
+        return bool((self.jump[component].most > 0).any())
+
+    def by_layer(self, values: np.ndarray, component: int, dimension: int) -> np.ndarray:
+        """Values (..., layers) or (..., 1) of component k in a shape that goes with (..., *N) of so many axes."""
+        sides = [-1 if axis == component else 1 for axis in range(dimension)]
+        return values.reshape(*values.shape[:-1], *(sides if values.shape[-1] > 1 else (1,) * dimension))
+
+    def jump_over(self, component: int, dimension: int) -> Enclosure:
+        """The jump in a shape that goes with arrays (R, *N), or (R, *plane), of so many axes of space."""
+        return Enclosure(*(self.by_layer(part[None], component, dimension) for part in self.jump[component].parts))
+
+    @cached_property
     def jump_size(self) -> float:
-        """|difference of the imposed spins|, rounded; 1/time."""
-        return abs(self.spin_top - self.spin_bottom)
+        """|difference of the imposed spins|, rounded, the largest on the top; 1/time."""
+        if self.top is None:
+            return abs(self.spin_top - self.spin_bottom)
+        squares = (self.by_layer(np.array([[float(v) for v in self.exact_jump[k]]]), k, self.dimension - 1) ** 2
+                   for k in self.components)  # fmt: skip
+        return float(np.sqrt(sum(squares, np.zeros(1)).max())) * self.spin_unit
 
     @cached_property
     def spin_unit(self) -> float:
         """A power of two near the jump; 1 without one."""
-        return _power_of_two(self.spin_top - self.spin_bottom)
+        if self.top is None:
+            return _power_of_two(self.spin_top - self.spin_bottom)
+        jumps = (high - low for k in self.components for low, high in zip(*self.imposed_in_layers(k), strict=True))
+        return _power_of_two(max(abs(float(jump)) for jump in jumps))
 
     @cached_property
     def force_unit(self) -> float:
@@ -168,7 +234,7 @@ class Samples:
     def signed_spin(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """Component by component, spins with the sign of their sublattice: pairs (R, *N) in units of `spin_unit`.
 
-        A driven plane turns as one, as its first sphere says.
+        A driven plane turns as one in each layer, as the first sphere there says.
         """
         pair = Enclosure.exact(self.spin / self.spin_unit, self.spin_rounding / self.spin_unit)
         found = {}
@@ -176,10 +242,17 @@ class Samples:
             high, low = (self.sublattice * (part if self.dimension == 2 else part[..., k]) for part in pair.parts[:2])
             for part in (high, low):
                 for plane in (0, -1):
-                    first = part[(slice(None),) + (0,) * (self.dimension - 1) + (plane,)]
-                    part[..., plane] = first.reshape(-1, *(1,) * (self.dimension - 1))
+                    part[..., plane] = self.first_in_layers(part, k)[..., plane]
             found[k] = (high, low)
         return found
+
+    def first_in_layers(self, values: np.ndarray, component: int) -> np.ndarray:
+        """Of values (R, *N) those of the first sphere of each layer along k, or, where all turn alike, of the first one
+        of all; with sides of 1 across, and the whole height."""
+        whole, first = slice(None), slice(0, 1)
+        varies = [self.is_layered and axis == component for axis in range(self.dimension - 1)]
+        where = (whole, *(whole if along else first for along in varies))
+        return np.asarray(values[where])
 
     @cached_property
     def strength(self) -> tuple[Enclosure, ...]:
@@ -215,7 +288,7 @@ class Samples:
     def torques(self) -> dict[int, Enclosure]:
         """Sum of that over the contacts of each sphere but those between driven ones, (R, *N) by component: of those
         that differ between the planes."""
-        return {k: self._torques(k) for k in self.components if self.jump[k].most[0] > 0}
+        return {k: self._torques(k) for k in self.components if self.jumps(k)}
 
     def _torques(self, component: int) -> Enclosure:
         total = Enclosure.exact(np.zeros((self.count, *self.shape)))

@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from taichi_bearings.verifier.balance import bearable
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
-from taichi_bearings.verifier.motion import Motion, ends_of, whole_planes
+from taichi_bearings.verifier.motion import Motion, whole_planes
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.ties import SATURATED, tied_states
 
@@ -107,10 +107,13 @@ def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
 
 def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     """One component: what is on the same side, or on opposite sides, of all lightest cuts."""
-    samples, place = motion.samples, whole_planes(motion.samples)
+    samples = motion.samples
     (k,) = samples.needed
-    sign = samples.sublattice[None] * (1.0 if samples.jump[k].high[0] > 0 else -1.0)
-    below, above, up, down, owner = [], [], [], [], []
+    place, jump = whole_planes(samples, k), samples.jump_over(k, samples.dimension)
+    sign = samples.sublattice[None] * np.where(jump.high > 0, 1.0, -1.0)
+    flat = np.broadcast_to(jump.most == 0, place.shape)  # layers without a jump: nothing slips there at any minimum
+    least = np.broadcast_to(jump.least, place.shape)
+    below, above, up, down, owner, drop = [], [], [], [], [], []
     for axis in range(samples.dimension):
         if k in samples.felt(axis):
             low, high = samples.ends(axis)
@@ -120,10 +123,14 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
             below.append(place[low].ravel())
             above.append(place[high].ravel())
             owner.append(np.repeat(np.arange(samples.count), bears.high[0].size))
-    lower, upper, of_sample = (np.concatenate(parts) for parts in (below, above, owner))
+            drop.append(least[low].ravel())
+    lower, upper, of_sample, of_layer = (np.concatenate(parts) for parts in (below, above, owner, drop))
     slack = joined(up), joined(down)
-    excess = sum(np.bincount(of_sample, np.maximum(s.error - s.high - s.low, 0.0), samples.count) for s in slack)
-    room = ((np.maximum(gap, 0.0) / samples.jump[k].least + excess) * UP)[of_sample]
+    beyond = sum(np.maximum(s.error - s.high - s.low, 0.0) for s in slack)
+    excess = np.bincount(of_sample, beyond, samples.count)
+    left = np.maximum(gap, 0.0) + (jump.most.max() * excess * UP if samples.is_layered else 0.0)  # of other layers
+    with np.errstate(divide="ignore", invalid="ignore"):  # nothing holds where there is no jump
+        room = (left[of_sample] / of_layer + excess[of_sample]) * UP
     # with more room than all have together: if the first sphere is above a lightest cut, so is the second
     held = [s.least * (s.high > 0) > room for s in slack]
     first = np.concatenate([upper[held[0]], lower[held[1]]])
@@ -131,12 +138,14 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     size = place.size
     follows = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size, size))
     together = connected_components(follows, directed=True, connection="strong")[1]
-    bottom, top = (end.ravel() for end in ends_of(place))
+    bottom, top = (np.unique(place[..., end][~flat[..., end]]) for end in (0, -1))
     is_above, is_below = _reached(follows, top), _reached(follows.T.tocsr(), bottom)
+    first = np.bincount(bottom // samples.sublattice.size, is_above[bottom], samples.count) > 0
     found = []
     for axis, coefficient in enumerate(samples.coefficient):
         a, b = (place[end] for end in samples.ends(axis))
         alike = (together[a] == together[b]) | (is_above[a] & is_above[b]) | (is_below[a] & is_below[b])
+        alike |= flat[samples.ends(axis)[0]]
         apart = (is_above[a] & is_below[b]) | (is_below[a] & is_above[b])
         states = np.where(alike, SLIPLESS, np.where(apart, SLIPPING, UNPROVEN))
         found.append(states if k in samples.felt(axis) else np.full(coefficient.shape, SLIPLESS))
@@ -144,7 +153,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     done = ~np.any([of_axis.reshape(samples.count, -1).any(axis=1) for of_axis in open_], axis=0)
     return [
         States(tuple(states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie")
-        if not is_above[bottom[r]]
+        if not first[r]
         else _nothing(samples, "the friction contradicts itself")
         for r in range(samples.count)
     ]

@@ -142,6 +142,8 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
         friction=by_axis("contact/{}/friction", parts),
         viscosity=by_axis("viscosity/{}") if all(LAWS[law]) else (),
+        top=_state(path, settings, "top", len(shape)),
+        bottom=_state(path, settings, "bottom", len(shape)),
     )
     last = f"contact/{axes[-1]}"
     names = [*REPORTED, *(name for name in ("slip_bound", "proven") if f"{last}/{name}" in file)]
@@ -181,6 +183,18 @@ def _array(path: Path, file: h5py.File, count: int, name: str, expected: tuple[i
     if stored.dtype.kind not in kinds:
         raise FileError(f"{path} has {name} of {stored.dtype}; it must hold {words}")
     return np.asarray(stored[()], dtype=np.float64).reshape(whole)
+
+
+def _state(path: Path, settings: dict[str, Any], name: str, dimension: int) -> tuple[float, ...] | None:
+    """A bearing state of the scene; that of the other plane alone makes it 0."""
+    if settings.get("top") is None and settings.get("bottom") is None:
+        return None
+    count = 1 if dimension == 2 else 4
+    stored = settings.get(name, [0.0] * count)
+    numbers = isinstance(stored, list) and all(type(part) in (int, float) for part in stored)
+    if not numbers or len(stored) not in ((1,) if dimension == 2 else (3, 4)) or not np.isfinite(stored).all():
+        raise FileError(f"the scene in {path} has {stored!r} for {name}; it must be {count} numbers")
+    return (*map(float, stored), *(0.0,) * (count - len(stored)))
 
 
 def _direction(path: Path, stored: Any) -> tuple[float, float, float]:

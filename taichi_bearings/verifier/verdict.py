@@ -122,23 +122,24 @@ def _driving(samples: Samples) -> Iterator[str]:
     They are sums of the bottom's and of the jump, each known to some 2^-100: a spin far below both is known no better.
     """
     lost = 2.0**-98 * (abs(samples.spin_top) + abs(samples.spin_bottom))
-    for plane, name, imposed in ((0, "bottom", samples.spin_bottom), (-1, "top", samples.spin_top)):
-        for k in samples.components:
-            spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
-            high, low = ((samples.sublattice * part)[..., plane] for part in spins)
-            expected = imposed * _along(samples, k)
-            uneven = any((part != part.reshape(samples.count, -1)[:, :1].reshape(-1, *(1,) * (part.ndim - 1))).any()
-                         for part in (high, low))  # fmt: skip
-            if uneven or np.abs(high - expected).max() > 4 * EPS * abs(imposed) + lost:
+    largest = {"bottom": 0.0, "top": 0.0}
+    for k in samples.components:
+        spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
+        signed = [samples.sublattice * part for part in spins]
+        first = [samples.first_in_layers(part, k) for part in signed]
+        on_top = samples.imposed_in_layers(k)
+        low = on_top[0] if k < samples.dimension - 1 else [samples.states[0][k]]
+        for plane, name, imposed in ((0, "bottom", low), (-1, "top", on_top[1])):
+            values = np.array([[float(value) for value in imposed]])
+            expected = samples.by_layer(values, k, samples.dimension - 1)
+            largest[name] = largest[name] + expected**2  # type: ignore[assignment]
+            uneven = any((part[..., plane] != one[..., plane]).any() for part, one in zip(signed, first, strict=True))
+            allowed = 4 * EPS * np.abs(expected) + EPS * abs(samples.spin_top if plane else samples.spin_bottom) + lost
+            if uneven or (np.abs(signed[0][..., plane] - expected) > allowed).any():
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
-
-
-def _along(samples: Samples, component: int) -> float:
-    """Part of the unit vector of the imposed spins, rounded."""
-    if samples.dimension == 2:
-        return 1.0
-    direction = np.asarray(samples.direction) / np.max(np.abs(samples.direction))
-    return float(direction[component] / np.linalg.norm(direction))
+    for name, said in (("bottom", samples.spin_bottom), ("top", samples.spin_top)):
+        if samples.top is not None and not _close(said, float(np.sqrt(np.max(largest[name])))):
+            yield f"the largest spin of the {name} is said to be {said!r}; it is another"
 
 
 def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:

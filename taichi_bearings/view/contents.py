@@ -61,7 +61,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
     solution, scene, moments = drawn.solution, drawn.scene, drawn.moments
     shares = drawn.contacts["betweenness"].values
-    largest = max(abs(scene.spin_top), abs(scene.spin_bottom)) or 1.0
+    largest = scene.fastest or 1.0
     chosen = np.array([], dtype=int) if moments is None else _shown(moments)
     spins = drawn.spheres["spin"].values if moments is None else moments.spin[chosen]
     return {
@@ -108,7 +108,7 @@ def title_of(drawn: PointsAndLines) -> str:
 def _subtitle(drawn: PointsAndLines) -> str:
     """Method, power and what is proven of it."""
     solution, scene = drawn.solution, drawn.scene
-    unit = scene.strength * scene.lattice.radius * abs(scene.spin_top)
+    unit = scene.strength * scene.lattice.radius * abs(scene.imposed[1])
     natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     of = "" if scene.law.minimises == "power" else f"its {scene.law.minimises} "
     gap = f"{of}proven within {solution.gap[0]:.1e}" if np.isfinite(solution.gap[0]) else "without a proven bound"

@@ -39,7 +39,7 @@ def viscous_minimum(scene):
         weight = eta * np.array([axis != component for axis, _ in where])
         laplacian = (matrix.T.multiply(weight) @ matrix).tocsr()
         omega = np.zeros(shape)
-        omega[..., -1] = scene.driven_values(scene.minimum_spin_axes)[1][slot]
+        omega[..., -1] = scene.top_spin(scene.minimum_spin_axes)[slot]
         omega = omega.ravel()
         right = -laplacian[~driven][:, driven] @ omega[driven]
         omega[~driven] = spsolve(laplacian[~driven][:, ~driven].tocsc(), right)

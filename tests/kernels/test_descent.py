@@ -8,7 +8,7 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import GradientDescent
 from tests.kernels.twins import descent_sweep
-from tests.scenes import make_scene
+from tests.scenes import axis_of, make_scene
 
 CASES = [
     ((4, 5), (1, 1, 0)),
@@ -40,7 +40,7 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
     method.begin(scene, start, fields)
     step, sharpness = method._step_and_sharpness()
     width = 1 / sharpness if sharpness else 0.0
-    box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
+    box = np.sort([s * axis_of(scene) for s in (scene.spin_bottom, scene.spin_top)], axis=0)
     parity = scene.lattice.parity
     clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
     omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
@@ -73,7 +73,7 @@ def test_averages_equal_plain_loops(shape, direction, precision):
     method.begin(scene, start, fields)
     method.iteration = method.epoch_length // 2  # from here on the method averages
     step, sharpness = method._step_and_sharpness()
-    box = np.sort([s * scene.axis_vector for s in (scene.spin_bottom, scene.spin_top)], axis=0)
+    box = np.sort([s * axis_of(scene) for s in (scene.spin_bottom, scene.spin_top)], axis=0)
     clipped = scene.clip_to_box(scene.staggered_spin(start, method.spin_axes), method.spin_axes)
     omega = three_components(scene, scene.laboratory_spin(clipped, method.spin_axes))
     coefficient = scene.lattice.by_axis(scene.coefficient[0])

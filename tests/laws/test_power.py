@@ -24,5 +24,5 @@ def test_at_the_minimum_power_in_is_power_dissipated(law, precision):
     staggered = scene.staggered_spin(solution.spin, axes)
     force = method._force_at(staggered)
     top = -torques(force, scene.lattice, axes)[..., -1]
-    work = scene.lattice.radius * (top * scene.driven_values(axes)[1].reshape(-1, 1, 1, 1)).sum()
+    work = scene.lattice.radius * (top * scene.top_spin(axes)[:, None]).sum()
     assert work == pytest.approx(solution.power[0], rel=accuracy)

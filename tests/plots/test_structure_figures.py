@@ -35,11 +35,11 @@ class Case:
     def __init__(self, shape, levels=(0.0, 0.5, 1.0), seed=2357, parted=False, **driving):
         self.scene = scene = make_scene(shape, **driving)
         axes = scene.minimum_spin_axes
-        bottom, top = (np.reshape(v, (-1, *(1,) * (1 + len(shape)))) for v in scene.driven_values(axes))
+        top = scene.top_spin(axes)[:, None, ..., None]
         place = np.random.default_rng(seed).choice(levels, (len(axes), 1, *shape))
         if parted:
             place[..., : shape[-1] // 2], place[..., shape[-1] // 2 :] = 0.0, 1.0
-        self.staggered = scene.impose_driving(bottom + (top - bottom) * place, axes)
+        self.staggered = scene.impose_driving(top * place, axes)
         slips, free = scene.slips(self.staggered, axes)[0] > 1e-12, ~scene.lattice.between_driven
         self.slips = scene.lattice.by_axis(slips & free)
         self.network = SliplessNetwork(scene.lattice, ~slips & free)

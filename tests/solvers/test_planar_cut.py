@@ -17,7 +17,7 @@ from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.kernels.twins import is_driven, neighbours
-from tests.scenes import make_scene, minima, name_of, scene_of
+from tests.scenes import axis_of, make_scene, minima, name_of, scene_of
 
 SIX_DECADES = ["lognormal:1,2.3", "bimodal:1e-3,1e3,0.5", "power-law:1e-3,1e3,-1"]
 
@@ -48,7 +48,7 @@ def linear_programme(scene, component):
     sign = np.repeat([-1.0, 1.0], len(rows))
     difference = coo_array((sign, (np.tile(rows, 2), np.concatenate(ends))), shape=(len(rows), spheres))
     above = vstack([hstack([s * difference, -identity(len(rows))]) for s in (1, -1)])
-    unit = scene.axis_vector[component]
+    unit = axis_of(scene)[component]
     limits = []
     for site in np.ndindex(*shape):
         value = {0: scene.spin_bottom * unit, shape[-1] - 1: scene.spin_top * unit}.get(site[-1])

@@ -1,0 +1,142 @@
+"""What drives a scene: the bearing states that are imposed on the top and on the bottom plane.
+
+A bearing state is a staggered spin A + C x, with the position x measured from the centre of sphere (0, 0, 0): no
+contact slips in it, because the ends of a contact differ along the contact alone. A state can therefore be taken from
+all spins, and here that of the bottom is: the bottom is then at rest, and the top carries the *jump*, the difference of
+the two states. Component k of the jump depends on x_k alone, and contacts along k do not feel it: each layer x_k =
+const has a problem of its own in that component. Discs have one component, and no C.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.double_double import (
+    Pair,
+    add,
+    divide,
+    exactly,
+    multiply,
+    square_root,
+    two_product,
+    two_sum,
+)
+
+
+@dataclass(frozen=True)
+class BearingState:
+    """Staggered spin A + C x, in twice the precision. spin : A, (3,), 1/time. rate : C, (1,), 1/(time length)."""
+
+    spin: Pair
+    rate: Pair
+
+    def along(self, component: int, position: np.ndarray) -> Pair:
+        """Component k at positions x_k, (n,), length."""
+        constant = tuple(np.repeat(part[component], len(position)) for part in self.spin)
+        return add((constant[0], constant[1]), multiply(self.rate, exactly(position))) if self.rate[0][0] else (
+            constant[0], constant[1],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Driving:
+    """bottom : state imposed on the bottom plane. jump : that of the top less that of the bottom.
+
+    unit : (1,), what spins are measured in where they are to be of order one, 1/time, in twice the precision; shares :
+    the jump in this unit where it is the same on the whole top, else None.
+    """
+
+    lattice: Lattice
+    bottom: BearingState
+    jump: BearingState
+    unit: Pair
+    shares: Pair | None = None
+
+    @classmethod
+    def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, float, float]) -> "Driving":
+        """Planes that turn with spins about one axis (paper, Eq. 1). direction : its, not normalised; of spheres."""
+        axis = _unit_vector(np.array([0.0, 0.0, 1.0] if lattice.dimension == 2 else direction))
+        at_rest, sign = exactly(np.zeros(1)), np.sign(top - bottom)
+        low = BearingState(multiply(exactly(np.array([bottom])), axis), at_rest)
+        jump = BearingState(multiply(two_sum(np.array([top]), np.array([-bottom])), axis), at_rest)
+        unit = two_sum(np.array([sign * top]), np.array([-sign * bottom]))
+        return cls(lattice, low, jump, unit, (sign * axis[0], sign * axis[1]))
+
+    @classmethod
+    def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "Driving":
+        """Planes in the bearing states (A_x, A_y, A_z, C); discs have (A_z,)."""
+        padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))
+        (high, rise), (low, fall) = ((np.array(state[:3]), np.array(state[3:])) for state in padded)
+        states = BearingState(exactly(low), exactly(fall)), BearingState(two_sum(high, -low), two_sum(rise, -fall))
+        largest = cls(lattice, *states, exactly(np.ones(1))).largest_jump
+        return cls(lattice, *states, exactly(np.exp2(np.floor(np.log2([largest or 1.0])))))
+
+    def positions(self, component: int) -> np.ndarray:
+        """x_k, (n,), of the layers of spheres along k, length; of discs (1,)."""
+        if self.lattice.dimension == 2:
+            return np.zeros(1)
+        return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
+
+    def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
+        """Jump at each sphere of the top plane, (C, nx, ny), in 2D (C, nx), in twice the precision, 1/time."""
+        plane = self.lattice.shape[:-1]
+        found = np.empty((2, len(spin_axes), *plane))
+        for slot, k in enumerate(spin_axes):
+            position = self.positions(k)
+            lies = k < len(plane)
+            pair = self.jump.along(k, position if lies else position[-1:])
+            for whole, part in zip(found, pair, strict=True):
+                whole[slot] = part.reshape([-1 if a == k else 1 for a in range(len(plane))]) if lies else part
+        return found[0], found[1]
+
+    def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
+        """The same over `unit`, a power of two where the jump varies."""
+        if self.shares is None:
+            high, low = self.imposed_on_top(spin_axes)
+            return high / self.unit[0], low / self.unit[0]
+        shape = (len(spin_axes), *(1,) * (self.lattice.dimension - 1))
+        high, low = (
+            np.broadcast_to(part[list(spin_axes)].reshape(shape), (len(spin_axes), *self.lattice.shape[:-1]))
+            for part in self.shares
+        )
+        return high, low
+
+    def bottom_state(self, spin_axes: tuple[int, ...]) -> Pair:
+        """Staggered spin of the bottom's state at all spheres, (C, 1, *N) or with sides of 1 where it does not vary, in
+        twice the precision, 1/time."""
+        varies = bool(self.bottom.rate[0][0])
+        shape = self.lattice.shape if varies else (1,) * self.lattice.dimension
+        found = np.empty((2, len(spin_axes), 1, *shape))
+        for slot, k in enumerate(spin_axes):
+            pair = self.bottom.along(k, self.positions(k) if varies else np.zeros(1))
+            for whole, part in zip(found, pair, strict=True):
+                whole[slot] = part.reshape([-1 if a == k else 1 for a in range(self.lattice.dimension)])
+        return found[0], found[1]
+
+    @cached_property
+    def largest_jump(self) -> float:
+        """|jump| where it is largest on the top plane, 1/time: the natural unit of spin differences."""
+        if self.shares is not None:
+            return float(self.unit[0][0])
+        return float(np.linalg.norm(self.imposed_on_top(self.lattice.all_spin_axes)[0], axis=0).max())
+
+    @property
+    def largest_spins(self) -> tuple[float, float]:
+        """|spin| imposed on the bottom and on the top, where it is largest, 1/time."""
+        axes = self.lattice.all_spin_axes
+        low = np.broadcast_to(self.bottom_state(axes)[0][:, 0], (len(axes), *self.lattice.shape))
+        high = low[..., -1] + self.imposed_on_top(axes)[0]
+        return tuple(float(np.linalg.norm(of, axis=0).max()) for of in (low[..., 0], high))  # type: ignore[return-value]
+
+
+def _unit_vector(vector: np.ndarray) -> Pair:
+    """(3,) along a vector that is not 0, in twice the precision."""
+    vector = np.asarray(vector, dtype=np.float64)
+    vector = np.ldexp(vector, -int(np.frexp(np.abs(vector).max())[1]))
+    squares = two_product(vector, vector)
+    total = exactly(np.zeros(1))
+    for k in range(3):
+        total = add(total, (squares[0][k : k + 1], squares[1][k : k + 1]))
+    return divide(exactly(vector), square_root(total))
