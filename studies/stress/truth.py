@@ -9,7 +9,8 @@ The path goes to the middle of all minima: a contact slips at some minimum just 
 slips of all minima point the same way, so the minima are a polyhedron; if it is more than a point, a linear programme
 for each contact tells whether it slips at all of them, in doubles: in units of the slips in the middle it is round.
 
-All numbers count exactly as the doubles that they are; spins are staggered, from the bottom, in units of the jump.
+All numbers count exactly as the doubles that they are; spins are staggered, from the bottom's state, in units of the
+jump, or of 1/time where bearing states are imposed.
 """
 
 from dataclasses import dataclass, replace
@@ -60,21 +61,41 @@ def _decimals(values: np.ndarray) -> np.ndarray:
 
 def _costs(scene: Scene, first: Any, second: Any = None) -> tuple[np.ndarray, np.ndarray]:
     """Of a slip d: a |d| + c |d|^2 / 2, with a and c of contacts with these coefficients, energy/time."""
-    speed = Decimal(scene.radius) * abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
+    speed = Decimal(scene.radius) * _unit(scene)
     values, nothing = _decimals(first), np.full(first.size, Decimal(0), dtype=object)
     if not scene.law.holds:
         return nothing, values * 2 * speed**2  # the power is twice the potential
     return values * Decimal(scene.normal_force) * speed, nothing if second is None else _decimals(second) * speed**2
 
 
-def _unit_jump(scene: Scene) -> dict[int, Decimal]:
-    """Components that differ between bottom and top and that contacts along the height feel, of length 1 with the
-    others: the others are constant in each layer at the minimum (docs/equations.md, 3)."""
+def _unit(scene: Scene) -> Decimal:
+    """Of spins, 1/time."""
+    if scene.top is not None:
+        return Decimal(1)
+    return abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
+
+
+def _jump(scene: Scene) -> dict[int, np.ndarray]:
+    """Components that differ between bottom and top and that contacts along the height feel, in units of spin at each
+    sphere of the top, (columns,), or (1,) where all are alike: the others are constant in each layer at the minimum
+    (docs/equations.md, 3)."""
+    if scene.top is not None and scene.bottom is not None:
+        (*high, rise), (*low, fall) = ([Decimal(part) for part in of] for of in (scene.top, scene.bottom))
+        if scene.lattice.dimension == 2:
+            return {2: np.array([rise - fall], dtype=object)} if rise != fall else {}
+        found, spacing = {}, 2 * Decimal(scene.radius)
+        for k, steps in enumerate(np.indices(scene.lattice.shape[:-1]).reshape(2, -1).tolist()):
+            of_k = [high[k] - low[k] + (rise - fall) * spacing * step for step in steps]
+            if any(of_k):
+                found[k] = np.array(of_k if rise != fall else of_k[:1], dtype=object)
+        return found
+    if scene.spin_top == scene.spin_bottom:
+        return {}
     if scene.lattice.dimension == 2:
-        return {2: Decimal(1)}
+        return {2: np.array([Decimal(1)], dtype=object)}
     parts = [Decimal(float(part)) for part in scene.direction]
     length = sum((part * part for part in parts), Decimal(0)).sqrt()
-    return {k: parts[k] / length for k in (0, 1) if parts[k]}
+    return {k: np.array([parts[k] / length], dtype=object) for k in (0, 1) if parts[k]}
 
 
 class _Sample:
@@ -83,13 +104,17 @@ class _Sample:
     def __init__(self, scene: Scene, perturbed: tuple[int, Decimal] | None = None) -> None:
         rng, size = (np.random.default_rng(perturbed[0]), perturbed[1]) if perturbed else (None, Decimal(0))
         shape, axes = scene.lattice.shape, range(scene.lattice.dimension)
-        self.jump = _unit_jump(scene)
+        self.jump = _jump(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
         self.unknowns = free * count
         place = np.empty((*shape, count), dtype=int)  # free spins, then 0 for the bottom, then the top
         place[..., 1:-1, :] = np.moveaxis(np.arange(self.unknowns).reshape(-1, *shape[:-1], count), 0, -2)
         place[..., 0, :] = self.unknowns
-        place[..., -1, :] = self.unknowns + 1 + np.arange(count)
+        self.top = np.stack(list(self.jump.values()), axis=-1).ravel()  # one column after the other
+        varies = len(self.top) > count
+        place[..., -1, :] = (
+            self.unknowns + 1 + np.arange(len(self.top)).reshape((*shape[:-1], count) if varies else count)
+        )
         rows = []
         self.friction, self.viscosity, self.of = [], [], []
         for axis in axes:
@@ -107,10 +132,9 @@ class _Sample:
         self.a, self.c = (np.array(v, dtype=object)[:, None] for v in (self.friction, self.viscosity))
         layer = self.unknowns // max(shape[-1] - 2, 1)
         height = [Decimal(i // layer + 1) / (shape[-1] - 1) for i in range(self.unknowns)]
-        self.top = np.array(list(self.jump.values()), dtype=object)
-        parts = self.top[np.arange(self.unknowns) % count]
+        parts = self.top[np.arange(self.unknowns) % len(self.top)]
         self.spin = np.concatenate([np.array(height, dtype=object) * parts, [Decimal(0)], self.top])
-        self.box = parts
+        self.box = np.abs(parts)
 
     def slips(self) -> np.ndarray:
         return (self.spin[self.up] - self.spin[self.low]) * self.felt
@@ -187,7 +211,7 @@ def least(scene: Scene, of_all: bool = False, perturbed: tuple[int, Decimal] | N
     """
     with localcontext() as context:
         context.prec = DIGITS
-        if not _unit_jump(scene) or scene.spin_top == scene.spin_bottom:
+        if not _jump(scene):
             return _nothing(scene)
         sample = _Sample(scene, perturbed)
         barrier = first = sample.cost() / len(sample.a)
@@ -216,7 +240,7 @@ def least(scene: Scene, of_all: bool = False, perturbed: tuple[int, Decimal] | N
 
 def _nothing(scene: Scene) -> Truth:
     """That nothing need slip."""
-    moving = scene if scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
+    moving = scene if scene.top is not None or scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
     pairs = zip_longest(scene.coefficients, scene.viscosity)
     costs = [(held + flow / 2).sum() for held, flow in (_costs(moving, *pair) for pair in pairs)]
     return Truth(Decimal(0), Decimal(0), unit=sum(costs, Decimal(0)))
@@ -250,7 +274,7 @@ def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample, barrier: Decimal
     slip, margin = ([value * np.ones(part.shape) for part in truth.state] for value in (0.0, 1.0))
     for axis in range(scene.lattice.dimension - 1):
         state[axis][..., 0] = state[axis][..., -1] = DRIVEN
-    speed = Decimal(scene.radius) * abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
+    speed = Decimal(scene.radius) * _unit(scene)
     for (axis, number), many, own, left, moving in zip(sample.of, either, length, room, moves, strict=True):
         state[axis].flat[number] = EITHER if many else SLIPPING if moving else SLIPLESS
         slip[axis].flat[number], margin[axis].flat[number] = float(own * speed), float(left)
@@ -331,15 +355,18 @@ def layered(scene: Scene) -> Truth:
     """The truth of a sample of any size whose contacts along the height are alike in each layer."""
     with localcontext() as context:
         context.prec = DIGITS
-        jump = _unit_jump(scene)
-        across = sum((part * part for part in jump.values()), Decimal(0)).sqrt()
+        columns = int(np.prod(scene.lattice.shape[:-1]))
+        squares = sum((part * part for part in _jump(scene).values()), np.full(1, Decimal(0), dtype=object))
+        across = np.broadcast_to(np.sqrt(squares), columns)
+        if len(set(across.tolist())) > 1 and len(scene.law.quantities) > 1:
+            raise ValueError("columns with unlike jumps are not apart where contacts have friction and viscosity")
         last = scene.lattice.dimension - 1
         one = [parts[last][(0,) * last] if parts else None for parts in (scene.coefficients, scene.viscosity)]
         a, c = (list(costs) for costs in _costs(scene, *one))
-        columns = int(np.prod(scene.lattice.shape[:-1]))
-        if not across:
+        if not any(across):
             return _nothing(scene)
-        cost = _chain([held * across for held in a], [flow * across**2 for flow in c]) * columns
+        cost = sum(_chain([held * of for held in a], [flow * of**2 for flow in c]) * int((across == of).sum())
+                   for of in set(across.tolist()) if of)  # fmt: skip
         return Truth(cost, cost)
 
 

@@ -176,7 +176,7 @@ class RigidLimitMethod:
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
         scene, moving = self.scene, []
-        bottom, top = scene.driving.bottom_state(self.spin_axes)[0], scene.top_spin(self.spin_axes)
+        bottom, top = absolute(scene, np.zeros_like(self.staggered), self.spin_axes), scene.top_spin(self.spin_axes)
         for component in self.moving:
             slot = self.spin_axes.index(component)
             free = self.staggered[slot][..., 1:-1]
@@ -186,7 +186,7 @@ class RigidLimitMethod:
             elif top[slot].any():
                 moving.append(component)
                 continue
-            energy = self.inertia / 2 * replica_sum(((free - rest) * (free + rest + 2 * bottom[slot]))[None])
+            energy = self.inertia / 2 * replica_sum(((free - rest) * (free + rest + 2 * bottom[slot][..., 1:-1]))[None])
             unfelt = bool((np.abs(energy) <= UNFELT * self.energy_at_start).all())
             if unfelt and np.abs(free - rest).max() <= DEAD * self.unit:
                 free[...] = rest

@@ -50,7 +50,7 @@ from taichi_bearings.runs.run import Job, Run, prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
 
-KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous", "names")
+KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous", "names", "states")
 METHODS = {  # share of the runs
     "auto": 0.3,
     "interior-point": 0.34,
@@ -96,8 +96,8 @@ def draw_settings(kind: str, seed: int, number: int, methods: tuple[str, ...]) -
     settings["distribution"] = _distribution(kind, rng)
     if kind == "viscous":
         settings["law"] = "viscous"
-    settings |= _driving(rng, wild=kind == "driving" or rng.random() < 0.1)
-    if not flat:
+    settings |= _states(rng, flat) if kind == "states" else _driving(rng, wild=kind == "driving" or rng.random() < 0.1)
+    if not flat and kind != "states":
         direction = _direction(rng, planar, wild=kind == "direction" or rng.random() < 0.1)
         if direction is not None:
             settings["direction"] = ",".join(repr(float(v)) for v in direction)
@@ -160,6 +160,18 @@ def _distribution(kind: str, rng: np.random.Generator) -> str:
 
 def _bimodal(low: float, ratio: float, fraction: float) -> str:
     return f"bimodal:{float(low)!r},{float(low * ratio)!r},{float(fraction)!r}"
+
+
+def _states(rng: np.random.Generator, flat: bool) -> dict:
+    """Bearing states on both planes: alike, nearly alike, with layers whose jump vanishes, far from each other."""
+    if flat:
+        return {name: repr(float(rng.choice([1.0, -0.3, 0.0, 1e-9]))) for name in ("top", "bottom")}
+    found, small = {}, float(10 ** -rng.uniform(2, 12))
+    for name in ("top", "bottom"):
+        spins = rng.choice([0.0, 1.0, -1.0, 0.5, small], 3)
+        rate = float(rng.choice([0.0, 1.0, -1.0, 0.5, 0.3, small, 1 / small]))
+        found[name] = ",".join(repr(float(spin)) for spin in spins) + f";{rate!r}"
+    return found
 
 
 def _driving(rng: np.random.Generator, wild: bool) -> dict:
@@ -239,6 +251,8 @@ def judge(solution, summary: dict, replica: int, settings: RunSettings, perturba
 
 
 def _imposed(settings: RunSettings) -> float:
+    if settings.top is not None:
+        return 0.0
     jump = abs(settings.spin_top - settings.spin_bottom)
     ratio = max(abs(settings.spin_top), abs(settings.spin_bottom)) / jump if jump else 0.0
     return 4 * np.finfo(np.float64).eps * ratio if ratio > 1e2 else 0.0

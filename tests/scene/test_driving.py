@@ -1,0 +1,208 @@
+"""Bearing states on both planes, A + C x: against cone programmes and chains that know no staggered frame, no dropped
+component and no shift by the state of the bottom."""
+
+from dataclasses import replace
+from functools import partial
+
+import clarabel
+import numpy as np
+import pytest
+from scipy import sparse
+from taichi_bearings_studies.stress import truth
+
+import taichi_bearings as tb
+from taichi_bearings.errors import InputError
+from taichi_bearings.numerics.planar import minimum_cuts
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run import run
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene import Scene
+from tests.kernels.twins import is_driven, neighbours
+from tests.scenes import make_scene
+
+pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+solve = partial(tb.solve, threads=1)
+STATES = [
+    {"top": (1.0, 1.0, 0.0, 0.2)},
+    {"top": (0.5, -0.3, 2.0, -0.7), "bottom": (1.0, 0.5, -0.3, 0.4)},
+    {"top": (0.0, 0.0, 0.0, 1.0), "bottom": (1.0, 0.0, 0.0, 0.0)},  # about x no jump in the layer i = 1
+    {"top": (1.0, 0.0, 0.0), "bottom": (0.0, 1.0, 0.0)},
+    {"top": (1.0, 1.0, 0.0, 1e-9), "bottom": (1.0, 1.0, 0.0, 0.0)},
+]
+
+
+def laboratory_minimum(scene):
+    """Least Coulomb power: a cone programme over all three components of the spins as one sees them."""
+    shape, radius = scene.lattice.shape, scene.lattice.radius
+    free = [site for site in np.ndindex(*shape) if not is_driven(site, shape)]
+    column = {(site, k): 3 * n + k for n, site in enumerate(free) for k in range(3)}
+    spins, cones, cost = len(column), [], []
+    for lower, upper, axis in neighbours(shape):
+        if is_driven(lower, shape) and is_driven(upper, shape):
+            continue
+        cost.append(scene.normal_force * scene.coefficients[axis][lower])
+        matrix, known = np.zeros((3, spins)), np.zeros(3)
+        for site in (lower, upper):  # v = (w_i + w_j) x (R n), but for its sign
+            for k in range(3):
+                turned = np.cross(np.eye(3)[k], radius * np.eye(3)[axis])
+                if is_driven(site, shape):
+                    spin, *state = (-1) ** sum(site), *(scene.bottom if site[-1] == 0 else scene.top)
+                    known += turned * spin * (state[k] + state[3] * 2 * radius * site[k])
+                else:
+                    matrix[:, column[site, k]] += turned
+        cones.append((np.delete(matrix, axis, axis=0), np.delete(known, axis)))
+    rows, right = [], []
+    for number, (matrix, known) in enumerate(cones):
+        bound = np.zeros((1, len(cones)))
+        bound[0, number] = -1.0
+        rows += [np.hstack([np.zeros((1, spins)), bound]), np.hstack([-matrix, np.zeros((2, len(cones)))])]
+        right += [[0.0], known]
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.tol_gap_rel, settings.tol_gap_abs, settings.tol_feas = False, 1e-11, 1e-11, 1e-11
+    unknowns = spins + len(cones)
+    found = clarabel.DefaultSolver(
+        sparse.csc_matrix((unknowns, unknowns)), np.concatenate([np.zeros(spins), cost]),
+        sparse.csc_matrix(np.vstack(rows)), np.concatenate(right), [clarabel.SecondOrderConeT(3)] * len(cones),
+        settings,
+    ).solve()  # fmt: skip
+    return found.obj_val
+
+
+@pytest.mark.parametrize("states", STATES[:4], ids=str)
+def test_two_components_are_enough(states):
+    """The third one, free in the cone programme, changes nothing."""
+    scene = Scene.random((3, 4, 4), seed=8, **states)
+    best = solve(scene)
+    assert len(scene.minimum_spin_axes) == 2
+    assert best.states_proven
+    assert best.power == pytest.approx(laboratory_minimum(scene), rel=1e-8)
+
+
+@pytest.mark.parametrize("distribution", ["uniform:0.1,1.0", "bimodal:1,2,0.5"])
+@pytest.mark.parametrize("states", STATES, ids=str)
+def test_bounds_and_states_are_those_of_140_digits(states, distribution):
+    scene = Scene.random((3, 3, 4), seed=23, distribution=distribution, **states)
+    best, exact = solve(scene, tolerance=1e-12), truth.least(scene, of_all=True)
+    assert best.lower_bound <= float(exact.lower) * (1 + 1e-15)
+    assert best.power >= float(exact.upper) * (1 - 1e-15)
+    assert best.gap < 1e-12
+    assert best.states_proven or distribution != "uniform:0.1,1.0"
+    state, called = (scene.lattice.flat(of) for of in (exact.state, best.state))
+    assert (state[called == ContactState.SLIPPING] == truth.SLIPPING).all()
+    assert (state[called == ContactState.SLIPLESS] == truth.SLIPLESS).all()
+
+
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_columns_that_are_alike_move_alone(law):
+    """With friction that varies along the height alone no contact sideways slips, and each column is a chain."""
+    height = np.random.default_rng(6).uniform(0.1, 1.0, 5)
+    arrays = [np.full(scene_shape, 0.5) for scene_shape in ((4, 4, 6), (5, 3, 6))]
+    upright = np.broadcast_to(height, (5, 4, 5))
+    scene = Scene((*arrays, upright), law, radius=0.3, top=(1.0, -0.5, 2.0, 0.7), bottom=(0.2, 0.0, 0.0, -0.4))
+    best = solve(scene, tolerance=1e-11)
+    assert best.power == pytest.approx(float(truth.layered(scene).lower), rel=1e-11)
+
+
+@pytest.mark.parametrize("method", ["auto", "operator-splitting", "gradient-descent", "implicit-cundall-strack"])
+@pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)], ids=str)
+def test_the_same_state_on_both_sides_dissipates_nothing(shape, method):
+    state = (0.7,) if len(shape) == 2 else (0.3, -1.0, 0.5, 0.25)
+    scene = Scene.random(shape, seed=3, top=state, bottom=state)
+    best = solve(scene, method=method, start="random" if "cundall" in method else "linear")
+    fastest = scene.normal_force * scene.coefficient.sum() * scene.lattice.radius * scene.fastest
+    assert best.power <= 1e-7 * fastest
+
+
+@pytest.mark.parametrize("method", ["interior-point", "operator-splitting", "rigid-limit"])
+def test_a_state_that_is_added_to_both_planes_changes_nothing(method):
+    own = {"top": (1.0, 0.5, 0.0, 0.25), "bottom": (0.0, 0.0, 0.0, 0.0)}
+    more = {name: tuple(np.add(state, (4.0, -8.0, 2.0, 2.0)).tolist()) for name, state in own.items()}
+    found = [
+        solve(Scene.random((3, 4, 4), seed=5, **driving), method=method, tolerance=1e-6) for driving in (own, more)
+    ]
+    assert found[1].power == pytest.approx(found[0].power, rel=1e-12 if method == "interior-point" else 1e-6)
+    if method == "interior-point":
+        assert all((new == old).all() for new, old in zip(found[1].state, found[0].state, strict=True))
+
+
+@pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)], ids=str)
+@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+def test_spins_about_an_axis_are_one_case_of_it(shape, law):
+    old = make_scene(shape, law, spin_top=1.5, spin_bottom=-0.5, direction=(0, 3, 4))
+    states = ((1.5,), (-0.5,)) if len(shape) == 2 else ((0.0, 0.9, 1.2), (0.0, -0.3, -0.4))
+    new = replace(old, spin_top=1.0, spin_bottom=0.0, direction=(1, 1, 0), top=states[0], bottom=states[1])
+    found = [solve(scene) for scene in (old, new)]
+    assert found[1].power == pytest.approx(found[0].power, rel=1e-13)
+    assert new.minimum_spin_axes == old.minimum_spin_axes
+    assert np.abs(found[1].spin - found[0].spin).max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sheets_enclose_the_power(seed):
+    """sqrt(P_x^2 + P_y^2) <= P <= P_x + P_y, with P_k the sum over layers of |J_k| times the lightest cut there."""
+    scene = Scene.random((4, 5, 6), seed=seed, top=(1.0, 0.5, 0.0, -0.3), bottom=(0.0, 0.25, 0.0, 0.4))
+    parts = []
+    for k in (0, 1):
+        jump = scene.top[k] - scene.bottom[k] - 0.7 * np.arange(scene.lattice.shape[k])
+        sheets = [np.moveaxis(scene.coefficients[axis], k, 0) for axis in (1 - k, 2)]
+        weight = np.concatenate([cuts.weight for _, cuts in minimum_cuts(*sheets)])
+        parts.append(scene.normal_force * scene.lattice.radius * (abs(jump) * weight).sum())
+    best = solve(scene)
+    assert np.hypot(*parts) <= best.power * (1 + 1e-12)
+    assert best.power <= sum(parts) * (1 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"method": "operator-splitting", "tolerance": 1e-4},
+        {"method": "gradient-descent", "iterations": 300},
+        {"method": "cundall-strack", "duration": 0.05},
+        {"method": "implicit-cundall-strack", "tolerance": 1e-3},
+        {"method": "rigid-limit", "law": "coulomb-viscous"},
+        {"law": "viscous"},
+        {"replicas": 3, "distribution": "bimodal:1,2,0.5"},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("states", STATES[1:3], ids=str)
+def test_runs_are_verified_and_read_back(states, given, tmp_path):
+    done = run(RunSettings(shape=(3, 3, 4), threads=1, figures="none", **states, **given), tmp_path / "run")
+    assert verify(tmp_path / "run")["contradictions"] == []
+    again = tb.load(tmp_path / "run").scene
+    assert (again.top, again.bottom) == (done.solution.scene.top, done.solution.scene.bottom)
+
+
+def test_spins_of_the_planes_that_are_not_imposed_are_found(tmp_path):
+    import h5py
+
+    run(RunSettings(shape=(3, 3, 4), threads=1, figures="none", **STATES[1]), tmp_path / "run")
+    with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
+        del file.attrs["sha256"]
+        file["spin"][1, 2, -1, 0] += 1e-6
+    assert any("spins of the top about x" in text for text in verify(tmp_path / "run")["contradictions"])
+
+
+def test_a_layer_without_a_jump_does_not_slip():
+    scene = Scene.random((4, 3, 5), seed=2, **STATES[2])
+    best = solve(scene)
+    assert best.states_proven
+    assert not scene.top_spin((0,))[0, 1].any()
+    spin = best.spin[1, ..., 0] * scene.lattice.parity[1]
+    assert (spin == 1.0).all()  # it turns about x as top and bottom do there
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({"top": (1.0, 0.0, 0.0), "spin_top": 2.0}, "spin_top is 2.0, beside a state of top or bottom"),
+        ({"top": (1.0,)}, r"top is \(1.0,\); the state of a plane must be A_x, A_y, A_z"),
+        ({"bottom": (1.0, np.nan, 0.0)}, "bottom is"),
+        ({"top": "spin"}, "top is 'spin'"),
+    ],
+)
+def test_states_that_cannot_be_are_refused(words, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Scene.random((3, 3, 4), **words)
