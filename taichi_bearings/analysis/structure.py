@@ -33,7 +33,7 @@ class Structure:
 
     scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
     slip, state : (E,). power, lower_bound : energy/time.
-    friction : laboratory frame, (E, 3), in 2D (E,); None if it is not known.
+    friction : laboratory frame, (E, 3), in 2D (E,).
     critical, tied : how many of the undecided contacts are known to be that.
     states_proven : True if `state` is proven to be that of every minimum. minimum_is_unique : None if it is not known.
     """
@@ -44,17 +44,15 @@ class Structure:
     state: np.ndarray
     power: float
     lower_bound: float
-    friction: np.ndarray | None = None
+    friction: np.ndarray
     critical: int = 0
     tied: int = 0
     states_proven: bool = False
     minimum_is_unique: bool | None = None
 
     @cached_property
-    def force(self) -> np.ndarray | None:
+    def force(self) -> np.ndarray:
         """Staggered contact forces, (C, E), of the components that the driving needs."""
-        if self.friction is None:
-            return None
         return staggered_forces(self.friction[None], self.scene.lattice, self.scene.minimum_spin_axes)[:, 0]
 
     def contacts_in(self, which: ContactState) -> int:
@@ -118,28 +116,26 @@ class Structure:
         return Bottlenecks(self.network)
 
     @cached_property
-    def torque_flow(self) -> TorqueFlow | None:
-        """How the driving torque goes through the sample; None without forces."""
-        if self.force is None:
-            return None
+    def torque_flow(self) -> TorqueFlow:
+        """How the driving torque goes through the sample."""
         bottom, top = self.scene.driven_values(self.scene.minimum_spin_axes)
         return torque_flow(self.scene.lattice, self.force, self.state, top - bottom)
 
     @cached_property
     def friction_load(self) -> FrictionLoad | None:
-        """How close to slipping the contacts are; None without forces or without a limit of friction."""
-        if self.force is None or not self.scene.law.is_rate_independent:
+        """How close to slipping the contacts are; None without a limit of friction."""
+        if not self.scene.law.is_rate_independent:
             return None
         return friction_load(self.force, self.scene.strength * self.scene.coefficient[0], self.state)
 
     @property
     def saturation(self) -> Counted | None:
         """Contacts by the share of their limit of friction that they bear; None as above."""
-        return self.friction_load and self.friction_load.counted
+        return None if self.friction_load is None else self.friction_load.counted
 
     @cached_property
-    def force_distribution(self) -> Counted | None:
-        return None if self.force is None else force_distribution(self.force, self.state)
+    def force_distribution(self) -> Counted:
+        return force_distribution(self.force, self.state)
 
     @cached_property
     def self_stress(self) -> int:

@@ -69,10 +69,8 @@ def torque_flow(lattice: Lattice, force: np.ndarray, state: np.ndarray, jump: np
     upright = lattice.by_axis(lattice.radius * force)[-1]
     torque = upright.reshape(len(force), -1, upright.shape[-1])  # the same for all columns of spheres
     kind = lattice.by_axis(state)[-1].reshape(torque.shape[1:])
-    through = [
-        np.where(kind == which, torque, 0.0).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.SLIPPING)
-    ]
-    return TorqueFlow(torque.sum(axis=1), *through, jump=jump)
+    slipless, slipping = (np.where(chosen, torque, 0.0).sum(axis=1) for chosen in _kinds(kind)[:2])
+    return TorqueFlow(torque.sum(axis=1), slipless, slipping, jump)
 
 
 @dataclass(frozen=True)

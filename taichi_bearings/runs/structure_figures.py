@@ -33,7 +33,7 @@ def _draw_cut_surface(structure: Structure, page: Page) -> Figure:
 
 def _draw_torque_flow(structure: Structure, page: Page) -> Figure | None:
     scene, force = structure.scene, structure.force
-    if force is None or structure.friction_load is None or structure.force_distribution is None:
+    if structure.friction_load is None:
         return None
     axes, by_axis = scene.minimum_spin_axes, scene.lattice.by_axis
     component, index = (page.planes or ((axes[0], None),))[0]

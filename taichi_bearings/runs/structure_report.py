@@ -1,5 +1,6 @@
 """The structure of one sample as a report: numbers for people and programs, arrays for the group /analysis."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,12 @@ from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import ANALYSED, Quantity, plain
 from taichi_bearings.runs.run_file import AXES
+
+
+def _part_of(part: str, name: str) -> Callable[[Structure], np.ndarray | None]:
+    """An array of a part of the structure; None where that is not known."""
+    return lambda structure: getattr(getattr(structure, part), name, None)
+
 
 # fmt: off
 PARTING = "fewest contacts whose removal parts the planes; of such sets the one nearest the"
@@ -42,20 +49,17 @@ ARRAYS = (
     Quantity("domains/lock", "1",
              "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
              lambda s: s.domains.lock.astype(np.int8)),
-    *(Quantity(f"component_domain/{axis}", "1", f"domain of spin component {axis}",
-               lambda s, k=k: s.domains.component_domain[s.domains.spin_axes.index(k)].astype(np.int32)
-               if k in s.domains.spin_axes else None) for k, axis in enumerate(AXES)),
     Quantity("betweenness/sphere", "1", "share of the shortest paths that visit the sphere",
              lambda s: s.bottlenecks.visits),
     *(Quantity(f"torque_flow/{name}", "force*length",
                f"torque through each gap between layers, by {kind} contacts; components {{components}}",
-               lambda s, name=name: getattr(s.torque_flow, name, None))
+               _part_of("torque_flow", name))
       for name, kind in (("through_gap", "all"), ("slipless", "slipless"), ("slipping", "slipping"))),
-    *(Quantity(f"{group}/{kind}", "1", "edges of the bins" if kind == "edges" else f"{text}, {kind} contacts",
-               lambda s, group=group, kind=kind: getattr(getattr(s, group), kind, None))
+    *(Quantity(f"{group}/{name}", "1", "edges of the bins" if name == "edges" else f"{text}, {name} contacts",
+               _part_of(group, name))
       for group, text in (("saturation", "contacts in each bin of |f| / (mu F_n)"),
                           ("force_distribution", "probability density of the size of the force over its mean"))
-      for kind in ("edges", "slipless", "slipping")),
+      for name in ("edges", "slipless", "slipping")),
 )
 """Of a Structure; None where it is not known."""
 # fmt: on
@@ -81,12 +85,15 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 def findings_of(structure: Structure) -> dict[str, Finding]:
     """The structure of one sample as arrays, by their names in the group /analysis."""
-    components = ", ".join(AXES[component] for component in structure.domains.spin_axes)
-    found = {}
+    domains, found = structure.domains, {}
+    components = ", ".join(AXES[component] for component in domains.spin_axes)
     for row in ARRAYS:
         values = row.of(structure)
         if values is not None:
             found[row.name] = Finding(values, row.unit, row.text.format(components=components))
+    for k, label in zip(domains.spin_axes, domains.component_domain, strict=True):
+        text = f"domain of spin component {AXES[k]}"
+        found[f"component_domain/{AXES[k]}"] = Finding(label.astype(np.int32), "1", text)
     for row in ON_CONTACTS:
         for axis, part in enumerate(structure.scene.lattice.by_axis(row.of(structure))):
             found[f"{row.name}/{AXES[axis]}"] = Finding(part, row.unit, row.text)
