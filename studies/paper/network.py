@@ -152,8 +152,8 @@ def columns_of(samples: Sequence[Sample]) -> dict[str, Column]:
 
 
 def by_threshold(views: Sequence[Sequence[View]]) -> dict[str, np.ndarray]:
-    """Every number of View, (samples, thresholds + 1): for each of THRESHOLDS, then by the contact states."""
-    return {name: np.array([[float(seen[name]) for seen in sample] for sample in views]) for name in views[0][0]}
+    """Every number of `Structure.view`, (samples, thresholds + 1): for each of THRESHOLDS, then by contact states."""
+    return {name: np.array([[float(seen[name]) for seen in sample] for sample in views]) for name in views[0][-1]}
 
 
 def _by_side(samples: Sequence[Sample], name: str) -> dict[int, np.ndarray]:
