@@ -7,7 +7,8 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILES, json_option
 
-COUNTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts")  # what the report begins with
+COUNTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
+"""What the report begins with, by the names of columns."""
 
 
 @click.command()
@@ -56,16 +57,19 @@ def describe(report: dict[str, Any], times: str) -> str:
     """The report for people, section by section; of several samples mean and range. times : where the time went."""
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
 
-    shape, seeds = "x".join(map(str, report["shape"])), report["seed"]
+    shape, seeds, spans = "x".join(map(str, report["shape"])), report["seed"], report["spans"]
+    several = isinstance(seeds, list)
     lines = [f"{shape} {report['law']}, {report['method']}; contact states: {_states(report)}"]
     ended = [report["status"]] if isinstance(report["status"], str) else report["status"]
     if open_ends := [status for status in ended if status != "certified"]:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
-    if isinstance(seeds, list):
+    if several:
         lines.append(f"{len(seeds)} samples, seeds {seeds[0]} ... {seeds[-1]}: mean, least, largest; or how many")
     for title, rows in {"contacts": [COLUMNS[name] for name in COUNTED], **STRUCTURE}.items():
         told = {row: report[row.name] for row in rows if row.name in report}
-        found = [line for row, value in told.items() for line in _lines(row.text, value, isinstance(seeds, list))]
+        found = [line for row, value in told.items() for line in _lines(row.text, value, several)]
+        if title == "bottlenecks" and not (any(spans) if several else spans):
+            found = ["none: slipless contacts do not join bottom and top"]
         lines += [title, *(f"  {line}" for line in found)] if found else []
     return "\n".join([*lines, times, *report["files"]])
 
@@ -73,9 +77,7 @@ def describe(report: dict[str, Any], times: str) -> str:
 def _states(report: dict[str, Any]) -> str:
     if report["states"] == "threshold":
         return f"slipless up to a slip of {report['threshold']:g}"
-    only = {True: "; no other slips have the least power", False: "; other slips have the least power too"}
-    words = {"proven": "proven", "decided": "decided by slip and friction, not proven"}[report["states"]]
-    return words + (only.get(report["minimum_is_unique"], "") if isinstance(report["seed"], int) else "")
+    return {"proven": "proven", "decided": "decided by slip and friction, not proven"}[report["states"]]
 
 
 def _lines(text: str, value: Any, several: bool) -> list[str]:
@@ -95,14 +97,15 @@ def _lines(text: str, value: Any, several: bool) -> list[str]:
         rows = [list(value[0]), *([_shown(entry) for entry in row.values()] for row in value)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return [f"{text}:", *("  ".join(map(str.rjust, row, widths)) for row in rows)]
-    return [f"{text}: {_shown(value)}"]
+    return [f"{text}: {_shown(value, digits=10)}"]
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Any, digits: int = 6) -> str:
+    """For people: entries of a table that are 0 are left out."""
     if isinstance(value, dict):
-        return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items())
+        return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items() if entry)
     if isinstance(value, list):
-        return ", ".join(map(_shown, value))
+        return ", ".join(_shown(entry, digits) for entry in value)
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:,}" if isinstance(value, int) else f"{value:.6g}"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.{digits}g}"

@@ -55,7 +55,7 @@ def measures(network):
         "paths that share no link": network.disjoint_paths,
         "bottom spheres on links": len(bottom),
         "top spheres on links": len(top),
-        "shortest path, links": len(network.shortest_path) - 1,
+        "shortest path, links": max(0, len(network.shortest_path) - 1),
         "mean distance of pairs, links": found.betweenness.mean_distance,
         "planes x = const on a shortest path": network.path_planes[0],
         "connected pairs, share": found.betweenness.pairs / max(1, len(bottom) * len(top)),
