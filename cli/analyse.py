@@ -7,7 +7,8 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILES, json_option
 
-from taichi_bearings.words import counted, share, undecided_kinds
+COUNTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
+"""What the report begins with, by the names of columns."""
 
 
 @click.command()
@@ -45,7 +46,7 @@ def command(
     from taichi_bearings_cli import STARTED
     from taichi_bearings_cli.progress import Display
 
-    from taichi_bearings.runs.analyse import analyse
+    from taichi_bearings.runs.analysis import analyse
 
     with Display(STARTED) as display:
         report = analyse(Path(run), Path(out) if out else None, force, replica, threshold, figures)
@@ -53,26 +54,24 @@ def command(
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """The report for people; of several samples the distribution of the main numbers. times : where the time went."""
-    shape = "x".join(map(str, report["shape"]))
+    """The report for people, section by section; of several samples mean and range. times : where the time went."""
+    from taichi_bearings.quantities import COLUMNS, STRUCTURE
+
+    shape, seeds, spans = "x".join(map(str, report["shape"])), report["seed"], report["spans"]
+    several = isinstance(seeds, list)
     lines = [f"{shape} {report['law']}, {report['method']}; contact states: {_states(report)}"]
     ended = [report["status"]] if isinstance(report["status"], str) else report["status"]
     if open_ends := [status for status in ended if status != "certified"]:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
-    if isinstance(report["seed"], list):
-        lines += _distributions(report)
-    else:
-        for title, found in (
-            ("minimum cut", _interface(report)),
-            ("slipless network", _network(report)),
-            ("rigid domains", _domains(report)),
-            ("bottlenecks", _bottlenecks(report)),
-            ("forces", _forces(report)),
-            ("by slip threshold", _thresholds(report)),
-        ):
-            lines += [title, *(f"  {line}" for line in found)]
-    lines.append(times)
-    return "\n".join([*lines, *report["files"]])
+    if several:
+        lines.append(f"{len(seeds)} samples, seeds {seeds[0]} ... {seeds[-1]}: mean, least, largest; or how many")
+    for title, rows in {"contacts": [COLUMNS[name] for name in COUNTED], **STRUCTURE}.items():
+        told = {row: report[row.name] for row in rows if row.name in report}
+        found = [line for row, value in told.items() for line in _lines(row.text, value, several)]
+        if title == "bottlenecks" and not (any(spans) if several else spans):
+            found = ["none: slipless contacts do not join bottom and top"]
+        lines += [title, *(f"  {line}" for line in found)] if found else []
+    return "\n".join([*lines, times, *report["files"]])
 
 
 def _states(report: dict[str, Any]) -> str:
@@ -81,127 +80,32 @@ def _states(report: dict[str, Any]) -> str:
     return {"proven": "proven", "decided": "decided by slip and friction, not proven"}[report["states"]]
 
 
-def _distributions(report: dict[str, Any]) -> list[str]:
-    """Mean and range over the samples."""
-    import numpy as np
-
-    lines = [f"{len(report['seed'])} samples, seeds {report['seed'][0]} ... {report['seed'][-1]}: mean, least, largest"]
-    for key, words in (
-        ("power", "P"),
-        ("power_over_cut", "P / P_cut"),
-        ("slipless_fraction", "slipless contacts, share"),
-        ("reached_fraction", "free spheres they touch, share"),
-        ("spanning_fraction", "free spheres joined to both planes, share"),
-        ("disjoint_paths", "paths that share no contact"),
-        ("busiest_link_share", "pairs through the busiest contact, share"),
-        ("domains", "rigid domains"),
-    ):
-        values = np.array([value for value in report[key] if value is not None], dtype=float)
-        if len(values):
-            some = f", of {len(values)} of {len(report[key])} samples" if len(values) < len(report[key]) else ""
-            lines.append(f"  {words}: {values.mean():.6g}, {values.min():.6g}, {values.max():.6g}{some}")
-    for key, words in (
-        ("spans", "joined bottom and top by slipless contacts"),
-        ("cut_is_unique", "had a unique minimum cut"),
-        ("slipping_contacts_are_the_cut", "slipped at the minimum cut and nowhere else"),
-    ):
-        lines.append(f"  {sum(report[key])} of {len(report[key])} {words}")
-    return lines
+def _lines(text: str, value: Any, several: bool) -> list[str]:
+    """A number, list or table of one sample, or a number of several samples with its spread; empty if there is none."""
+    if several:
+        values = [one for one in value if one is not None]
+        if not values or isinstance(values[0], (dict, list)):
+            return []
+        if isinstance(values[0], bool):
+            return [f"{text}: {sum(values)} of {len(value)}"]
+        some = f", of {len(values)} of {len(value)} samples" if len(values) < len(value) else ""
+        spread = ", ".join(_shown(number) for number in (sum(values) / len(values), min(values), max(values)))
+        return [f"{text}: {spread}{some}"]
+    if value is None or value == []:
+        return []
+    if isinstance(value, list) and isinstance(value[0], dict):
+        rows = [list(value[0]), *([_shown(entry) for entry in row.values()] for row in value)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return [f"{text}:", *("  ".join(map(str.rjust, row, widths)) for row in rows)]
+    return [f"{text}: {_shown(value, digits=10)}"]
 
 
-def _interface(report: dict[str, Any]) -> list[str]:
-    alone = "unique" if report["cut_is_unique"] else "not unique: others weigh the same"
-    if report["next_cut_over_cut"] is not None:
-        alone += f"; the next one dissipates {report['next_cut_over_cut'] - 1:.2e} more"
-    lines = [f"P_cut = {report['power_minimum_cut']:.10g} over {report['cut_contacts']:,} contacts, {alone}"]
-    if report["power_over_cut"] is not None:
-        lines.append(f"P / P_cut = {report['power_over_cut']:.10g}")
-    same = "" if report["slipping_contacts_are_the_cut"] else "not "
-    return [*lines, f"the contacts that slip are {same}those of the cut"]
-
-
-def _network(report: dict[str, Any]) -> list[str]:
-    total = report["slipless"] + report["slipping"] + report["undecided"]
-    kinds = undecided_kinds(*(report[name] for name in ("undecided", "critical", "tied_contacts")))
-    open_ = ", ".join(kinds) or "0 undecided"
-    lines = [
-        f"{report['slipless']:,} of {total:,} contacts are slipless ({share(report['slipless_fraction'])}), "
-        f"{open_}; pieces: {report['components']:,}",
-        f"they touch {share(report['reached_fraction'], 4)} of the free spheres",
-    ]
-    if not report["spans"]:
-        return [*lines, "they do not join bottom and top"]
-    planes = ", ".join(f"{count} across {axis}" for count, axis in zip(report["planes_crossed"], "xy", strict=False))
-    return [
-        *lines,
-        f"they join bottom and top, with {share(report['spanning_fraction'], 4)} of the free spheres in that piece",
-        f"shortest path {counted(report['shortest_path'], 'contact')}, through planes: {planes}; "
-        f"paths that share no contact: {report['disjoint_paths']:,}",
-    ]
-
-
-def _domains(report: dict[str, Any]) -> list[str]:
-    spheres = report["free_spheres_locked_to"]
-    kinds = {name: count for name, count in report["domains_locked_to"].items() if count}
-    words = ", ".join(f"{name} {count:,} ({spheres[name]:,})" for name, count in kinds.items())
-    only = {True: "no other slips have the least power", False: "other slips have the least power too", None: ""}
-    return [
-        f"{report['domains']:,} domains; by what they are locked to, with their free spheres: {words}",
-        f"largest one not locked to a plane: {counted(report['largest_intermediate_domain'], 'sphere')}",
-        *filter(None, [only[report["minimum_is_unique"]]]),
-    ]
-
-
-def _bottlenecks(report: dict[str, Any]) -> list[str]:
-    if not report["spans"]:
-        return ["none: nothing joins bottom and top"]
-    load = report["path_concentration"]
-    sources, of_all = report["betweenness_sources"], report["betweenness_all_sources"]
-    exact = "" if report["betweenness_is_exact"] else f" (estimated from {sources} of {of_all} spheres)"
-    lines = [
-        f"{report['connected_pairs']:,} pairs of a bottom and a top sphere, on average "
-        f"{report['mean_distance']:.1f} contacts apart{exact}",
-        f"busiest contact: {share(report['busiest_link_share'])} of the pairs; half the load is on {load['half']:,} of "
-        f"{load['loaded']:,} contacts in use",
-        f"contacts that part bottom and top alone: {report['parting_links']}; fewest that do together: "
-        f"{report['disjoint_paths']:,}; bridges {report['bridges']:,}, articulation spheres "
-        f"{report['articulation_spheres']:,}",
-        f"as a network of equal resistors: {report['resistance']:.4g}, at most "
-        f"{share(report['busiest_link_current'])} of the current through one contact",
-        "contact (lower sphere, axis)      pairs  current",
-    ]
-    for link in report["most_loaded"][:5]:
-        where = f"({', '.join(map(str, link['contact']))}) {'xyz'[link['axis']]}"
-        alone = "  parts the planes" if link["parts_the_planes"] else "  bridge" if link["is_bridge"] else ""
-        error = "" if report["betweenness_is_exact"] else f"  +- {link['share_error']:.2%}"
-        lines.append(f"{where:30}  {share(link['share'], 2):>7}  {share(link['current'], 2):>7}{error}{alone}")
-    return lines
-
-
-def _forces(report: dict[str, Any]) -> list[str]:
-    lines = []
-    if "driving_torque" in report:
-        torque = ", ".join(f"{value:.8g}" for value in report["driving_torque"])
-        lines.append(
-            f"torque from top to bottom, by component: {torque}; slipless contacts carry "
-            f"{share(report['slipless_share_of_torque'])} of it from layer to layer"
-        )
-    if report.get("mean_saturation") is not None:
-        lines.append(
-            f"slipless contacts bear {share(report['mean_saturation'])} of their limit of friction on average; "
-            f"{report['slipless_within_1_percent']:,} are within 1 % of slipping"
-        )
-    if not report["undecided"]:
-        free = report["self_stress_states"]
-        lines.append(f"their forces are {'unique' if free == 0 else f'open in {free:,} states of self-stress'}")
-    return lines or ["unknown: the run has none of them, or its contacts are not decided"]
-
-
-def _thresholds(report: dict[str, Any]) -> list[str]:
-    lines = ["threshold / (R jump)   slipless  domains  largest intermediate  spans  reached"]
-    for row in report["by_threshold"]:
-        lines.append(
-            f"{row['threshold']:20.0e}  {row['slipless']:9,}  {row['domains']:7,}  {row['largest_intermediate']:20,}  "
-            f"{'yes' if row['spans'] else 'no':>5}  {row['reached_fraction']:.5f}"
-        )
-    return lines
+def _shown(value: Any, digits: int = 6) -> str:
+    """For people: entries of a table that are 0 are left out."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items() if entry)
+    if isinstance(value, list):
+        return ", ".join(_shown(entry, digits) for entry in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.{digits}g}"

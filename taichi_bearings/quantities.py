@@ -1,8 +1,9 @@
 """The one table of quantities: what each number of an answer is called, its unit, what it is, and how to get it.
 
 Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows:
-a new quantity is a row here and nothing else. Four tables, by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECKS`
-(columns of the history, one value a look at the solve) and `SAMPLES` (one value a sample, or one for all of them).
+a new quantity is a row here and nothing else. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECKS`
+(columns of the history, one value a look at the solve), `SAMPLES` (one value a sample, or one for all of them) and
+`STRUCTURE` (of one sample, what its contacts form).
 """
 
 from collections.abc import Callable, Iterable
@@ -194,7 +195,7 @@ SAMPLES = _named(
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius spin_top)",
                  lambda a: a.power_normalised, r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "proven: no other slips have the least power; or others do",
+        Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time", lambda a: _number(a.at_end("time"))),
         Quantity("duration", "time", "simulated time that was asked for",
@@ -220,24 +221,104 @@ FINDINGS = _named(
 )
 """What methods have found beside the answer (`Solution.findings`): also numbers of samples."""
 
-ANALYSED = _named(
-    [
+STRUCTURE = {
+    "minimum cut": [
         Quantity("power_minimum_cut", "energy/time", "power of the lightest interface of two rigid domains",
-                 symbol=r"P_\mathrm{cut}"),
-        Quantity("power_over_cut", "1", "power / power_minimum_cut", symbol=r"P\,/\,P_\mathrm{cut}"),
-        Quantity("next_cut_over_cut", "1", "power of the lightest other interface over that",
-                 symbol=r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
+                 lambda s: s.interface.power, r"P_\mathrm{cut}"),
+        Quantity("power_over_cut", "1", "power / power_minimum_cut",
+                 lambda s: _over(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
+        Quantity("cut_is_unique", "1", "every other interface is proven to be heavier",
+                 lambda s: s.interface.power > 0 and not s.interface.between.any()),
+        Quantity("next_cut_over_cut", "1", "power of the lightest other interface over power_minimum_cut",
+                 lambda s: _over(s.interface.next_power, s.interface.power), r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
+        Quantity("cut_contacts", "1", "contacts of the lightest interface",
+                 lambda s: s.interface.contacts.sum(), r"N_\mathrm{cut}"),
+        Quantity("slipping_contacts_are_the_cut", "1", "the contacts of the lightest interface slip, and no others",
+                 lambda s: np.array_equal(s.state == ContactState.SLIPPING, s.interface.contacts)),
+    ],
+    "slipless network": [
         Quantity("slipless_fraction", "1", "slipless contacts over all that can slip",
-                 symbol=r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}"),
-        Quantity("cut_contacts", "1", "contacts of the lightest interface", symbol=r"N_\mathrm{cut}"),
-        Quantity("domains", "1", "rigid domains", symbol=r"N_\mathrm{domains}"),
+                 lambda s: s.contacts_in(ContactState.SLIPLESS) / s.scene.lattice.contacts,
+                 r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}"),
+        Quantity("components", "1", "connected pieces of the slipless network", lambda s: s.network.components),
+        Quantity("spans", "1", "slipless contacts join bottom and top", lambda s: s.network.spans),
+        Quantity("reached_fraction", "1", "share of the free spheres that touch a slipless contact",
+                 lambda s: s.network.reached_fraction),
+        Quantity("spanning_fraction", "1", "share of the free spheres in the piece that joins bottom and top",
+                 lambda s: s.network.spanning_fraction),
+        Quantity("shortest_path", "contacts", "length of the shortest slipless path from bottom to top",
+                 lambda s: _if_spans(s, len(s.network.shortest_path) - 1), r"\ell_\mathrm{min}"),
+        Quantity("planes_crossed", "1", "lattice planes across x (and y) that the shortest path visits",
+                 lambda s: s.network.path_planes),
         Quantity("disjoint_paths", "1", "slipless paths from bottom to top that share no contact",
-                 symbol=r"N_\mathrm{paths}"),
-        Quantity("shortest_path", "contacts", "shortest slipless path from bottom to top", symbol=r"\ell_\mathrm{min}"),
-        Quantity("mean_distance", "contacts", "mean length of the shortest paths", symbol=r"\langle \ell \rangle"),
-    ]
-)
-"""Numbers of `bearings analyse` that scans have too; docs/structure.md has the rest."""
+                 lambda s: s.network.disjoint_paths, r"N_\mathrm{paths}"),
+    ],
+    "rigid domains": [
+        Quantity("domains", "1", "rigid domains", lambda s: s.domains.number, r"N_\mathrm{domains}"),
+        Quantity("domains_locked_to", "1", "rigid domains by what they are locked to",
+                 lambda s: s.domains.domains_of_kind()),
+        Quantity("free_spheres_locked_to", "1", "free spheres by what their rigid domain is locked to",
+                 lambda s: s.domains.spheres_of_kind(~s.scene.lattice.is_driven)),
+        Quantity("largest_intermediate_domain", "1", "spheres of the largest rigid domain not locked to one plane",
+                 lambda s: s.domains.largest_intermediate),
+        Quantity("largest_spread_in_a_domain", "1/time", "largest distance of a spin from its domain's mean (rounding)",
+                 lambda s: s.domains.spread),
+    ],
+    "bottlenecks": [
+        Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere that slipless contacts join",
+                 lambda s: s.bottlenecks.betweenness.pairs),
+        Quantity("mean_distance", "contacts", "mean length of the shortest paths",
+                 lambda s: _if_spans(s, s.bottlenecks.betweenness.mean_distance), r"\langle \ell \rangle"),
+        Quantity("betweenness_is_exact", "1", "shortest paths were counted from all that they start from",
+                 lambda s: s.bottlenecks.betweenness.sources == s.bottlenecks.betweenness.all_sources),
+        Quantity("betweenness_sources", "1", "driven spheres that shortest paths were counted from",
+                 lambda s: s.bottlenecks.betweenness.sources),
+        Quantity("betweenness_all_sources", "1", "driven spheres that shortest paths start from",
+                 lambda s: s.bottlenecks.betweenness.all_sources),
+        Quantity("busiest_link_share", "1", "share of the shortest paths through the busiest contact",
+                 lambda s: _if_spans(s, s.bottlenecks.share.max(initial=0.0))),
+        Quantity("busiest_link_current", "1", "largest share of the current through one contact",
+                 lambda s: _if_spans(s, s.bottlenecks.flow.current.max(initial=0.0))),
+        Quantity("backbone_links", "1", "contacts on some path from bottom to top",
+                 lambda s: s.bottlenecks.backbone.sum()),
+        Quantity("bridges", "1", "contacts whose removal breaks the piece that joins the planes",
+                 lambda s: s.bottlenecks.weak.links.sum()),
+        Quantity("articulation_spheres", "1", "spheres whose removal breaks the piece that joins the planes",
+                 lambda s: s.bottlenecks.weak.spheres.sum()),
+        Quantity("parting_links", "1", "contacts whose removal alone parts bottom and top",
+                 lambda s: s.bottlenecks.parting.links.sum()),
+        Quantity("resistance", "1", "resistance between bottom and top, every contact being 1",
+                 lambda s: s.bottlenecks.flow.resistance),
+        Quantity("path_concentration", "1", "concentration of the shortest paths",
+                 lambda s: s.bottlenecks.concentration),
+        Quantity("current_concentration", "1", "concentration of the current",
+                 lambda s: s.bottlenecks.current_concentration),
+        Quantity("most_loaded", "1", "contacts that most shortest paths use, by lower sphere and axis (0 is x)",
+                 lambda s: s.bottlenecks.most_loaded()),
+    ],
+    "forces": [
+        Quantity("self_stress_states", "1", "states of self-stress, 0 if the forces of slipless contacts are unique",
+                 lambda s: s.self_stress),
+        Quantity("driving_torque", "force*length", "torque from top to bottom, by component",
+                 lambda s: s.torque_flow.total.tolist()),
+        Quantity("torque_deviation", "1", "largest difference of a layer's torque from the mean, relative (rounding)",
+                 lambda s: s.torque_flow.deviation),
+        Quantity("slipless_share_of_torque", "1", "share of the torque that slipless contacts carry between layers",
+                 lambda s: s.torque_flow.slipless_share),
+        Quantity("mean_saturation", "1", "mean share of their friction limit that slipless contacts bear",
+                 lambda s: s.friction_load and s.friction_load.mean),
+        Quantity("smallest_margin", "1", "share of its limit that the most loaded slipless contact has left",
+                 lambda s: s.friction_load and s.friction_load.margin),
+        Quantity("slipless_within_1_percent", "1", "slipless contacts within 1 % of slipping",
+                 lambda s: s.friction_load and s.friction_load.within(0.01)),
+    ],
+    "by slip threshold": [
+        Quantity("by_threshold", "1", "network and domains if contacts were judged by slip / (R jump) alone",
+                 lambda s: s.views_by_threshold),
+    ],
+}
+"""Of a Structure, section by section: the numbers of `bearings analyse`."""
+ANALYSED = _named(row for rows in STRUCTURE.values() for row in rows)
 
 OF_SCANS = _named(
     [
@@ -253,7 +334,17 @@ OF_SCANS = _named(
 
 # fmt: on
 COLUMNS = SAMPLES | FINDINGS | ANALYSED | OF_SCANS
-"""All columns that a scan can have, but for other numbers of `analyse`, and its settings."""
+"""All columns that a scan can have, but for its settings."""
+
+
+def _over(value: float, unit: float) -> float:
+    """Not-a-number where the unit is 0."""
+    return value / unit if unit > 0 else np.nan
+
+
+def _if_spans(structure: Any, value: float) -> float:
+    """Not-a-number where slipless contacts do not join bottom and top."""
+    return value if structure.network.spans else np.nan
 
 
 class Whole(list[Any]):
@@ -281,12 +372,12 @@ def _told(value: Any, several: bool) -> Any:
     if isinstance(value, Whole):
         return list(value)
     if isinstance(value, (np.ndarray, list)):
-        values = [_plain(v) for v in value]
+        values = [plain(v) for v in value]
         return values if several else values[0]
-    return _plain(value)
+    return plain(value)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A Python number or text; None for a number that is not finite."""
     value = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(value, float) and not np.isfinite(value) else value

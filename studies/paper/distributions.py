@@ -80,9 +80,9 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
         below_cut=bool(structure.power < structure.interface.lower_bound * (1 - SAME)),
         gap=(structure.power - structure.lower_bound) / structure.power,
         states_proven=bool(structure.states_proven),
-        spans=bool(view.spans),
-        reached_fraction=float(view.reached_fraction),
-        slipless_fraction=view.slipless / scene.lattice.contacts,
+        spans=bool(view["spans"]),
+        reached_fraction=float(view["reached_fraction"]),
+        slipless_fraction=view["slipless"] / scene.lattice.contacts,
         decades=float(np.log10(power.max() / power.min())) if structure.states_proven else None,
     )
     return asdict(found)

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.analysis.network import planes_crossed
-from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.analysis.structure import THRESHOLDS, Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.quantities import plain
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import stage
 
@@ -27,6 +26,7 @@ SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025
 """Side of the cube -> samples of it, as a share of those that a claim may take."""
 BULK, LARGE = 10, 24  # sides: the paper's own, and from which on most samples must span
 PRACTICALLY_ALL = 0.99  # of the free spheres
+View = dict[str, Any]  # `Structure.view`
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     found = measured(chosen, numbers_of, folder / "network.jsonl")
     samples, views = [Sample(**of["sample"]) for of in found], dict[int, list[list[View]]]()
     for of in found:
-        views.setdefault(of["sample"]["side"], []).append([View(**view) for view in of["views"]])
+        views.setdefault(of["sample"]["side"], []).append(of["views"])
     write_csv(folder / "network.csv", [item.name for item in fields(Sample)], [astuple(s) for s in samples])
     paths = {"shortest_path": columns_of([sample for sample in samples if sample.spans])["shortest_path"]}
     with stage("drawing"):
@@ -90,13 +90,9 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
     """The numbers of one sample, and what thresholds and then contact states show of it."""
-    views = (*structure.views_by_threshold, structure.view)
-    return {"sample": _plain(sample_of(structure)), "views": [_plain(view) for view in views]}
-
-
-def _plain(numbers: Sample | View) -> dict[str, Any]:
-    """The same as Python's own numbers."""
-    return {name: value.item() if isinstance(value, np.generic) else value for name, value in asdict(numbers).items()}
+    views = [*structure.views_by_threshold, structure.view]
+    numbers = asdict(sample_of(structure)).items()
+    return {"sample": {name: plain(value) for name, value in numbers}, "views": views}
 
 
 def sample_of(structure: Structure) -> Sample:
@@ -104,7 +100,7 @@ def sample_of(structure: Structure) -> Sample:
     scene, network, view = structure.scene, structure.network, structure.view
     free = ~scene.lattice.is_driven
     kinds = structure.domains.spheres_of_kind(free)
-    planes = planes_crossed(network.shortest_path)
+    planes = network.path_planes
     return Sample(
         side=scene.lattice.shape[0],
         seed=scene.seeds[0],
@@ -112,23 +108,23 @@ def sample_of(structure: Structure) -> Sample:
         gap=(structure.power - structure.lower_bound) / structure.power,
         power_over_cut=structure.power / structure.interface.power,
         below_cut=bool(structure.power < structure.interface.lower_bound * (1 - SAME)),
-        slipless_fraction=view.slipless / scene.lattice.contacts,
+        slipless_fraction=view["slipless"] / scene.lattice.contacts,
         states_proven=structure.states_proven,
         unique=structure.minimum_is_unique is True,
-        spans=view.spans,
-        reached_fraction=view.reached_fraction,
-        reached_by_chance=reached_by_chance(scene.lattice, view.slipless / scene.lattice.contacts),
-        spanning_fraction=view.spanning_fraction,
+        spans=view["spans"],
+        reached_fraction=view["reached_fraction"],
+        reached_by_chance=reached_by_chance(scene.lattice, view["slipless"] / scene.lattice.contacts),
+        spanning_fraction=view["spanning_fraction"],
         intermediate=1 - (kinds["bottom"] + kinds["top"]) / int(free.sum()),
-        domains=view.domains,
-        largest_intermediate=view.largest_intermediate,
+        domains=view["domains"],
+        largest_intermediate=view["largest_intermediate"],
         shortest_path=max(len(network.shortest_path) - 1, 0),
         planes_x=planes[0],
         planes_y=planes[1],
-        disjoint_paths=network.disjoint_paths.number,
-        busiest_link_share=structure.bottlenecks.concentration.largest,
-        effective_links=structure.bottlenecks.concentration.effective,
-        parting_links=int(structure.bottlenecks.backbone.parting_links.sum()),
+        disjoint_paths=network.disjoint_paths,
+        busiest_link_share=structure.bottlenecks.concentration["largest"],
+        effective_links=structure.bottlenecks.concentration["effective"],
+        parting_links=int(structure.bottlenecks.parting.links.sum()),
         plane_spans=any(bool(network.spans_within_planes(axis).any()) for axis in (0, 1)),
     )
 
@@ -156,11 +152,8 @@ def columns_of(samples: Sequence[Sample]) -> dict[str, Column]:
 
 
 def by_threshold(views: Sequence[Sequence[View]]) -> dict[str, np.ndarray]:
-    """Every number of View, (samples, thresholds + 1): for each of THRESHOLDS, then by the contact states."""
-    return {
-        item.name: np.array([[float(getattr(seen, item.name)) for seen in sample] for sample in views])
-        for item in fields(View)
-    }
+    """Every number of `Structure.view`, (samples, thresholds + 1): for each of THRESHOLDS, then by contact states."""
+    return {name: np.array([[float(seen[name]) for seen in sample] for sample in views]) for name in views[0][-1]}
 
 
 def _by_side(samples: Sequence[Sample], name: str) -> dict[int, np.ndarray]:

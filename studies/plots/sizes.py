@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.thresholds import THRESHOLDS
+from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 THRESHOLD = r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$"
@@ -37,7 +37,7 @@ def draw_sizes(columns: Mapping[str, Column], by_threshold: Mapping[int, Mapping
     """Power over that of the minimum cut, network, domains and paths against the side; what thresholds make of them.
 
     columns : numbers of the samples by name (paper.network.Sample). by_threshold : side -> numbers (samples,
-    thresholds + 1) by name (analysis.thresholds.View), the last ones by certified contact states.
+    thresholds + 1) by name (`Structure.view`), the last ones by certified contact states.
     """
     figure = new_figure(DOUBLE, 4.9)
     axes: Any = figure.subplots(2, 3)

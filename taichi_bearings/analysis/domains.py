@@ -15,7 +15,6 @@ from enum import IntFlag
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
 
@@ -27,6 +26,12 @@ class Lock(IntFlag):
     BOTTOM = 1
     TOP = 2
     BOTH = 3
+
+
+KINDS = ("bottom", "top", "both", "mixed", "partly", "neither")
+"""Rigid domains locked in every component to the bottom, to the top, to both, to the one or the other; in some
+components only, in none."""
+INTERMEDIATE = KINDS.index("mixed")  # the first of the kinds that are not locked to one plane in all components
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,11 @@ class RigidDomains:
         answers = [bottom & top, bottom, top, held.all(axis=1), held.any(axis=1)]
         return np.select(answers, [KINDS.index(kind) for kind in ("both", "bottom", "top", "mixed", "partly")], 5)
 
+    @property
+    def largest_intermediate(self) -> int:
+        """Spheres of the largest rigid domain that is not locked to one plane in all components."""
+        return int(self.spheres[self.kind >= INTERMEDIATE].max(initial=0))
+
     def domains_of_kind(self) -> dict[str, int]:
         """Number of rigid domains of each kind."""
         return dict(zip(KINDS, np.bincount(self.kind, minlength=len(KINDS)).tolist(), strict=True))
@@ -70,43 +80,25 @@ class RigidDomains:
         return dict(zip(KINDS, each.tolist(), strict=True))
 
 
-KINDS = ("bottom", "top", "both", "mixed", "partly", "neither")
-"""Rigid domains locked in every component to the bottom, to the top, to both, to the one or the other; in some
-components only, in none."""
-
-
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
     """The domains of one sample.
 
     staggered : (C, *N) spins, components as named by spin_axes, 1/time.
     """
-    labels, locks = [], []
-    for component in spin_axes:
-        label = connected_components(network.graph(network.axis != component), directed=False)[1]
-        labels.append(label[network.body])
-        tied = Lock.BOTTOM * (label == label[0]) + Lock.TOP * (label == label[-1])
-        locks.append(tied[network.body])
-    of_sphere = _refine(labels)
-    spheres = np.bincount(of_sphere)
-    first = np.unique(of_sphere, return_index=True)[1]
-    flat = staggered.reshape(len(spin_axes), -1)
+    pieces = np.stack([network.pieces(network.axis != component) for component in spin_axes])
+    tied = Lock.BOTTOM * (pieces == pieces[:, :1]) + Lock.TOP * (pieces == pieces[:, -1:])
+    labels = pieces[:, network.body]
+    together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
+    order = np.argsort(-np.bincount(together), kind="stable")  # the largest first
+    of_sphere = np.argsort(order)[together]
+    spheres, flat = np.bincount(of_sphere), staggered.reshape(len(spin_axes), -1)
     mean = np.stack([np.bincount(of_sphere, weights=values) / spheres for values in flat], axis=1)
-    shape = network.lattice.shape
     return RigidDomains(
         spin_axes=spin_axes,
-        component_domain=np.stack(labels).reshape(-1, *shape),
-        domain=of_sphere.reshape(shape),
+        component_domain=labels.reshape(-1, *network.lattice.shape),
+        domain=of_sphere.reshape(network.lattice.shape),
         spheres=spheres,
         staggered=mean,
         spread=float(np.abs(flat.T - mean[of_sphere]).max()),
-        lock=np.stack(locks, axis=1)[first],
+        lock=tied[:, network.body[np.unique(of_sphere, return_index=True)[1]]].T,
     )
-
-
-def _refine(labels: list[np.ndarray]) -> np.ndarray:
-    """Labels (sites,) of the classes of spheres that agree in all `labels`, the largest class first."""
-    together = np.unique(np.stack(labels), axis=1, return_inverse=True)[1].ravel()
-    spheres = np.bincount(together)
-    rank = np.empty(len(spheres), dtype=np.int64)
-    rank[np.argsort(-spheres, kind="stable")] = np.arange(len(spheres))
-    return rank[together]

@@ -18,19 +18,6 @@ from taichi_bearings.proof.contact_state import ContactState
 
 
 @dataclass(frozen=True)
-class DisjointPaths:
-    """Paths from the bottom to the top plane that share no contact, as many as there are (Menger).
-
-    number : of paths. lowest, highest : (number,) edges whose removal parts the planes, nearest the bottom and the top;
-        no smaller set does. They are the same where the set is the only one.
-    """
-
-    number: int
-    lowest: np.ndarray
-    highest: np.ndarray
-
-
-@dataclass(frozen=True)
 class SliplessNetwork:
     """Spheres of one sample and the slipless contacts that join them.
 
@@ -46,28 +33,14 @@ class SliplessNetwork:
         return self.lattice.axis[self.slipless]
 
     @cached_property
-    def contact(self) -> np.ndarray:
-        """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
-        return np.stack(np.unravel_index(self.ends[0], self.lattice.shape), axis=1)
-
-    @cached_property
     def ends(self) -> np.ndarray:
         """Lower and upper sphere (2, E) of each edge, as indices in C order."""
         return self.lattice.ends[:, self.slipless]
 
     @cached_property
-    def bottom(self) -> np.ndarray:
-        """Spheres of the bottom plane that touch a slipless contact, as indices in C order."""
-        return self._touched_in_plane(0)
-
-    @cached_property
-    def top(self) -> np.ndarray:
-        """Spheres of the top plane that touch a slipless contact, as indices in C order."""
-        return self._touched_in_plane(-1)
-
-    def _touched_in_plane(self, height: int) -> np.ndarray:
-        spheres: np.ndarray = np.arange(self.lattice.sites).reshape(self.lattice.shape)[..., height]
-        return spheres[self.touched[..., height]]
+    def contact(self) -> np.ndarray:
+        """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
+        return np.stack(np.unravel_index(self.ends[0], self.lattice.shape), axis=1)
 
     @cached_property
     def touched(self) -> np.ndarray:
@@ -84,6 +57,10 @@ class SliplessNetwork:
     def bodies(self) -> int:
         return int(self.body[-1]) + 1
 
+    def touched_of(self, body: int) -> np.ndarray:
+        """Spheres of a body that touch a slipless contact, as indices in C order."""
+        return np.flatnonzero(self.touched.ravel() & (self.body == body))
+
     def graph(self, chosen: np.ndarray | None = None) -> csr_array:
         """Adjacency matrix (bodies, bodies) of int32 ones, symmetric; chosen : (E,) bool, edges that take part."""
         ends = self.body[self.ends if chosen is None else self.ends[:, chosen]]
@@ -91,13 +68,15 @@ class SliplessNetwork:
         ones = np.ones(both.shape[1], dtype=np.int32)
         return csr_array((ones, (both[0], both[1])), shape=(self.bodies, self.bodies))
 
+    def pieces(self, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Label (bodies,) of the connected piece of each body, 0 that of the bottom plane. chosen : as of `graph`."""
+        label: np.ndarray = connected_components(self.graph(chosen), directed=False)[1]
+        return label
+
     @cached_property
     def component(self) -> np.ndarray:
         """Label, shape N, of the connected piece of each sphere; 0 is the piece of the bottom plane."""
-        label = connected_components(self.graph(), directed=False)[1]
-        in_order = np.unique(label, return_index=True)[1]
-        order = np.argsort(np.argsort(in_order))
-        return order[label][self.body].reshape(self.lattice.shape)
+        return self.pieces()[self.body].reshape(self.lattice.shape)
 
     @property
     def components(self) -> int:
@@ -131,43 +110,48 @@ class SliplessNetwork:
         if not self.spans:
             return np.empty((0, self.lattice.dimension), dtype=int)
         before = breadth_first_order(self.graph(), 0, directed=False)[1]
-        node, nodes = self.bodies - 1, []
+        node, nodes = before[-1], []
         while node != 0:
             nodes.append(node)
             node = before[node]
-        free = np.flatnonzero(~self.lattice.is_driven.ravel())
-        inner = free[np.array(nodes[:0:-1], dtype=int) - 1]  # nodes 1, 2, ... are the free spheres in C order
-        path = np.stack(np.unravel_index(inner, self.lattice.shape), axis=1)
+        free = np.flatnonzero(~self.lattice.is_driven.ravel())  # nodes 1, 2, ... are the free spheres in C order
+        path = np.stack(np.unravel_index(free[np.array(nodes[::-1]) - 1], self.lattice.shape), axis=1)
         up = np.eye(self.lattice.dimension, dtype=int)[-1]
         return np.concatenate([path[:1] - up, path, path[-1:] + up])
 
+    @property
+    def path_planes(self) -> list[int]:
+        """Number of lattice planes across each sideways axis that this path visits."""
+        return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
+
     @cached_property
-    def disjoint_paths(self) -> DisjointPaths:
-        """How many paths from bottom to top share no contact, and the contacts that limit them."""
-        graph = self.graph()
-        last = self.bodies - 1
-        flow = maximum_flow(graph, 0, last)
-        left_over = graph - flow.flow
+    def parting_sets(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest sets of edges whose removal parts the planes, (E,) bool: the nearest to the bottom, and to the top.
+
+        They hold as many edges as there are paths from bottom to top that share no contact (Menger), and they are the
+        same where the set is the only one.
+        """
+        graph, last = self.graph(), self.bodies - 1
+        left_over = graph - maximum_flow(graph, 0, last).flow
         left_over.eliminate_zeros()
-        from_bottom, to_top = np.zeros((2, self.bodies), dtype=bool)
-        from_bottom[breadth_first_order(left_over, 0, return_predecessors=False)] = True
-        to_top[breadth_first_order(csr_array(left_over.T), last, return_predecessors=False)] = True
         low, high = self.body[self.ends]
-        return DisjointPaths(
-            int(flow.flow_value),
-            np.flatnonzero(from_bottom[low] != from_bottom[high]),
-            np.flatnonzero(to_top[low] != to_top[high]),
-        )
+        found = []
+        for start, edges in ((0, left_over), (last, csr_array(left_over.T))):
+            side = np.zeros(self.bodies, dtype=bool)
+            side[breadth_first_order(edges, start, return_predecessors=False)] = True
+            found.append(side[low] != side[high])
+        return found[0], found[1]
+
+    @property
+    def disjoint_paths(self) -> int:
+        """Number of paths from the bottom to the top plane that share no contact, as many as there are."""
+        return int(self.parting_sets[0].sum())
 
     def spans_within_planes(self, axis: int) -> np.ndarray:
         """For each lattice plane across `axis`: True if its slipless contacts alone join bottom and top."""
-        inside = self.axis != axis
-        plane = self.contact[:, axis]
-        found = []
-        for index in range(self.lattice.shape[axis]):
-            label = connected_components(self.graph(inside & (plane == index)), directed=False)[1]
-            found.append(label[0] == label[-1])
-        return np.array(found)
+        inside, plane = self.axis != axis, self.contact[:, axis]
+        pieces = [self.pieces(inside & (plane == index)) for index in range(self.lattice.shape[axis])]
+        return np.array([label[0] == label[-1] for label in pieces])
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
         """Values (E,) of the edges spread over all contacts of the lattice, 0 elsewhere."""
@@ -179,8 +163,3 @@ class SliplessNetwork:
 def network_of(lattice: Lattice, state: np.ndarray) -> SliplessNetwork:
     """The network of the contacts in state SLIPLESS; state : (contacts,)."""
     return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
-
-
-def planes_crossed(path: np.ndarray) -> tuple[int, ...]:
-    """Number of lattice planes across each sideways axis that a path (L, dimension) visits."""
-    return tuple(len(np.unique(path[:, axis])) for axis in range(path.shape[1] - 1))

@@ -1,19 +1,18 @@
 """The structure of one sample, part by part; a part is computed when it is first asked for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.bottlenecks import Bottlenecks, find_bottlenecks
+from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
 from taichi_bearings.analysis.interface import Interface, find_interface
 from taichi_bearings.analysis.network import SliplessNetwork, network_of
-from taichi_bearings.analysis.thresholds import View, view, views_by_threshold
 from taichi_bearings.analysis.torque_flow import (
-    ForceDistribution,
+    Counted,
     FrictionLoad,
-    SelfStress,
     TorqueFlow,
     force_distribution,
     friction_load,
@@ -24,6 +23,9 @@ from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.proof.contact_state import ContactState, critical
 from taichi_bearings.scene import Scene, Solution
 
+THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+"""Slips over R times the imposed jump, which is the largest slip there can be."""
+
 
 @dataclass(frozen=True)
 class Structure:
@@ -31,7 +33,7 @@ class Structure:
 
     scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
     slip, state : (E,). power, lower_bound : energy/time.
-    friction : laboratory frame, (E, 3), in 2D (E,); None if it is not known.
+    friction : laboratory frame, (E, 3), in 2D (E,).
     critical, tied : how many of the undecided contacts are known to be that.
     states_proven : True if `state` is proven to be that of every minimum. minimum_is_unique : None if it is not known.
     """
@@ -42,22 +44,15 @@ class Structure:
     state: np.ndarray
     power: float
     lower_bound: float
-    friction: np.ndarray | None = None
+    friction: np.ndarray
     critical: int = 0
     tied: int = 0
     states_proven: bool = False
     minimum_is_unique: bool | None = None
 
     @cached_property
-    def staggered(self) -> np.ndarray:
-        """Staggered spins (C, *N) of the components that the driving needs, 1/time."""
-        return self.scene.staggered_spin(self.spin[None], self.scene.minimum_spin_axes)[:, 0]
-
-    @cached_property
-    def force(self) -> np.ndarray | None:
-        """Staggered contact forces, (C, E), of these components."""
-        if self.friction is None:
-            return None
+    def force(self) -> np.ndarray:
+        """Staggered contact forces, (C, E), of the components that the driving needs."""
         return staggered_forces(self.friction[None], self.scene.lattice, self.scene.minimum_spin_axes)[:, 0]
 
     def contacts_in(self, which: ContactState) -> int:
@@ -75,51 +70,77 @@ class Structure:
 
     @cached_property
     def domains(self) -> RigidDomains:
-        return rigid_domains(self.network, self.staggered, self.scene.minimum_spin_axes)
+        axes = self.scene.minimum_spin_axes
+        return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
+
+    @property
+    def view(self) -> dict[str, Any]:
+        """Network and domains in a few numbers: slipless contacts, pieces of their network and whether it spans, shares
+        of the free spheres, rigid domains, spheres of the largest one that is not locked to one plane."""
+        return {
+            "slipless": len(self.network.axis),
+            "components": self.network.components,
+            "spans": self.network.spans,
+            "reached_fraction": self.network.reached_fraction,
+            "spanning_fraction": self.network.spanning_fraction,
+            "domains": self.domains.number,
+            "largest_intermediate": self.domains.largest_intermediate,
+        }
 
     @cached_property
-    def view(self) -> View:
-        """Network and domains in a few numbers, by the contact states."""
-        return view(self.network, self.domains)
+    def views_by_threshold(self) -> list[dict[str, Any]]:
+        """The same for each of THRESHOLDS: what a solver would have seen that cannot tell tiny slips from none.
 
-    @cached_property
-    def views_by_threshold(self) -> list[View]:
-        """The same by slip thresholds."""
-        scene = self.scene
-        return views_by_threshold(
-            scene.lattice, self.slip, scene.lattice.radius * scene.jump, self.staggered, scene.minimum_spin_axes
-        )
+        At the minimum of a large sample the slips span many decades, so a coarse threshold merges slipping contacts
+        into the network and domains into each other.
+        """
+        views: dict[int, dict[str, Any]] = {}
+        chosen = []
+        for threshold in THRESHOLDS:
+            seen = self.by_threshold(threshold * (self.scene.lattice.radius * self.scene.jump))
+            count = seen.contacts_in(ContactState.SLIPLESS)  # the sets are nested: the same number, the same set
+            if count not in views:
+                views[count] = seen.view
+            chosen.append({"threshold": threshold} | views[count])
+        return chosen
+
+    def by_threshold(self, threshold: float) -> "Structure":
+        """The sample where contacts that slip faster than the threshold slip, and all others are slipless; those
+        between driven spheres stay. threshold : length/time."""
+        told = np.where(self.slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+        state = np.where(self.state == ContactState.DRIVEN, self.state, told).astype(np.uint8)
+        return replace(self, state=state, critical=0, tied=0, states_proven=False, minimum_is_unique=None)
 
     @cached_property
     def bottlenecks(self) -> Bottlenecks:
-        return find_bottlenecks(self.network)
+        return Bottlenecks(self.network)
 
     @cached_property
-    def torque_flow(self) -> TorqueFlow | None:
-        """How the driving torque goes through the sample; None without forces."""
-        if self.force is None:
-            return None
-        scene = self.scene
-        top = scene.top_spin(scene.minimum_spin_axes)
-        return torque_flow(scene.lattice, scene.minimum_spin_axes, self.force, self.state, top)
+    def torque_flow(self) -> TorqueFlow:
+        """How the driving torque goes through the sample."""
+        top = self.scene.top_spin(self.scene.minimum_spin_axes)
+        return torque_flow(self.scene.lattice, self.force, self.state, top)
 
     @cached_property
     def friction_load(self) -> FrictionLoad | None:
-        """How close to slipping the contacts are; None without forces or without a limit of friction."""
-        if self.force is None or not self.scene.law.is_rate_independent:
+        """How close to slipping the contacts are; None without a limit of friction."""
+        if not self.scene.law.is_rate_independent:
             return None
-        return friction_load(
-            self.scene.lattice, self.force, self.scene.strength * self.scene.coefficient[0], self.state
-        )
+        return friction_load(self.force, self.scene.strength * self.scene.coefficient[0], self.state)
+
+    @property
+    def saturation(self) -> Counted | None:
+        """Contacts by the share of their limit of friction that they bear; None as above."""
+        return None if self.friction_load is None else self.friction_load.counted
 
     @cached_property
-    def force_distribution(self) -> ForceDistribution | None:
-        return None if self.force is None else force_distribution(self.force, self.state)
+    def force_distribution(self) -> Counted:
+        return force_distribution(self.force, self.state)
 
     @cached_property
-    def self_stress(self) -> SelfStress:
-        """How far the forces of slipless contacts are left open."""
-        return self_stress(self.network, self.scene.minimum_spin_axes)
+    def self_stress(self) -> int:
+        """States of self-stress: how far the forces of slipless contacts are left open."""
+        return int(self_stress(self.network, self.scene.minimum_spin_axes).sum())
 
 
 def structure_of(solution: Solution, number: int = 0, threshold: float | None = None) -> Structure:
@@ -128,24 +149,17 @@ def structure_of(solution: Solution, number: int = 0, threshold: float | None = 
     threshold : slip speed up to which contacts count as slipless, whatever the solution says. Default: its own states.
     """
     sample = solution.sample(number)
-    slip, state = sample.slip[0], sample.state[0]
-    return Structure(
+    found = Structure(
         scene=sample.scene,
         spin=sample.spin[0],
-        slip=slip,
-        state=state if threshold is None else states_by_threshold(slip, state, threshold),
+        slip=sample.slip[0],
+        state=sample.state[0],
         power=float(sample.power[0]),
         lower_bound=float(sample.lower_bound[0]),
         friction=sample.friction[0],
-        critical=int(critical(sample)[0]) if threshold is None else 0,
-        tied=int(sample.findings.get("tied_contacts", [0])[0]) if threshold is None else 0,
-        states_proven=bool(sample.states_proven[0]) and threshold is None,
-        minimum_is_unique=sample.minimum_is_unique[0] if threshold is None else None,
+        critical=int(critical(sample)[0]),
+        tied=int(sample.findings.get("tied_contacts", [0])[0]),
+        states_proven=bool(sample.states_proven[0]),
+        minimum_is_unique=sample.minimum_is_unique[0],
     )
-
-
-def states_by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.ndarray:
-    """Contacts (E,) that slip faster than the threshold slip, all others are slipless; those between driven spheres
-    stay."""
-    told = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    return np.where(state == ContactState.DRIVEN, state, told).astype(np.uint8)
+    return found if threshold is None else found.by_threshold(threshold)

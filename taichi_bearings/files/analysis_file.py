@@ -31,12 +31,14 @@ def write_analysis(
 ) -> None:
     """Write the findings of all samples into the run file `path`, or into a new file that holds nothing else.
 
-    With several samples every array has a leading replica axis, padded where their lengths differ.
+    With several samples every array has a leading replica axis, padded where their lengths differ. Attributes that are
+    no numbers, texts or lists of these are left out.
     """
 
     def fill(group: h5py.Group) -> None:
         for key, value in attributes.items():
-            group.attrs[key] = storable(value)
+            if not any(isinstance(part, (dict, list)) for part in (value if isinstance(value, list) else [value])):
+                group.attrs[key] = storable(value)
         for name, finding in samples[0].items():
             values = [sample[name].values for sample in samples]
             together = values[0] if len(values) == 1 else _stack(values)

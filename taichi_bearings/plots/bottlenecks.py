@@ -70,16 +70,16 @@ def _draw_links(figure: Figure, place: Any, found: Bottlenecks, placed: np.ndarr
 
 def _draw_limits(place: Any, found: Bottlenecks, middle: np.ndarray) -> None:
     """Links that part the planes alone, else the smallest sets that do; middle : (E, 2) of the links."""
-    paths = found.network.disjoint_paths
+    paths, (lowest, highest) = found.network.disjoint_paths, found.network.parting_sets
     style = {"linestyle": "none", "markerfacecolor": "none", "zorder": 3}
-    if paths.number == 1:
-        alone = middle[found.backbone.parting_links]
+    if paths == 1:
+        alone = middle[found.parting.links]
         place.plot(*alone.T, marker="o", ms=8, mec=ORANGE, mew=1.4, label="parts the planes alone", **style)
-    elif paths.number:
-        for name, chosen, marker in (("lowest", paths.lowest, "v"), ("highest", paths.highest, "^")):
-            label = f"{name} of the smallest parting sets ({paths.number} links)"
+    elif paths:
+        for name, chosen, marker in (("lowest", lowest, "v"), ("highest", highest, "^")):
+            label = f"{name} of the smallest parting sets ({paths} links)"
             place.plot(*middle[chosen].T, marker=marker, ms=4.5, mec=ORANGE, mew=1.0, label=label, **style)
-    if paths.number:
+    if paths:
         place.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0 if found.network.lattice.dimension == 3 else -0.12))
 
 
@@ -87,7 +87,7 @@ def _draw_ranks(axes: Any, found: Bottlenecks) -> None:
     """Number of links that carry at least a share: of the shortest paths, and of the current."""
     for name, load, colour in (
         ("shortest paths", found.share, BLUE),
-        ("current", found.current.link, ORANGE),
+        ("current", found.flow.current, ORANGE),
     ):
         falling = np.sort(load[load > 1e-12])[::-1]
         axes.plot(falling, 1 + np.arange(len(falling)), color=colour, lw=1.2, label=name, drawstyle="steps-pre")

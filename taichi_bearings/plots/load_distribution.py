@@ -23,15 +23,15 @@ def draw_load_distribution(samples: Sequence[Loads], page: Page = PAGE) -> Figur
     """
     columns = columns_on(page, 2)
     figure = new_figure(page.inches("double"), 2.8 if columns == 2 else 4.6, page.dpi)
-    joined = [loads for loads in samples if loads.current.any()]
+    joined = [(share, current) for share, current in samples if current.any()]
     panels: Any = figure.subplots(*((1, 2) if columns == 2 else (2, 1)), sharex=True, sharey=True)
     for axes, name, colour, parts in (
-        (panels[0], "shortest paths", BLUE, [loads.share for loads in joined]),
-        (panels[1], "current", ORANGE, [loads.current for loads in joined]),
+        (panels[0], "shortest paths", BLUE, [share for share, _ in joined]),
+        (panels[1], "current", ORANGE, [current for _, current in joined]),
     ):
         _draw(axes, parts, colour)
         axes.set_xlabel(f"share $s$ of the {name}")
-    lowest = min((1 / len(loads.share) for loads in joined), default=1e-3)
+    lowest = min((1 / len(share) for share, _ in joined), default=1e-3)
     panels[0].set(xscale="log", yscale="log", xlim=(SHARES[0], 1.5), ylim=(lowest / 2, 1.3))
     panels[0].set_ylabel("part of the links that carry $s$ or more")
     figure.suptitle(_count(len(joined), len(samples)))

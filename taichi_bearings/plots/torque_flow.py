@@ -1,14 +1,15 @@
 """How close to slipping contacts are, how their forces are distributed, and the torque that flows through one plane."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from taichi_bearings.analysis.torque_flow import ForceDistribution, FrictionLoad, PlaneFlow
+from taichi_bearings.analysis.torque_flow import Counted, FrictionLoad
 from taichi_bearings.plots.lattice import draw_contacts, frame_plane, site_on_paper
-from taichi_bearings.plots.page import AXES, PAGE, Page, columns_on, grid
+from taichi_bearings.plots.page import PAGE, Page, columns_on, grid
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
@@ -23,27 +24,37 @@ DARK_ORANGE = "#a34e14"  # for letters
 
 @in_our_style
 def draw_torque_flow(
-    load: FrictionLoad, distribution: ForceDistribution, plane: PlaneFlow, page: Page = PAGE
+    load: FrictionLoad,
+    distribution: Counted,
+    torque: Sequence[np.ndarray],
+    state: Sequence[np.ndarray],
+    title: str,
+    page: Page = PAGE,
 ) -> Figure:
-    """Three panels: saturation of the slipless contacts, P(f / <f>), and the current of torque in a plane."""
+    """Three panels: saturation of the slipless contacts, P(f / <f>), and the current of torque in a plane.
+
+    torque, state : of the contacts in the plane, (m - 1, H) sideways and (m, H - 1) upright; values of ContactState.
+    title : of the third panel.
+    """
     columns = columns_on(page, 3)
     width = page.inches("double") / columns
     figure = new_figure(columns * width, -(-3 // columns) * 1.2 * width, page.dpi)
     saturation, forces, current = grid(figure, page, 3)
     _draw_saturation(saturation, load)
     _draw_distribution(forces, distribution)
-    _draw_current(current, plane, 0.9 * width)
+    _draw_current(current, torque, state, 0.9 * width)
+    current.set_title(title)
     return figure
 
 
 def _draw_saturation(axes: Any, load: FrictionLoad) -> None:
-    number = max(1, len(load.saturation))
-    density = load.slipless / (number * np.diff(load.edges))
-    axes.bar(load.edges[:-1], density, np.diff(load.edges), align="edge", color=BLUE, alpha=0.35, linewidth=0)
-    axes.step(load.edges, np.append(density, density[-1]), where="post", color=BLUE, lw=1)
+    number, edges = max(1, len(load.saturation)), load.counted.edges
+    density = load.counted.slipless / (number * np.diff(edges))
+    axes.bar(edges[:-1], density, np.diff(edges), align="edge", color=BLUE, alpha=0.35, linewidth=0)
+    axes.step(edges, np.append(density, density[-1]), where="post", color=BLUE, lw=1)
     axes.axvline(1.0, color=ORANGE, lw=1.5)
     axes.annotate(
-        f"{load.slipping.sum():,} slipping\ncontacts at 1",
+        f"{load.counted.slipping.sum():,} slipping\ncontacts at 1",
         (1.0, 0.96), (-6, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
         ha="right", va="top", color=DARK_ORANGE, fontsize=7,
     )  # fmt: skip
@@ -55,7 +66,7 @@ def _draw_saturation(axes: Any, load: FrictionLoad) -> None:
     axes.set_title(f"{len(load.saturation):,} slipless contacts{mean}")
 
 
-def _draw_distribution(axes: Any, distribution: ForceDistribution) -> None:
+def _draw_distribution(axes: Any, distribution: Counted) -> None:
     middle = (distribution.edges[1:] + distribution.edges[:-1]) / 2
     for density, colour, marker, label in (
         (distribution.slipless, BLUE, "o", "slipless"),
@@ -73,10 +84,9 @@ def _draw_distribution(axes: Any, distribution: ForceDistribution) -> None:
     axes.set_title("each with its own mean")
 
 
-def _draw_current(axes: Any, plane: PlaneFlow, width: float) -> None:
+def _draw_current(axes: Any, torque: Sequence[np.ndarray], states: Sequence[np.ndarray], width: float) -> None:
     """Contacts as lines between the centres of their spheres, as wide as they carry torque."""
-    columns, layers = plane.upright.shape[0], plane.upright.shape[1] + 1
-    torque, states = (plane.sideways, plane.upright), (plane.sideways_state, plane.upright_state)
+    columns, layers = len(torque[1]), torque[0].shape[1]
     state = np.concatenate([values.ravel() for values in states])
     sizes = np.abs(np.concatenate([values.ravel() for values in torque]))
     largest = float(sizes[state != ContactState.DRIVEN].max(initial=0.0)) or 1.0
@@ -87,8 +97,6 @@ def _draw_current(axes: Any, plane: PlaneFlow, width: float) -> None:
         draw_contacts(axes, [values == which for values in states], colors=colour, linewidths=lines, capstyle="round")
     for layer in (0, layers - 1):
         axes.plot([-0.5, columns - 0.5], [layer, layer], color="black", lw=1.5, solid_capstyle="butt")
-    place = "" if plane.normal is None else f", plane ${AXES[plane.normal]} = {plane.index}$"
-    axes.set_title(f"torque about ${AXES[plane.component]}${place}")
     shown = [(colour, label) for which, colour, label in COLOURS if (state == which).any()]
     handles = [Line2D([], [], color=colour, lw=3, label=label) for colour, label in shown]
     handles.append(Line2D([], [], color="black", lw=1.5, label="driven plane"))

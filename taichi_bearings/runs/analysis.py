@@ -1,17 +1,23 @@
-"""The structure of all samples of an answer, in numbers and arrays, whether it lies in a file or not."""
+"""The structure of all samples of an answer, in numbers and arrays, whether it lies in a file (`bearings analyse`) or
+not."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding
+from taichi_bearings.files.analysis_file import Finding, write_analysis
+from taichi_bearings.files.whole_file import refuse_standing
+from taichi_bearings.runs.run import Run, settings_of
+from taichi_bearings.runs.run_directory import writable_folder
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
-from taichi_bearings.stages import alike, each
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import meant
 
@@ -25,21 +31,12 @@ class Analysis:
     """What the contacts of a solved run form: minimum cut, slipless network, rigid domains, bottlenecks, forces.
 
     Every number of `bearings analyse --json` is an attribute, such as `spans` or `power_over_cut`: one value, or with
-    several samples a list with one value each; None where there is no such number. docs/structure.md defines them all.
+    several samples a list with one value each; None where there is no such number. `taichi_bearings.quantities` has
+    them in its table STRUCTURE, and docs/structure.md defines them all.
 
-    power, lower_bound, power_minimum_cut : energy/time. power_over_cut : their ratio.
-    cut_is_unique : bool. cut_contacts : number of contacts of the minimum cut.
-    slipping, slipless, undecided, critical, tied_contacts : numbers of contacts. slipless_fraction : share of slipless
-        ones.
-    spans : True if slipless contacts join the driven planes. reached_fraction, spanning_fraction : shares of the free
-        spheres that the slipless network touches, and that its spanning piece holds.
-    shortest_path : contacts. disjoint_paths : number of paths that share no contact.
-    domains : number of rigid domains. minimum_is_unique : True or False if that is proven.
-    resistance : of the network of equal resistors. busiest_link_share : share of the pairs of driven spheres.
-    driving_torque : from top to bottom, one number a component, force * length.
-    threshold : slip speed up to which contacts count as slipless, length/time.
     structure : of the sample shown; `structure.network`, `.domains`, `.interface`, `.bottlenecks`, `.torque_flow`, ...
     arrays : for each sample everything else by name, with units: the data sets of the group /analysis of run.h5.
+    report : all numbers by name.
     """
 
     def __init__(
@@ -63,16 +60,29 @@ class Analysis:
             structure = structure_of(solution, number, threshold)
             if number == sample:
                 self.structure: Structure = structure
-            numbers.append(numbers_of(structure))
+            numbers.append(numbers_of(structure) | {"status": status[number]})
             self.arrays.append(findings_of(structure))
             self._loads.append(structure.bottlenecks.loads)
-        self.report: dict[str, Any] = _report(solution, status, numbers, threshold)
-        self.report["seconds"] = time.perf_counter() - began
+        proven = "proven" if solution.states_proven.all() else "decided"
+        together = {key: [one[key] for one in numbers] for key in numbers[0]} if samples > 1 else numbers[0]
+        self.report: dict[str, Any] = {
+            **together,
+            "threshold": solution.slip_threshold if threshold is None else threshold,
+            "states": proven if threshold is None else "threshold",
+            "method": solution.method,
+            "law": str(solution.scene.law),
+            "contacts": solution.scene.lattice.contacts,
+            "spin_top": solution.scene.imposed[1],
+            "spin_bottom": solution.scene.imposed[0],
+            "shape": list(solution.scene.lattice.shape),
+            "version": VERSION,
+            "seconds": time.perf_counter() - began,
+        }
 
     def __getattr__(self, name: str) -> Any:
-        if name in self.__dict__.get("report", {}):
-            return self.report[name]
         known = self.__dict__.get("report", {})
+        if name in known:
+            return known[name]
         raise AttributeError(f"an analysis has no {name!r}; it has {', '.join(known)}{meant(name, known)}")
 
     def __dir__(self) -> list[str]:
@@ -99,28 +109,45 @@ class Analysis:
             raise InputError(
                 f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
             )
-        page = page or PAGE
-        return (
-            FIGURES_OF_ALL[kind](self._loads, page) if kind in FIGURES_OF_ALL else FIGURES[kind](self.structure, page)
-        )
+        if kind in FIGURES_OF_ALL:
+            return FIGURES_OF_ALL[kind](self._loads, page or PAGE)
+        return FIGURES[kind](self.structure, page or PAGE)
 
 
-def _report(
-    solution: Solution, status: Sequence[str], numbers: Sequence[Mapping[str, Any]], threshold: float | None
+def analyse(
+    path: Path,
+    out: Path | None = None,
+    force: bool = False,
+    replica: int = 0,
+    threshold: float | None = None,
+    figures: bool = True,
 ) -> dict[str, Any]:
-    """Numbers of all samples; with several of them lists, one entry a sample."""
-    scene, together = solution.scene, {key: [sample[key] for sample in numbers] for key in numbers[0]}
-    proven = "proven" if solution.states_proven.all() else "decided"
-    return {
-        **(together if len(numbers) > 1 else numbers[0]),
-        "threshold": solution.slip_threshold if threshold is None else threshold,
-        "states": proven if threshold is None else "threshold",
-        "status": list(status) if len(numbers) > 1 else status[0],
-        "method": solution.method,
-        "law": str(scene.law),
-        "contacts": scene.lattice.contacts,
-        "spin_top": scene.imposed[1],
-        "spin_bottom": scene.imposed[0],
-        "shape": list(scene.lattice.shape),
-        "version": VERSION,
-    }
+    """Analyse every sample of a stored run, write /analysis and the figures, and return the report.
+
+    path : a run directory or its run.h5. out : folder for analysis.h5 and the figures; default: into the run itself,
+    where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as of
+    :class:`Analysis`.
+    Raises InputError or FileError before anything is computed.
+    """
+    from taichi_bearings.plots.style import save
+    from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+
+    with stage("reading"):
+        run = read_run_file(path)
+        ended = Run(settings_of(run), run.solution).status
+    target = run.path if out is None else out / "analysis.h5"
+    pictures = [target.parent / f"{name}.png" for name in (*FIGURES, *FIGURES_OF_ALL)]
+    refuse_standing((target, *(pictures if figures else ())), force or out is None)
+    with writable_folder(target.parent):
+        found = Analysis(run.solution, [status.value for status in ended], threshold, replica)
+        for picture in pictures if out is None or force else ():  # of an earlier analysis; not all need come back
+            picture.unlink(missing_ok=True)
+        with stage("writing"):
+            write_analysis(target, found.arrays, found.report, into_run=out is None)
+        files = [target]
+        for name in each(found.figures if figures else [], "drawing figure"):
+            figure = found.plot(name)
+            if figure is not None:
+                files.append(target.parent / f"{name}.png")
+                save(figure, files[-1])
+    return found.report | {"run": str(path), "files": [str(file) for file in files]}

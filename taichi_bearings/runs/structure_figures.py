@@ -6,11 +6,11 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.bottlenecks import Loads
 from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.analysis.torque_flow import plane_flow
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.bottlenecks import draw_bottlenecks
 from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import draw_domains
+from taichi_bearings.plots.lattice import contacts_in_plane
 from taichi_bearings.plots.load_distribution import draw_load_distribution
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.page import AXES, Page
@@ -33,15 +33,19 @@ def _draw_cut_surface(structure: Structure, page: Page) -> Figure:
 
 def _draw_torque_flow(structure: Structure, page: Page) -> Figure | None:
     scene, force = structure.scene, structure.force
-    if force is None or structure.friction_load is None or structure.force_distribution is None:
+    if structure.friction_load is None:
         return None
-    axes = scene.minimum_spin_axes
+    axes, by_axis = scene.minimum_spin_axes, scene.lattice.by_axis
     component, index = (page.planes or ((axes[0], None),))[0]
     if component not in axes or len(page.planes) > 1:
         names = " or ".join(AXES[axis] for axis in axes)
         raise InputError(f"torque_flow shows one plane, across a component of the spins: {names}")
-    plane = plane_flow(scene.lattice, axes, force, structure.state, component, index)
-    return draw_torque_flow(structure.friction_load, structure.force_distribution, plane, page)
+    torque, state = by_axis(scene.lattice.radius * force[axes.index(component)]), by_axis(structure.state)
+    if scene.lattice.dimension == 3:
+        index = scene.lattice.shape[component] // 2 if index is None else index
+        torque, state = (contacts_in_plane(values, component, index) for values in (torque, state))
+    title = f"torque about ${AXES[component]}$" + ("" if index is None else f", plane ${AXES[component]} = {index}$")
+    return draw_torque_flow(structure.friction_load, structure.force_distribution, torque, state, title, page)
 
 
 FIGURES: dict[str, Callable[[Structure, Page], Figure | None]] = {

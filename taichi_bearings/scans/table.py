@@ -36,7 +36,7 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
     names = dict.fromkeys([*FIRST, *(name for numbers in scalars for name in numbers)])
     settings = {key: (item.unit, item.help) for key, item in settings_table().items()}
-    meaning = {name: (row.unit, row.text) for name, row in COLUMNS.items()}  # of others see docs/structure.md
+    meaning = {name: (row.unit, row.text) for name, row in COLUMNS.items()}
     columns = [column(key, [written(sample.point[key]) for sample in samples], *settings[key]) for key in plan.scanned]
     for name in names:
         values = [numbers.get(name) for numbers in scalars]

@@ -6,7 +6,7 @@ import networkx
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.network import network_of, planes_crossed
+from taichi_bearings.analysis.network import network_of
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -53,7 +53,7 @@ def test_pieces_drawn_by_hand():
     assert (APART.components, APART.spans, APART.spanning.any()) == (2, False, False)
     assert APART.reached_fraction == 4 / 9
     assert APART.spanning_fraction == 0
-    assert (APART.bottom.tolist(), APART.top.tolist()) == ([0], [9])
+    assert [APART.touched_of(body).tolist() for body in (0, APART.bodies - 1)] == [[0], [9]]
     expected = np.zeros((3, 5), dtype=bool)  # each driven plane is one body
     expected[:, 0] = expected[[0, 1], 1] = True
     np.testing.assert_array_equal(APART.component == 0, expected)
@@ -102,9 +102,7 @@ def test_a_shortest_path_is_one(network):
 def test_planes_that_a_path_crosses():
     path = STAIRS.shortest_path
     np.testing.assert_array_equal(path[[0, 1, -1]], [[0, 2, 0], [0, 2, 1], [2, 1, 3]])
-    assert planes_crossed(path) == (3, 2)
-    assert planes_crossed(CHAIN.shortest_path) == (1,)
-    assert planes_crossed(EMPTY.shortest_path) == (0, 0)
+    assert [network.path_planes for network in (STAIRS, CHAIN, EMPTY)] == [[3, 2], [1], [0, 0]]
     assert not STAIRS.spans_within_planes(0).any()
     assert not STAIRS.spans_within_planes(1).any()
     flat = drawn((2, 3, 4), [(1, 0, 0), (1, 0, 1), (1, 1, 1), (1, 1, 2), (1, 1, 3)])
@@ -113,38 +111,32 @@ def test_planes_that_a_path_crosses():
     assert TWO_CHAINS.spans_within_planes(0).tolist() == [True, False, True]
 
 
+def limits(network):
+    """The lower spheres of the links of both smallest sets that part the planes."""
+    return [network.contact[chosen].tolist() for chosen in network.parting_sets]
+
+
 def test_the_links_that_limit_disjoint_paths_by_hand():
-    assert CHAIN.disjoint_paths.number == 1
-    assert CHAIN.contact[CHAIN.disjoint_paths.lowest].tolist() == [[1, 0]]
-    assert CHAIN.contact[CHAIN.disjoint_paths.highest].tolist() == [[1, 3]]
-    assert LADDER.disjoint_paths.number == 2
-    assert LADDER.contact[LADDER.disjoint_paths.lowest].tolist() == [[0, 0], [1, 0]]
-    assert LADDER.contact[LADDER.disjoint_paths.highest].tolist() == [[0, 2], [1, 2]]
+    assert (CHAIN.disjoint_paths, limits(CHAIN)) == (1, [[[1, 0]], [[1, 3]]])
+    assert (LADDER.disjoint_paths, limits(LADDER)) == (2, [[[0, 0], [1, 0]], [[0, 2], [1, 2]]])
     middle = drawn(  # only the link half way up limits
         (2, 5), *([(i, 0), (i, 1)] for i in (0, 1)), [(0, 1), (1, 1), (1, 2), (1, 3), (0, 3), (0, 4)], [(1, 3), (1, 4)]
     )
-    limit = middle.disjoint_paths
-    assert (limit.number, len(limit.lowest)) == (1, 1)
-    assert middle.contact[limit.lowest].tolist() == [[1, 1]]
-    assert middle.contact[limit.highest].tolist() == [[1, 2]]
-    assert (APART.disjoint_paths.number, APART.disjoint_paths.lowest.size, APART.disjoint_paths.highest.size) == (
-        0,
-        0,
-        0,
-    )
+    assert (middle.disjoint_paths, limits(middle)) == (1, [[[1, 1]], [[1, 2]]])
+    assert (APART.disjoint_paths, limits(APART)) == (0, [[], []])
 
 
 @pytest.mark.parametrize("network", ANY)
 def test_disjoint_paths_agree_with_networkx(network):
-    graph, found = graph_of_bodies(network), network.disjoint_paths
+    graph, number = graph_of_bodies(network), network.disjoint_paths
     if not network.spans:
-        assert (found.number, found.lowest.size, found.highest.size) == (0, 0, 0)
+        assert [chosen.any() for chosen in network.parting_sets] == [False, False]
         return
-    assert found.number == len(list(networkx.edge_disjoint_paths(graph, "bottom", "top")))
-    assert found.number == len(networkx.minimum_edge_cut(graph, "bottom", "top"))
+    assert number == len(list(networkx.edge_disjoint_paths(graph, "bottom", "top")))
+    assert number == len(networkx.minimum_edge_cut(graph, "bottom", "top"))
     sides = []
-    for chosen in (found.lowest, found.highest):
-        assert len(chosen) == found.number
+    for chosen in map(np.flatnonzero, network.parting_sets):
+        assert len(chosen) == number
         rest = networkx.Graph(graph)
         rest.remove_edges_from([(a, b) for a, b, link in graph.edges(data="link") if link in chosen])
         assert not networkx.has_path(rest, "bottom", "top")
@@ -156,7 +148,7 @@ def test_disjoint_paths_agree_with_networkx(network):
             rest.remove_edge(low, high)
             for pair in rest.edges:
                 rest.edges[pair]["capacity"] = 1
-            assert networkx.maximum_flow_value(rest, "bottom", "top") == found.number, link
+            assert networkx.maximum_flow_value(rest, "bottom", "top") == number, link
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -171,5 +163,5 @@ def test_no_path_within_a_plane_joins_the_driven_planes_at_a_minimum():
         assert not network.spans_within_planes(1).any()
         if network.spans:
             spanning += 1
-            assert min(planes_crossed(network.shortest_path)) >= 2
+            assert min(network.path_planes) >= 2
     assert spanning > 0

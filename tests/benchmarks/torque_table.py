@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.analysis.network import network_of
-from taichi_bearings.analysis.torque_flow import force_distribution, friction_load, self_stress, torque_flow
+from taichi_bearings.analysis.torque_flow import friction_load, self_stress, torque_flow
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, InteriorPoint
@@ -24,12 +24,12 @@ SHARES = (0.1, 0.25, 0.5, 0.75, 0.9, 0.99)
 def rows(scene, solution, exact):
     """What is measured in a sample, by name. exact : solution whose contact states count."""
     lattice, axes = scene.lattice, scene.minimum_spin_axes
-    bottom, top = scene.driven_values(axes)
+    top = scene.top_spin(axes)
     force, state = staggered_forces(solution.friction, lattice, axes)[:, 0], exact.state[0]
-    flow = torque_flow(lattice, axes, force, state, top - bottom)
+    flow = torque_flow(lattice, force, state, top)
     load = friction_load(force, scene.strength * scene.coefficient[0], state)
-    forces, stress = force_distribution(force, state), self_stress(network_of(lattice, state), axes)
-    still, moving = len(load.saturation), int(load.slipping.sum())
+    stress = int(self_stress(network_of(lattice, state), axes).sum())
+    still, moving = len(load.saturation), int(load.counted.slipping.sum())
     unit = scene.strength * lattice.radius * np.prod(lattice.shape[:-1])
     found = {
         "slipless contacts, share": still / (still + moving),
@@ -41,17 +41,12 @@ def rows(scene, solution, exact):
             float((flow.slipless.sum(axis=0) / flow.through_gap.sum(axis=0)).min()),
             float((flow.slipless.sum(axis=0) / flow.through_gap.sum(axis=0)).max()),
         ),
-        "sideways torque of a layer / total": float((flow.sideways[:, 1:-1] / flow.total[:, None]).mean()),
-        "participation": float(flow.participation.mean()),
-        "torque of the strongest tenth": float(flow.strongest.mean()),
-        "backwards": float(flow.backwards.mean()),
         "mean saturation, slipless": load.mean,
-        **{f"saturation, quantile {share:g}": float(load.quantiles(np.array(share))) for share in SHARES},
+        **{f"saturation, quantile {share:g}": float(np.quantile(load.saturation, share)) for share in SHARES},
         "within 1 % of slipping, share": load.within(0.01) / still,
         "within 0.1 % of slipping, share": load.within(0.001) / still,
-        "mean force, slipless over slipping": forces.mean_slipless / forces.mean_slipping,
-        "self-stress states": stress.total,
-        "self-stress states a slipless contact": stress.total / still,
+        "self-stress states": stress,
+        "self-stress states a slipless contact": stress / still,
     }
     return {name: np.atleast_1d(value) for name, value in found.items()}
 

@@ -9,7 +9,7 @@ import pytest
 
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
-from taichi_bearings.runs.analyse import analyse
+from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.run import prepare, run, solve_job
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings, read_toml

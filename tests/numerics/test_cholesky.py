@@ -29,9 +29,7 @@ SCENES = {
 
 
 def system_of(scene):
-    return lattice_system(
-        scene.lattice, scene.minimum_spin_axes, scene.driven_values(scene.minimum_spin_axes)[1] / scene.jump
-    )
+    return lattice_system(scene.lattice, scene.minimum_spin_axes, scene.top_spin(scene.minimum_spin_axes) / scene.jump)
 
 
 def random_stiffness(system, rng):

@@ -9,7 +9,7 @@ import pytest
 
 from taichi_bearings.checksums import ATTRIBUTE
 from taichi_bearings.errors import InputError
-from taichi_bearings.runs.analyse import analyse
+from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run_file
 

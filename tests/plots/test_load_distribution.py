@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
-from taichi_bearings.analysis.bottlenecks import Loads, find_bottlenecks
+from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.plots.load_distribution import SHARES, carrying, draw_load_distribution
 from taichi_bearings.plots.style import save
 from tests.analysis.networks import APART, CHAIN, DUMBBELL, EMPTY, HEXAGONS, LADDER
 
 
 def loads_of(*networks):
-    return [find_bottlenecks(network).loads for network in networks]
+    return [Bottlenecks(network).loads for network in networks]
 
 
 def drawn(figure):
@@ -33,8 +33,7 @@ def test_the_part_of_links_that_carry_a_share_is_counted_with_ties_and_rounding(
 def test_links_of_all_samples_with_a_path_are_pooled_and_the_others_counted():
     figure = draw_load_distribution(loads_of(LADDER, APART, DUMBBELL, EMPTY, HEXAGONS))
     joined = loads_of(LADDER, DUMBBELL, HEXAGONS)
-    for (together, alone), name in zip(drawn(figure), ("share", "current"), strict=True):
-        parts = [getattr(loads, name) for loads in joined]
+    for (together, alone), parts in zip(drawn(figure), zip(*joined, strict=True), strict=True):
         expected = [[np.mean(load >= s - 1e-9) for s in SHARES] for load in (*parts, np.concatenate(parts))]
         for curve, values in zip((*alone, together), expected, strict=True):
             np.testing.assert_allclose(curve[np.isfinite(curve)], [value for value in values if value > 0])
@@ -47,7 +46,7 @@ def test_every_link_of_a_chain_carries_everything():
         assert (together == 1).all()
 
 
-@pytest.mark.parametrize("samples", [loads_of(APART, EMPTY), loads_of(EMPTY), [Loads(np.zeros(0), np.zeros(0))]])
+@pytest.mark.parametrize("samples", [loads_of(APART, EMPTY), loads_of(EMPTY), [(np.zeros(0), np.zeros(0))]])
 def test_without_any_path_the_figure_says_so(samples, tmp_path):
     figure = draw_load_distribution(samples)
     save(figure, tmp_path / "loads.png")

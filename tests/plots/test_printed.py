@@ -17,7 +17,7 @@ from taichi_bearings_studies.plots.sizes import Column, draw_sizes
 
 import taichi_bearings as tb
 from taichi_bearings.analysis.fit import Fit, fit, read_fit
-from taichi_bearings.analysis.thresholds import THRESHOLDS
+from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper

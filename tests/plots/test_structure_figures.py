@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgba
 
 from taichi_bearings.analysis.domains import KINDS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.thresholds import THRESHOLDS, View
+from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import colour_of_turn, draw_domains, turn_of
 from taichi_bearings.plots.lattice import COLOURS, box_edges, seen, walls_between
@@ -228,8 +228,10 @@ def test_overhangs_of_the_cut_are_marked():
 
 
 def test_thresholds_are_drawn_with_the_certified_values():
-    views = [View(50 + k, 1, True, 0.9, 0.8, 20 + k, 7 + k) for k in range(len(THRESHOLDS))]
-    figure = draw_thresholds(views, View(7, 1, True, 0.7, 0.35, 14, 21))
+    names = ("slipless", "reached_fraction", "spanning_fraction", "domains", "largest_intermediate")
+    rows = [(50 + k, 0.9, 0.8, 20 + k, 7 + k) for k in range(len(THRESHOLDS))] + [(7, 0.7, 0.35, 14, 21)]
+    *views, by_states = [dict(zip(names, row, strict=True)) for row in rows]
+    figure = draw_thresholds(views, by_states)
     assert rendered(figure)
     curve, level = figure.axes[0].lines[:2]
     assert curve.get_xydata().tolist() == [[threshold, 50 + k] for k, threshold in enumerate(THRESHOLDS)]

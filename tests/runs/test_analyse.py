@@ -10,10 +10,9 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.structure import structure_of
-from taichi_bearings.analysis.thresholds import THRESHOLDS
+from taichi_bearings.analysis.structure import THRESHOLDS, structure_of
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.runs.analyse import analyse
+from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
