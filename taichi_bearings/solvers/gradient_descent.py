@@ -113,7 +113,8 @@ class GradientDescentMethod:
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
-        self.sweeps.run(self.fields, self.team, pairs, self.age, averaging, (step, sharpness, *self.box))
+        numbers = (step, sharpness, *self.box, float(averaging))
+        self.sweeps.run(self.fields, self.team, pairs, numbers, first=self.age // 2)
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs
