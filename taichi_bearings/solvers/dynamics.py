@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from taichi_bearings.fields import FieldSpec
-from taichi_bearings.lattice.incidence import contact_differences, torques
+from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -169,14 +169,15 @@ class Dynamics(Generic[OptionsOfMotion]):
         """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
         self.injected, self.work = np.zeros((2, self.scene.replicas))
         self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
+        driven = absolute(self.scene, staggered, self.spin_axes) * self.scene.lattice.is_driven
+        self.imposed = contact_differences(driven, self.scene.lattice, self.spin_axes)
 
     def book(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
         """Work of the mean forces (C, R, E) of a step on its mean slip, and of the driven spheres against them."""
         scene = self.scene
         reach, mean = duration * scene.lattice.radius, (before + after) / 2
         self.work = self.work + reach * replica_sum(force * contact_differences(mean, scene.lattice, self.spin_axes))
-        driven = absolute(scene, mean, self.spin_axes) * scene.lattice.is_driven
-        self.injected = self.injected - reach * replica_sum(torques(force, scene.lattice, self.spin_axes) * driven)
+        self.injected = self.injected + reach * replica_sum(force * self.imposed)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
         """The books, with the energy (R,) in the springs."""

@@ -46,7 +46,12 @@ class Method(Protocol):
 
 
 def judged(
-    scene: Scene, spin_axes: tuple[int, ...], staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any
+    scene: Scene,
+    spin_axes: tuple[int, ...],
+    staggered: np.ndarray,
+    force: Forces,
+    proof: Forces | None = None,
+    **more: Any,
 ) -> Progress:
     """Progress of spins (C, R, *N) and contact forces (C, R, E), with what follows from them: what is minimised, its
     lower bound from `proof`, or from the forces themselves if None, and the torque that the forces leave."""

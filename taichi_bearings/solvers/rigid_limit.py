@@ -186,7 +186,6 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
             self.spin_axes,
             self.staggered.copy(),
             self.force,
-            None,
             iteration=self.iteration,
             resolution=scene.lattice.radius * self.creep,
             time=self.time,
