@@ -365,8 +365,9 @@ def layered(scene: Scene) -> Truth:
         a, c = (list(costs) for costs in _costs(scene, *one))
         if not any(across):
             return _nothing(scene)
-        cost = sum(_chain([held * of for held in a], [flow * of**2 for flow in c]) * int((across == of).sum())
-                   for of in set(across.tolist()) if of)  # fmt: skip
+        cost = Decimal(0)
+        for of in filter(None, set(across.tolist())):
+            cost += _chain([held * of for held in a], [flow * of**2 for flow in c]) * int((across == of).sum())
         return Truth(cost, cost)
 
 

@@ -145,13 +145,17 @@ class ContactSystem:
         """Values (n,) a group of one sample; values : (R, E)."""
         return Grouped(values[replica][places.contact] for places in self.places)
 
+    def gather_vectors(self, values: np.ndarray, replica: int) -> Arrays:
+        """Vectors (d, n) a group of one sample; values : (C, R, E)."""
+        return Grouped(values[places.slot, replica, places.contact] for places in self.places)
+
     def scatter(self, numbers: Arrays, values: np.ndarray, replica: int | slice) -> None:
         """Inverse of :meth:`gather`: write the numbers into the values, or those (R, n) of several samples."""
         for places, new in zip(self.places, numbers, strict=True):
             values[replica][..., places.contact] = new
 
     def scatter_vectors(self, vectors: Arrays, values: np.ndarray, replica: int | slice) -> None:
-        """The same of vectors (d, n) or (R, d, n) a group; values : (C, R, E)."""
+        """The same of vectors, inverse of :meth:`gather_vectors`, or of those (R, d, n) of several samples."""
         by_replica = np.moveaxis(values, 1, 0)
         for places, new in zip(self.places, vectors, strict=True):
             by_replica[replica][..., places.slot, places.contact] = new

@@ -52,7 +52,7 @@ class Fields:
     number of replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
 
     values : what kernels take: all rows one after the other.
-    blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole.
+    blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole; on a GPU nothing of use.
     """
 
     def __init__(self, layout: Layout, spec: FieldSpec) -> None:
@@ -67,7 +67,7 @@ class Fields:
         except (RuntimeError, MemoryError) as error:
             size = self.rows * layout.length * self.dtype.itemsize
             raise DeviceError(f"{size} bytes of fields do not fit on this device: {error}") from error
-        self.blocks = self.values if self._host is None else self._host.reshape(-1, layout.block)
+        self.blocks = self._no_blocks() if self._host is None else self._host.reshape(-1, layout.block)
 
     def _allocate(self) -> tuple[Any, np.ndarray | None]:
         count = self.rows * self.layout.length
@@ -79,6 +79,12 @@ class Fields:
         values = ti.ndarray(getattr(ti, runtime.current().precision), count)
         values.fill(0)
         return values, None
+
+    def _no_blocks(self) -> Any:
+        """What kernels get in the place of blocks on a GPU, where they write site by site."""
+        from taichi_bearings.compiler import ti
+
+        return ti.Vector.ndarray(1, getattr(ti, runtime.current().precision), 1)
 
     def load(self, name: str, values: np.ndarray) -> None:
         """Set a field from (C, R, *N); margins stay."""

@@ -9,13 +9,13 @@ from functools import lru_cache
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
-from taichi_bearings.kernels.memory import VALUES, in_range, load
+from taichi_bearings.kernels.memory import VALUES, in_range, load, load_each, zero
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import LEAST_CHUNK
 from taichi_bearings.lattice.layout import Layout
 
 TILE = 4  # rows and columns of a matrix product that a thread of a GPU sums: 8 numbers read for 16 products
-AHEAD = 4  # spheres of a chain that a thread of a GPU reads before it writes the first of them
+AHEAD = 4  # spheres of a chain that a thread of a GPU reads before it writes the first of them; on a CPU 1
 
 
 @lru_cache
@@ -38,6 +38,7 @@ class BalanceKernels:
         slot = first_slots(spec)
         self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
+        self.ahead = AHEAD if self.block == 1 else 1
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
         """What the kernels must know of the lattice."""
@@ -84,29 +85,6 @@ class BalanceKernels:
                     place = target + at[r] + column[c]
                     found[place] = kept * found[place] + total[r][c]
 
-    @ti.func
-    def chain_of_thread(self, modes: ti.template(), chains: ti.template(), first, stride, side, factors, pitch, weight):
-        """Solve one chain in place, from end to end and back."""
-        ahead = ti.static(range(AHEAD))
-        carried = 0.0
-        for begin in range((side + AHEAD - 1) // AHEAD):
-            s = [ti.min(begin * AHEAD + u, side - 1) for u in ahead]
-            read = [modes[first + s[u] * stride] for u in ahead]
-            factor = [chains[factors + s[u] * pitch] for u in ahead]
-            for u in ti.static(ahead):
-                carried = (read[u] + weight * carried) * factor[u]
-                if begin * AHEAD + u < side:
-                    modes[first + s[u] * stride] = carried
-        carried = 0.0
-        for begin in range((side + AHEAD - 1) // AHEAD):
-            s = [ti.max(side - 1 - begin * AHEAD - u, 0) for u in ahead]
-            read = [modes[first + s[u] * stride] for u in ahead]
-            factor = [chains[factors + s[u] * pitch] for u in ahead]
-            for u in ti.static(ahead):
-                carried = read[u] + weight * factor[u] * carried
-                if begin * AHEAD + u < side:
-                    modes[first + s[u] * stride] = carried
-
     @ti.kernel
     def on_gpu(
         self,
@@ -129,13 +107,12 @@ class BalanceKernels:
             source = (self.pull + slot) * row + margin
             self.sines_of_tile(values, modes, sines, source, slot * count, 0, tile, count // height, height)
         for item in range(self.lines(count, stride_x, stride_y, sites)):
-            line, height = item, self.height(stride_x, stride_y)
+            line = item
             for slot in ti.static(range(self.components)):
                 side, stride = self.chain(slot, stride_x, stride_y, sites)
                 if 0 <= line < count // side:
-                    first, pitch = slot * count + line // stride * stride * side + line % stride, height + self.block
-                    factors = slot * longest * pitch + line % stride % height
-                    self.chain_of_thread(modes, chains, first, stride, side, factors, pitch, weight)
+                    height = self.height(stride_x, stride_y)
+                    self.chains_of_group(modes, chains, slot, line, count, stride, side, height, longest, weight)
                 line -= count // side
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
             tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
@@ -161,7 +138,9 @@ class BalanceKernels:
     @ti.func
     def write(self, modes: ti.template(), place, row: ti.template(), rest):
         """Write so many of the numbers of a block, all in one go if it is whole."""
-        if rest >= self.block:
+        if ti.static(self.block == 1):
+            modes[place] = row
+        elif rest >= self.block:
             for m in ti.static(range(self.block)):
                 modes[place + m] = row[m]
         else:
@@ -169,23 +148,36 @@ class BalanceKernels:
                 modes[place + m] = row[m]
 
     @ti.func
-    def chains_of_block(
-        self, modes: ti.template(), chains: ti.template(), first, stride, side, rest, factors, pitch, weight
-    ):
-        """The same for `rest` chains side by side, at most a block of them."""
-        carried = ti.Vector.zero(float, self.block)
-        for s in range(side):
-            at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
-            read = load(modes, at, self.block)
-            carried = (read + weight * carried) * load(chains, factor, self.block)
-            self.write(modes, at, carried, rest)
-        carried = ti.Vector.zero(float, self.block)
-        for back in range(side):
-            s = side - 1 - back
-            at, factor = in_range(first + s * stride), in_range(factors + s * pitch)
-            factors_here = load(chains, factor, self.block)
-            carried = load(modes, at, self.block) + weight * factors_here * carried
-            self.write(modes, at, carried, rest)
+    def chains_of_group(
+        self, modes: ti.template(), chains: ti.template(), slot: ti.template(), group, count, stride, side, height,
+        longest, weight,
+    ):  # fmt: skip
+        """Solve a block of chains side by side in place, or as many as are left, from end to end and back."""
+        across, pitch = (stride + self.block - 1) // self.block, height + self.block
+        along = group % across * self.block
+        first = slot * count + group // across * stride * side + along
+        factors, rest = slot * longest * pitch + along % height, stride - along
+        ahead = ti.static(range(self.ahead))
+        carried = zero(self.block)
+        for begin in range((side + self.ahead - 1) // self.ahead):
+            s = [ti.min(begin * self.ahead + u, side - 1) for u in ahead]
+            at = [in_range(first + s[u] * stride) for u in ahead]
+            read = load_each(modes, at, self.block)
+            factor = [load(chains, in_range(factors + s[u] * pitch), self.block) for u in ahead]
+            for u in ti.static(ahead):
+                carried = (read[u] + weight * carried) * factor[u]
+                if begin * self.ahead + u < side:
+                    self.write(modes, at[u], carried, rest)
+        carried = zero(self.block)
+        for begin in range((side + self.ahead - 1) // self.ahead):
+            s = [ti.max(side - 1 - begin * self.ahead - u, 0) for u in ahead]
+            at = [in_range(first + s[u] * stride) for u in ahead]
+            read = load_each(modes, at, self.block)
+            factor = [load(chains, in_range(factors + s[u] * pitch), self.block) for u in ahead]
+            for u in ti.static(ahead):
+                carried = read[u] + weight * factor[u] * carried
+                if begin * self.ahead + u < side:
+                    self.write(modes, at[u], carried, rest)
 
     @ti.kernel
     def chains_on_cpu(
@@ -203,13 +195,8 @@ class BalanceKernels:
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
-                pitch = height + self.block
                 for slot in ti.static(range(self.components)):
                     side, stride = self.chain(slot, stride_x, stride_y, sites)
-                    across = (stride + self.block - 1) // self.block
-                    groups = count // side // stride * across
+                    groups = count // side // stride * ((stride + self.block - 1) // self.block)
                     for group in range(groups * worker // workers, groups * (worker + 1) // workers):
-                        along = group % across * self.block
-                        first = slot * count + group // across * stride * side + along
-                        factors = slot * longest * pitch + along % height
-                        self.chains_of_block(modes, chains, first, stride, side, stride - along, factors, pitch, weight)
+                        self.chains_of_group(modes, chains, slot, group, count, stride, side, height, longest, weight)

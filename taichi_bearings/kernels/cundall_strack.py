@@ -9,11 +9,11 @@ from functools import lru_cache
 from math import comb
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields import Fields, FieldSpec, first_slots
+from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length, viscous_force
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, places, store, store_each
+from taichi_bearings.kernels.memory import in_range, load, load_each, places, store, store_each
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
+from taichi_bearings.kernels.team import Sweeps
 
 
 @lru_cache
@@ -23,7 +23,7 @@ def cundall_strack_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[flo
 
 
 @ti.data_oriented
-class CundallStrackSteps:
+class CundallStrackSteps(Sweeps):
     """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`, with friction also
     `integral` and `elongation`, and with damping beside it `viscosity`.
 
@@ -34,11 +34,15 @@ class CundallStrackSteps:
 
     With fields `work` and `impulse` an energy balance is kept too: sums over the steps, without the last and with it.
     work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
+
+    Its constants are those of :meth:`spring`, and response: time step * radius / inertia.
     """
 
+    parts, numbers = 2, 8
+
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
-        slot, axes = first_slots(spec), range(stencil.dimension)
-        self.stencil, self.block = stencil, stencil.block
+        super().__init__(stencil.block)
+        slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
         self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
         self.force = stencil.force_rows(slot["force"])
@@ -58,23 +62,6 @@ class CundallStrackSteps:
             tuple(self.force[axis][stencil.kept[axis].index(c)] for c, axis in enumerate(of_components))
             for of_components in self.felt
         )
-
-    def run(self, fields: Fields, team: Team, steps: int, numbers: tuple[float, ...]) -> None:
-        """Make `steps` time steps in one launch, or on a GPU in one each. numbers: from `reach` to `response`."""
-        numbers = (*fields.layout.measures, *map(float, numbers))  # NumPy scalars would make each Quadrants launch slow
-        if team.size:
-            team.launch(self.steps_by_team, steps, fields.values, fields.blocks, *numbers)
-        else:
-            for _ in range(steps):
-                self.step_on_gpu(fields.values, *numbers)
-
-    def compile(self, fields: Fields, team: Team) -> None:
-        """Compile the kernel that `run` will launch, on no sites at all."""
-        nothing = (0.0,) * 8
-        if team.size:
-            self.run(fields, team, 0, nothing)
-        else:
-            self.step_on_gpu(fields.values, *(0,) * 5, *nothing)
 
     @ti.func
     def difference(self, values: ti.template(), lower: ti.template(), upper: ti.template()):
@@ -101,7 +88,7 @@ class CundallStrackSteps:
         kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
         compliance, memory: elongation after a slip, from the force and from the elongation before.
         """
-        reach, stiffness, damping, kinetic, static, compliance, memory = numbers
+        reach, stiffness, damping, kinetic, static, compliance, memory = numbers[:7]
         friction = coefficients[0]
         stretch = [reach * moved[t] + before[t] for t in ti.static(range(len(moved)))]
         trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(len(moved)))]
@@ -207,68 +194,16 @@ class CundallStrackSteps:
                 before = load(values, impulse, self.block)
                 store(values, blocks, impulse, self.block, before + (1.0 - is_free) * pull)
 
-    @ti.kernel
-    def steps_by_team(
-        self,
-        arrived: COUNTER,
-        workers: int,
-        begin: int,
-        end: int,
-        values: VALUES,
-        blocks: BLOCKS,
-        row: int,
-        margin: int,
-        count: int,
-        stride_x: int,
-        stride_y: int,
-        reach: float,
-        stiffness: float,
-        damping: float,
-        kinetic: float,
-        static: float,
-        compliance: float,
-        memory: float,
-        response: float,
-    ):
-        for item in range(workers * LEAST_CHUNK):
-            if item % LEAST_CHUNK == 0:
-                worker = item // LEAST_CHUNK
-                low, high = count * worker // workers, count * (worker + 1) // workers
-                strides = [in_range(stride_x), in_range(stride_y), 1]
-                numbers = [reach, stiffness, damping, kinetic, static, compliance, memory]
-                for step in range(end - begin):
-                    for b in range(low, high):
-                        self.contact_pass(values, blocks, row, in_range(margin + b * self.block), strides, numbers)
-                    meet(arrived, (2 * step + 1) * workers)
-                    for b in range(low, high):
-                        self.sphere_pass(values, blocks, row, in_range(margin + b * self.block), strides, response)
-                    meet(arrived, (2 * step + 2) * workers)
-
-    @ti.kernel
-    def step_on_gpu(
-        self,
-        values: VALUES,
-        row: int,
-        margin: int,
-        count: int,
-        stride_x: int,
-        stride_y: int,
-        reach: float,
-        stiffness: float,
-        damping: float,
-        kinetic: float,
-        static: float,
-        compliance: float,
-        memory: float,
-        response: float,
-    ):
-        for b in range(count):
-            strides = [stride_x, stride_y, 1]
-            numbers = [reach, stiffness, damping, kinetic, static, compliance, memory]
-            self.contact_pass(values, values, row, margin + b, strides, numbers)
-        for b in range(count):
-            strides = [stride_x, stride_y, 1]
-            self.sphere_pass(values, values, row, margin + b, strides, response)
+    @ti.func
+    def walk(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
+        numbers: ti.template(), sweep, carried: ti.template(),
+    ):  # fmt: skip
+        """The contacts above a block of sites, then its spheres."""
+        if ti.static(part == 0):
+            self.contact_pass(values, blocks, row, first, strides, numbers)
+        else:
+            self.sphere_pass(values, blocks, row, first, strides, numbers[7])
 
 
 @ti.func

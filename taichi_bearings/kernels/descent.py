@@ -3,23 +3,11 @@
 from functools import lru_cache
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields import Fields, FieldSpec, first_slots
+from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import FORCES, clamp
-from taichi_bearings.kernels.memory import (
-    BLOCKS,
-    VALUES,
-    in_range,
-    last,
-    load,
-    load_each,
-    minus,
-    places,
-    pushed,
-    store,
-    zero,
-)
+from taichi_bearings.kernels.memory import in_range, last, load, load_each, minus, places, pushed, store, zero
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team, meet
+from taichi_bearings.kernels.team import Sweeps
 
 
 @lru_cache
@@ -29,7 +17,7 @@ def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str) -> "DescentSweep
 
 
 @ti.data_oriented
-class DescentSweeps:
+class DescentSweeps(Sweeps):
     """Sweeps over the fields `point`, `point_next`, `coefficient`, for a law with two of them `viscosity`,
     `inverse_weight`, with momentum `spin`, and for averages `spin_sum` and `force_sum`.
 
@@ -41,11 +29,17 @@ class DescentSweeps:
     inverse_weight is 1 / (sum over the sphere's contacts of what bounds their curvature), for each component; 0 for
     driven spheres, which therefore stay. On request the points and the contact forces at the points are summed up in
     `spin_sum` and `force_sum`. Without momentum `spin` is not used: `point` is the spin.
+
+    Its constants: step, sharpness, three lower and three upper ends of the box, and 1 to sum up or 0 not to. Sweeps
+    come in pairs, numbered by k.
     """
 
+    repeats, numbers = 2, 9
+
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
+        super().__init__(stencil.block)
         self.slot = slot = first_slots(spec)
-        self.stencil, self.block, self.force_law = stencil, stencil.block, FORCES[law]
+        self.stencil, self.force_law = stencil, FORCES[law]
         self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
         self.components = tuple(range(stencil.components))
         first = [slot[name] for name in ("coefficient", "viscosity") if name in slot]
@@ -63,28 +57,6 @@ class DescentSweeps:
             self.spin_sum = of_sites("spin_sum")
             self.force_sum = stencil.force_rows(slot["force_sum"])
 
-    def run(
-        self, fields: Fields, team: Team, pairs: int, age: int, averaging: bool, numbers: tuple[float, ...]
-    ) -> None:
-        """Make `pairs` pairs of sweeps in one launch, or on a GPU in one each.
-
-        age : sweeps since the last restart. numbers : step, sharpness, and the lower and upper ends of the box.
-        """
-        numbers = (averaging, *fields.layout.measures, *numbers)
-        if team.size:
-            team.launch(self.pairs_by_team, pairs, fields.values, fields.blocks, age, *numbers)
-        else:
-            for pair in range(pairs):
-                self.pair_on_gpu(fields.values, age + 2 * pair, *numbers)
-
-    def compile(self, fields: Fields, team: Team) -> None:
-        """Compile the kernel that `run` will launch, on no sites at all."""
-        nothing = (0.0,) * 8
-        if team.size:
-            self.run(fields, team, 0, 0, False, nothing)
-        else:
-            self.pair_on_gpu(fields.values, 0, False, *(0,) * 5, *nothing)
-
     @ti.func
     def force(
         self,
@@ -99,12 +71,13 @@ class DescentSweeps:
         return self.force_law(minus(upper, lower), load_each(values, own, block), sharpness)
 
     @ti.func
-    def force_below(self, values: ti.template(), row, source, first, sharpness):
+    def enter(self, values: ti.template(), row, first, numbers: ti.template(), sweep):
         """Force of the contact below the site `first` along the height."""
         height = ti.static(self.stencil.height)
+        source = first + (sweep & 1) * self.apart * row
         lower = load_each(values, places(self.kept[height], row, source - 1), 1)
         upper = load_each(values, places(self.kept[height], row, source), 1)
-        return self.force(values, lower, upper, places(self.coefficients[height], row, first - 1), 1, sharpness)
+        return self.force(values, lower, upper, places(self.coefficients[height], row, first - 1), 1, numbers[1])
 
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
@@ -127,20 +100,13 @@ class DescentSweeps:
             store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
 
     @ti.func
-    def update_block(
-        self,
-        values: ti.template(),
-        blocks: ti.template(),
-        parity,
-        averaging,
-        row,
-        first,
-        strides: ti.template(),
-        numbers: ti.template(),
-        carried: ti.template(),
-    ):
-        """Update the block of sites from `first` on. row: length of a row of numbers."""
-        beta, step, sharpness, low, high = numbers
+    def walk(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
+        numbers: ti.template(), sweep, carried: ti.template(),
+    ):  # fmt: skip
+        """Update the block of sites from `first` on."""
+        step, sharpness, low, high, averaging = numbers[0], numbers[1], numbers[2:5], numbers[5:8], numbers[8] > 0.0
+        parity, beta = sweep & 1, momentum(sweep)
         source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row
         point = load_each(values, places(self.point, row, source), self.block)
         if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
@@ -170,76 +136,6 @@ class DescentSweeps:
                 store(values, blocks, spin, self.block, new)
             else:
                 store(values, blocks, to[c], self.block, new)
-
-    @ti.kernel
-    def pairs_by_team(
-        self,
-        arrived: COUNTER,
-        workers: int,
-        begin: int,
-        end: int,
-        values: VALUES,
-        blocks: BLOCKS,
-        age: int,
-        averaging: int,
-        row: int,
-        margin: int,
-        count: int,
-        stride_x: int,
-        stride_y: int,
-        step: float,
-        sharpness: float,
-        low_0: float,
-        low_1: float,
-        low_2: float,
-        high_0: float,
-        high_1: float,
-        high_2: float,
-    ):
-        for item in range(workers * LEAST_CHUNK):
-            if item % LEAST_CHUNK == 0:
-                worker = item // LEAST_CHUNK
-                first_block, last_block = count * worker // workers, count * (worker + 1) // workers
-                strides = [in_range(stride_x), in_range(stride_y), 1]
-                low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
-                for pair in range(begin, end):
-                    for parity in range(2):
-                        numbers = [momentum(age + 2 * pair + parity), step, sharpness, low, high]
-                        begins = in_range(margin + first_block * self.block)
-                        carried = self.force_below(values, row, begins + parity * self.apart * row, begins, sharpness)
-                        for b in range(first_block, last_block):
-                            first = in_range(margin + b * self.block)
-                            self.update_block(values, blocks, parity, averaging, row, first, strides, numbers, carried)
-                        meet(arrived, (2 * (pair - begin) + parity + 1) * workers)
-
-    @ti.kernel
-    def pair_on_gpu(
-        self,
-        values: VALUES,
-        age: int,
-        averaging: int,
-        row: int,
-        margin: int,
-        count: int,
-        stride_x: int,
-        stride_y: int,
-        step: float,
-        sharpness: float,
-        low_0: float,
-        low_1: float,
-        low_2: float,
-        high_0: float,
-        high_1: float,
-        high_2: float,
-    ):
-        for parity in ti.static(range(2)):
-            for b in range(count):
-                strides = [stride_x, stride_y, 1]
-                low, high = [low_0, low_1, low_2], [high_0, high_1, high_2]
-                numbers = [momentum(age + parity), step, sharpness, low, high]
-                first = margin + b
-                carried = self.force_below(values, row, first + parity * self.apart * row, first, sharpness)
-                self.update_block(values, values, parity, averaging, row, first, strides, numbers, carried)
 
 
 @ti.func

@@ -4,7 +4,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots, on_device
 from taichi_bearings.kernels.contact import clamp, length
@@ -39,7 +38,7 @@ class ContactStep:
 
     def run(self, fields: Fields, weights: tuple[float, float], relaxation: float) -> None:
         """Make one step. weights : of the springs sideways and along the height."""
-        self._launch(fields, *fields.layout.measures, *weights, relaxation)
+        self.step(fields.values, fields.blocks, *fields.layout.measures, *weights, relaxation)
 
     def rescale(self, fields: Fields, factors: np.ndarray) -> None:
         """Multiply the potential and what friction does not bear of the trial forces, by replica; (R,) factors."""
@@ -48,14 +47,8 @@ class ContactStep:
 
     def compile(self, fields: Fields) -> None:
         """Compile the kernels, on no sites at all."""
-        self._launch(fields, *(0,) * 5, *(0.0,) * 3)
+        self.step(fields.values, fields.blocks, *(0,) * 5, *(0.0,) * 3)
         self.scale(fields.values, on_device(np.ones(1)), 0, 0, 0)
-
-    def _launch(self, fields: Fields, *numbers: float) -> None:
-        if runtime.current().is_gpu:
-            self.step_on_gpu(fields.values, *numbers)
-        else:
-            self.step_on_cpu(fields.values, fields.blocks, *numbers)
 
     @ti.func
     def limited(self, force: ti.template(), friction):
@@ -112,7 +105,7 @@ class ContactStep:
         store_each(values, blocks, places(self.pull, row, first), self.block, pulls)
 
     @ti.kernel
-    def step_on_cpu(
+    def step(
         self,
         values: VALUES,
         blocks: BLOCKS,
@@ -132,25 +125,6 @@ class ContactStep:
         for b in range(count):
             first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
             self.gather_block(values, blocks, row, first, strides)
-
-    @ti.kernel
-    def step_on_gpu(
-        self,
-        values: VALUES,
-        row: int,
-        margin: int,
-        count: int,
-        stride_x: int,
-        stride_y: int,
-        weight_sideways: float,
-        weight_height: float,
-        relaxation: float,
-    ):
-        for site in range(count):
-            numbers = [weight_sideways, weight_height, relaxation]
-            self.limit_block(values, values, row, margin + site, [stride_x, stride_y, 1], numbers)
-        for site in range(count):
-            self.gather_block(values, values, row, margin + site, [stride_x, stride_y, 1])
 
     @ti.kernel
     def scale(self, values: VALUES, factors: VALUES, row: int, margin: int, count: int):

@@ -3,7 +3,7 @@
 Waking Taichi's thread pool for every loop costs 50 to 100 microseconds, as much as a whole sweep of 32^3 spheres. So a
 launch wakes it once: each worker keeps its share of the blocks, and they wait for each other by counting arrivals
 (docs/decisions/0003). The shares only decide who computes a value, never the value: any number of workers gives the
-same bits, and one kernel serves them all.
+same bits, and one kernel serves them all. On a GPU the same kernel makes one turn a launch, a thread for each site.
 
 Polling is wasteful when other programs want the cores: a worker that is taken off its core makes the others wait. So
 many steps are made in several launches, and a team that got less processor time than its size goes on for a while with
@@ -12,12 +12,16 @@ as many workers as it got processors, before a short launch tries the whole team
 
 import math
 import time
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
 from taichi_bearings.errors import DeviceError
+from taichi_bearings.fields import Fields, on_device
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range
 
 COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
@@ -29,16 +33,20 @@ PATIENCE = 2**30  # polls, about ten seconds: a partner that never comes means t
 
 
 class Team:
-    """Workers for the launches of one solve; 0 stands for a GPU, which needs none."""
+    """Workers for the launches of one solve; 0 stands for a GPU, which needs none and gets a launch for each step."""
 
     def __init__(self, size: int) -> None:
-        self.size, self.arrived = size, np.zeros(1, np.int32)
+        self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
         self.workers, self.piece, self.rest_until, self.rest = size, TRIAL if size > 1 else PIECE, 0.0, FIRST_REST
         self.seconds = math.inf  # that a step took lately
 
-    def launch(self, kernel: Any, count: int, *arguments: Any) -> None:
-        """Call ``kernel(arrived, workers, begin, end, *arguments)`` for steps 0 ... count - 1, in one or more pieces,
-        with as many workers as the machine has room for. A count of 0 compiles it."""
+    def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0) -> None:
+        """Call ``kernel(arrived, workers, begin, end, *arguments)`` for `count` steps from `first` on, in one or more
+        pieces, with as many workers as the machine has room for. A count of 0 compiles it."""
+        if self.size == 0:
+            for step in range(first, first + max(count, 1)):
+                kernel(self.arrived, 0, step, min(step + 1, first + count), *arguments)
+            return
         begin = 0
         while begin < count or count == 0:
             if self.workers < self.size and time.monotonic() >= self.rest_until:
@@ -46,7 +54,7 @@ class Team:
             end = min(count, begin + max(1, int(self.piece / self.seconds))) if count else 0
             self.arrived[0] = 0
             wall, processor = time.perf_counter(), time.process_time()
-            kernel(self.arrived, self.workers, begin, end, *arguments)
+            kernel(self.arrived, self.workers, first + begin, first + end, *arguments)
             wall, processor = time.perf_counter() - wall, time.process_time() - processor
             if count == 0:
                 return
@@ -74,3 +82,74 @@ def meet(arrived: ti.template(), target):
         polls += 1
     if polls >= PATIENCE:
         ti.atomic_max(arrived[0], PATIENCE)  # lets everyone through; launch() reports it
+
+
+@lru_cache(maxsize=16)
+def _constants(numbers: tuple[float, ...]) -> Any:
+    """Numbers that all sites share, where kernels read them."""
+    return on_device(np.array(numbers, dtype=np.float64))
+
+
+@ti.data_oriented
+class Sweeps:
+    """A kernel that makes turns over all sites. A turn is `repeats` times the same `parts`, one after the other; a part
+    reads nothing that it writes at other sites.
+
+    numbers : how many constants it takes. block : sites that are worked on together.
+    """
+
+    parts, repeats, numbers = 1, 1, 1
+
+    def __init__(self, block: int) -> None:
+        self.block, self.on_gpu = block, runtime.current().is_gpu
+
+    def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
+        """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one each."""
+        constants = _constants(tuple(map(float, numbers)))
+        team.launch(self.turns, turns, fields.values, fields.blocks, *fields.layout.measures, constants, first=first)
+
+    def compile(self, fields: Fields, team: Team) -> None:
+        """Compile the kernel, without a turn."""
+        self.run(fields, team, 0, (0.0,) * self.numbers)
+
+    @ti.func
+    def enter(self, values: ti.template(), row, first, numbers: ti.template(), sweep):
+        """What a worker carries from block to block, before its first one."""
+        return [0.0]
+
+    @ti.func
+    def walk(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
+        numbers: ti.template(), sweep, carried: ti.template(),
+    ):  # fmt: skip
+        """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers."""
+
+    @ti.kernel
+    def turns(
+        self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS,
+        row: int, margin: int, count: int, stride_x: int, stride_y: int, constants: VALUES,
+    ):  # fmt: skip
+        """Turns `begin` ... `end` - 1 over `count` blocks."""
+        if ti.static(self.on_gpu):
+            for again, part in ti.static(ti.ndrange(self.repeats, self.parts)):
+                for b in range(count * (end - begin)):
+                    numbers = [constants[k] for k in ti.static(range(self.numbers))]
+                    strides, first, sweep = [stride_x, stride_y, 1], margin + b, begin * self.repeats + again
+                    carried = self.enter(values, row, first, numbers, sweep)
+                    self.walk(part, values, values, row, first, strides, numbers, sweep, carried)
+        else:
+            for item in range(workers * LEAST_CHUNK):
+                if item % LEAST_CHUNK == 0:
+                    worker = item // LEAST_CHUNK
+                    low, high = count * worker // workers, count * (worker + 1) // workers
+                    strides = [in_range(stride_x), in_range(stride_y), 1]
+                    numbers = [constants[k] for k in ti.static(range(self.numbers))]
+                    met = 0
+                    for sweep in range(begin * self.repeats, end * self.repeats):
+                        for part in ti.static(range(self.parts)):
+                            carried = self.enter(values, row, in_range(margin + low * self.block), numbers, sweep)
+                            for b in range(low, high):
+                                first = in_range(margin + b * self.block)
+                                self.walk(part, values, blocks, row, first, strides, numbers, sweep, carried)
+                            met += workers
+                            meet(arrived, met)

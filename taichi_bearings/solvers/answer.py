@@ -17,7 +17,7 @@ from taichi_bearings.proof.contact_state import (
 )
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import Method, is_dynamics
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.states import States
@@ -37,7 +37,7 @@ def answered(
     judgement = _judged(scene, spin, spin_rounding, friction)
     slip = _slips(scene, final) if judgement is None else scene.lattice.flat(judgement.slip)
     state, resolves, of_all = _told_apart(
-        scene, slip, final, threshold, _decided(scene, judgement, is_dynamics(method)), proof
+        scene, slip, final, threshold, _decided(scene, judgement, method.options.is_dynamics), proof
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = scene.law.power(scene.contact, slip)
@@ -48,7 +48,7 @@ def answered(
         gap = relative_gap(scene, objective, bound)
     else:  # what the answer proves is what is reported
         power, objective, bound, gap = judgement.power, judgement.objective, judgement.lower_bound, judgement.gap
-        residual = residual if is_dynamics(method) else judgement.largest_torque
+        residual = residual if method.options.is_dynamics else judgement.largest_torque
     answer = Solution(
         scene=scene,
         method=method.options.name,
@@ -58,7 +58,7 @@ def answered(
         spin_rounding=spin_rounding,
         slip=slip,
         power_per_contact=per_contact,
-        force=_acting(scene, method, final, slip) if is_dynamics(method) else vector_length(proof),
+        force=_acting(scene, method, final, slip) if method.options.is_dynamics else vector_length(proof),
         friction=friction,
         state=state,
         slip_bound=None if judgement is None else _slip_bound(scene, judgement),

@@ -15,19 +15,9 @@ from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.lattice.incidence import contact_differences, torques
-from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import (
-    RestWatch,
-    Saturation,
-    absolute,
-    default_inertia,
-    elastic_share,
-    kinetic_energy,
-    moving_spin_axes,
-    replica_sum,
-)
+from taichi_bearings.solvers.dynamics import WATCH, SpringDynamics, absolute, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     CORRECTORS,
     largest_laplacian_eigenvalue,
@@ -38,19 +28,16 @@ from taichi_bearings.solvers.step_error import Modes, StepError, laplacian_spect
 from taichi_bearings.solvers.table import CundallStrack
 
 DEFAULT_STEP = 0.8  # of the stability bound
-BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
-SAME_FORCE = 1e-12  # relative: a contact this close to all the friction it can bear slips
 
 
-class CundallStrackMethod:
+class CundallStrackMethod(SpringDynamics[CundallStrack]):
     """See the module docstring. An iteration is one time step."""
 
-    def __init__(self, options: CundallStrack) -> None:
-        self.options = options
-        self.aim = np.inf
+    kept = WATCH
+    same_force, checks = 1e-12, (100, 16, 0.0)
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
+        super().plan(scene, spin)
         components, dimension = len(self.spin_axes), scene.lattice.dimension
         forces = Stencil(self.spin_axes, dimension, 1).force_components
         spec = [(f"gear_{n}", components) for n in range(self.options.gear_order + 1)]
@@ -67,7 +54,6 @@ class CundallStrackMethod:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         assert fields is not None
         self.fields, layout, options = fields, fields.layout, self.options
-        self.inertia = options.inertia or default_inertia(scene, options.mass)
         self.stability_bound = stability_bound(scene, self.spin_axes, options)
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
         modes = sticking_modes(scene, self.spin_axes, options, float(np.abs(spin).max()), self.stability_bound)
@@ -83,8 +69,6 @@ class CundallStrackMethod:
         self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
         self.steps = cundall_strack_steps(self.spec, self.stencil, CORRECTORS[options.gear_order])
         self.steps.compile(fields, self.team)
-        self.iteration = self.rest_check = 0
-        self.rest = RestWatch(np.full(scene.replicas, np.inf))
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
@@ -103,7 +87,7 @@ class CundallStrackMethod:
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
         if options.energy:
             self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
-            self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
+            self.open_books(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
 
@@ -122,7 +106,7 @@ class CundallStrackMethod:
         holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
         sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
         felt = contact_differences(felt, scene.lattice, self.spin_axes)
-        return self._with_viscosity(np.where(sticks, scene.lattice.radius * felt, 0.0), derivatives[-1])
+        return self.with_viscosity(np.where(sticks, scene.lattice.radius * felt, 0.0), derivatives[-1])
 
     def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
@@ -131,41 +115,15 @@ class CundallStrackMethod:
         size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
         slips = size > limit * options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self._with_viscosity(force if scene.law.holds else np.zeros_like(force), staggered)
-
-    def _with_viscosity(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
-        """The forces and what the viscosity of the contacts, if they have any, adds at these spins."""
-        scene = self.scene
-        if scene.viscosities is None:
-            return force
-        return force + scene.lattice.radius * scene.viscosities * contact_differences(
-            staggered, scene.lattice, self.spin_axes
-        )
-
-    @property
-    def time(self) -> float:
-        """Simulated time."""
-        return self.iteration * self.time_step
-
-    def aim_at(self, time: float) -> None:
-        self.aim = time
+        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), staggered)
 
     def next_check(self, iteration: int) -> int:
         wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf
-        return int(min(self._next_rest_check(), max(wanted, iteration + 1)))
-
-    def _next_rest_check(self) -> int:
-        """Iterations 100 and 1/16 of the run apart, whatever other states are looked at in between."""
-        return self.rest_check + 100 + self.rest_check // 16
+        return int(min(self.rest.next_check, max(wanted, iteration + 1)))
 
     def state(self) -> dict[str, np.ndarray]:
         fields = {name: self.fields.read(name) for name in self._changing_fields()}
-        counters = [self.iteration, self.rest_check, self.rest.quiet_checks, self.rest.last_slipping]
-        return fields | {
-            "counters": np.array(counters, dtype=np.int64),
-            "last_power": self.rest.last_objective,
-            "time_step": np.array(self.time_step),
-        }
+        return super().state() | fields | {"time_step": np.array(self.time_step)}
 
     def _changing_fields(self) -> list[str]:
         return [name for name, _ in self.spec if name not in ("is_free", "coefficient", "viscosity")]
@@ -176,10 +134,9 @@ class CundallStrackMethod:
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
                 "it was made by another version or library"
             )
+        super().restore(state)
         for name in self._changing_fields():
             self.fields.load(name, state[name])
-        self.iteration, self.rest_check, quiet_checks, last_slipping = map(int, state["counters"])
-        self.rest = RestWatch(np.array(state["last_power"]), last_slipping, quiet_checks)
 
     def advance(self, steps: int) -> None:
         scene, options = self.scene, self.options
@@ -195,79 +152,47 @@ class CundallStrackMethod:
         )
         self.steps.run(self.fields, self.team, steps, numbers)
         self.iteration += steps
+        self.time = self.iteration * self.time_step
 
-    def progress(self) -> Progress:
-        scene = self.scene
-        staggered = scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        staggered = self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
         force = self._contact_forces("force") if self.iteration else self._damping_force(staggered)
-        springs, longest = force, np.zeros(scene.replicas)
-        if scene.law.holds:
-            stretch = self._contact_forces("elongation")
-            longest = vector_length(stretch).max(axis=1)
-            springs = self._with_viscosity(self.options.stiffness * stretch, staggered)
-        objective = scene.objective(staggered, self.spin_axes)
-        bound = lower_bound(scene, springs, self.spin_axes)
-        left_over = largest_unbalanced_torque(scene, force, self.spin_axes)
-        saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), SAME_FORCE)
-        if self.iteration >= self._next_rest_check():
-            self.rest_check = self.iteration
-            believed, slipping = self._is_believed(objective, bound), int(saturation.slipping.sum())
-            self.rest.look(scene, objective, slipping, force, left_over, self.options.rest_tolerance, believed)
-        return Progress(
-            iteration=self.iteration,
-            staggered=staggered,
-            spin_axes=self.spin_axes,
-            force=force,
-            objective=objective,
-            lower_bound=bound,
-            resolution=saturation.creep,
-            largest_balance_residual=left_over,
-            proof=springs,
-            time=self.time,
-            energy=self._energy(staggered, force) if self.options.energy else None,
-            slipping=saturation.slipping,
-            at_rest=self.rest.at_rest,
-            findings={
-                "step_error": np.full(scene.replicas, self.step_error.within(self.iteration)),
-                "accurate_time_step": np.full(scene.replicas, self.step_error.accurate_step(self.iteration)),
-                **elastic_share(scene, longest, self.time),
-            },
-        )
+        return staggered, force, self._contact_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
+
+    def findings(self) -> dict[str, np.ndarray]:
+        found = {
+            "step_error": self.step_error.within(self.iteration),
+            "accurate_time_step": self.step_error.accurate_step(self.iteration),
+        }
+        return {name: np.full(self.scene.replicas, value) for name, value in found.items()}
 
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""
         return replica_sum(force * contact_differences(staggered, self.scene.lattice, self.spin_axes))
 
-    def _energy(self, staggered: np.ndarray, force: np.ndarray) -> Energy:
+    def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """The energy balance at the end of the last step.
 
         The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
         the integration, of Gear's and of this rule.
         """
-        scene, spring = self.scene, np.zeros(self.scene.replicas)
-        if scene.law.holds:
-            spring = self.options.stiffness / 2 * replica_sum(self._contact_forces("elongation") ** 2)
-        reach = scene.lattice.radius * self.time_step
+        if not self.options.energy:
+            return None
+        scene, reach = self.scene, self.scene.lattice.radius * self.time_step
         ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
-        work = reach * (replica_sum(self.fields.read("work")) + ends)
+        self.work = reach * (replica_sum(self.fields.read("work")) + ends)
         pull = self.fields.read("impulse") + (self.pull_at_start - torques(force, scene.lattice, self.spin_axes)) / 2
-        return Energy(
-            kinetic=kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia),
-            spring=spring,
-            injected=-reach * replica_sum(pull * absolute(scene, staggered, self.spin_axes) * scene.lattice.is_driven),
-            dissipated=work - spring,
-            at_start=self.energy_at_start,
-        )
+        driven = absolute(scene, staggered, self.spin_axes) * scene.lattice.is_driven
+        self.injected = -reach * replica_sum(pull * driven)
+        return self.balance(staggered, spring)
 
     def _contact_forces(self, name: str) -> np.ndarray:
         return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
 
-    def _is_believed(self, objective: np.ndarray, bound: np.ndarray) -> bool:
-        """Rest is believed only if the certificate agrees; with mu_s > mu_k, where it need not, only after the driven
-        planes could have stretched the springs to slipping."""
-        if self.options.static_ratio > 1:
-            return self.time >= self._loading_time()
-        return bool((relative_gap(self.scene, objective, bound) <= BELIEVED).all())
+    def is_believed(self, found: Progress) -> bool:
+        """With mu_s > mu_k, where the certificate need not agree, only after the driven planes could have stretched the
+        springs to slipping."""
+        return self.time >= self._loading_time() if self.options.static_ratio > 1 else super().is_believed(found)
 
     def _loading_time(self) -> float:
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""

@@ -14,7 +14,8 @@ from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.solvers.answer import above_noise, answered, named, proven, with_ties_counted
-from taichi_bearings.solvers.method import Method, is_dynamics
+from taichi_bearings.solvers.dynamics import Dynamics
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import stage
@@ -123,11 +124,15 @@ class _Course:
     ) -> None:
         self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
-        self.best, self.recorder, self.pace = _Best(scene, not is_dynamics(method)), Recorder(scene, recording), _Pace()
+        self.best, self.recorder, self.pace = (
+            _Best(scene, not isinstance(method, Dynamics)),
+            Recorder(scene, recording),
+            _Pace(),
+        )
         self.target = 0  # iteration of the next look at the progress
         self.began = self.called = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
-        if resume is not None and is_dynamics(method):
+        if resume is not None and isinstance(method, Dynamics):
             try:
                 _refuse_unlike(resume, method.state())
                 method.restore(resume)
@@ -153,7 +158,7 @@ class _Course:
     def follow(self, monitors: Sequence[Monitor]) -> tuple[Status, Progress, float]:
         """How it ended, the last state, and the seconds it took."""
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
-        iteration = method.iteration if is_dynamics(method) else 0
+        iteration = method.iteration if isinstance(method, Dynamics) else 0
         while True:
             with suppress(GivenUp):
                 self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
@@ -182,7 +187,7 @@ class _Course:
 
     def _aim(self, iteration: int) -> None:
         """Choose the iteration of the next look. It depends on the state of a dynamics only, not on earlier looks."""
-        if is_dynamics(self.method):
+        if isinstance(self.method, Dynamics):
             if self.method.time >= self.stop.duration:
                 self.target = iteration
                 return
@@ -198,7 +203,7 @@ class _Course:
 
     def _write(self, looked: bool) -> None:
         """Write a checkpoint. looked : this state has been recorded and judged."""
-        if self.checkpoints is None or not is_dynamics(self.method):
+        if self.checkpoints is None or not isinstance(self.method, Dynamics):
             return
         own = {"elapsed": np.array(self.elapsed), "looked": np.array(looked)}
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
@@ -212,7 +217,7 @@ class _Course:
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
-            as_proven = threshold is None and (scene.law.flows or not is_dynamics(self.method))
+            as_proven = threshold is None and (scene.law.flows or not isinstance(self.method, Dynamics))
             at_minimum = threshold is None and not as_proven and status is Status.CERTIFIED
             found = named(found, proven(scene, final, judgement, at_minimum), as_proven, at_minimum)
         if final.state is not None and scene.law.is_rate_independent:

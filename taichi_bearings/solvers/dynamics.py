@@ -1,14 +1,26 @@
-"""What the dynamics have in common: which spins move, their inertia, their energy."""
+"""What the dynamics have in common: clock and aim, energy books, the watch for rest, and what a checkpoint holds."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import attrgetter
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from taichi_bearings.scene import Scene
+from taichi_bearings.fields import FieldSpec
+from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.proof.certificate import relative_gap
+from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.method import judged
+from taichi_bearings.solvers.table import Motion, Springs
 
+BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
 COARSEST = 1e-6  # of the imposed jump
 REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
+WATCH = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_checks", "last_slipping", "last_objective"))
+BOOKS = ("work", "injected", "energy_at_start")
 
 
 def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
@@ -41,13 +53,6 @@ def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ..
     return inertia / 2 * replica_sum(absolute(scene, staggered, spin_axes)[..., 1:-1] ** 2)
 
 
-def elastic_share(scene: Scene, longest: np.ndarray, time: float) -> dict[str, np.ndarray]:
-    """Share of the distance that the driven planes have slid past each other which the longest spring, (R,), takes up,
-    as a finding; none before they have slid, or without springs. Rigid contacts would take up nothing."""
-    slid = scene.lattice.radius * scene.jump * time
-    return {"elastic_share": longest / slid} if slid > 0 and scene.law.holds else {}
-
-
 @dataclass(frozen=True)
 class Saturation:
     """Contacts that bear all the friction they can, to a relative `tolerance`, and so slip; none without friction.
@@ -73,35 +78,183 @@ class Saturation:
 class RestWatch:
     """Counts the checks in a row at which a dynamics has been stationary.
 
-    last_objective : (R,), at the last check. last_slipping : slipping contacts then, of all replicas.
+    least, share : checks are `least` iterations and this share of the run apart. later : share of the simulated time
+    that must have passed since the last one. last_objective : (R,), then. last_slipping : slipping contacts then, of
+    all replicas. iteration : of the last check. time : of the last one that counted.
     """
 
+    least: int
+    share: int
+    later: float
     last_objective: np.ndarray
     last_slipping: int = -1
     quiet_checks: int = 0
+    iteration: int = 0
+    time: float = 0.0
+
+    @property
+    def next_check(self) -> int:
+        """Iteration of the next check, whatever other states are looked at in between."""
+        return self.iteration + self.least + self.iteration // self.share
 
     @property
     def at_rest(self) -> bool:
         return self.quiet_checks >= REST_CHECKS
 
-    def look(
-        self,
-        scene: Scene,
-        objective: np.ndarray,
-        slipping: int,
-        force: np.ndarray,
-        left_over: np.ndarray,
-        tolerance: float,
-        believed: bool,
-    ) -> None:
-        """A check: objective (R,), contact forces (C, R, E), and the largest torque (R,) they leave.
+    def look(self, found: Progress, time: float, radius: float, tolerance: float, believed: bool) -> None:
+        """A check, if it is due.
 
         tolerance : change of the objective, relative; a thousand times as much of the typical torque may be left.
         believed : springs that have not loaded yet look stationary too; True once that can be ruled out.
         """
-        typical_torque = scene.lattice.radius * float(vector_length(force).max(initial=0.0))
-        still = bool((np.abs(objective - self.last_objective) <= tolerance * np.abs(objective)).all())
-        balanced = bool((left_over <= 1e3 * tolerance * typical_torque).all())
+        if found.iteration < self.next_check:
+            return
+        self.iteration = found.iteration
+        if time < self.time * (1 + self.later):
+            return
+        assert found.slipping is not None
+        typical_torque, slipping = (
+            radius * float(vector_length(found.force).max(initial=0.0)),
+            int(found.slipping.sum()),
+        )
+        still = bool((np.abs(found.objective - self.last_objective) <= tolerance * np.abs(found.objective)).all())
+        balanced = bool((found.largest_balance_residual <= 1e3 * tolerance * typical_torque).all())
         quiet = believed and still and balanced and slipping == self.last_slipping
         self.quiet_checks = self.quiet_checks + 1 if quiet else 0
-        self.last_objective, self.last_slipping = objective, slipping
+        self.time, self.last_objective, self.last_slipping = time, found.objective, slipping
+
+
+OptionsOfMotion = TypeVar("OptionsOfMotion", bound=Motion)
+OptionsOfSprings = TypeVar("OptionsOfSprings", bound=Springs)
+
+
+class Dynamics(Generic[OptionsOfMotion]):
+    """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
+
+    kept : what its further course depends on, by name, beside the clock; WATCH and BOOKS if it has them.
+    time : simulated time. aim : the next one at which a state is wanted. halted : it cannot make another step.
+    """
+
+    kept: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, options: OptionsOfMotion) -> None:
+        self.options, self.aim = options, np.inf
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
+        self.inertia = self.options.inertia or default_inertia(scene, self.options.mass)
+        self.iteration, self.time, self.halted = 0, 0.0, False
+        return ()
+
+    def aim_at(self, time: float) -> None:
+        """The next simulated time at which a state is wanted; infinity for none.
+
+        `next_check` stops at the first step that reaches it; a method that chooses its steps ends one there exactly.
+        """
+        self.aim = time
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that the further course depends on."""
+        values = ((name, attrgetter(name)(self)) for name in ("iteration", "time", *self.kept))
+        return {name: np.array(value, np.int64 if isinstance(value, tuple) else None) for name, value in values}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from such a state; called after `begin`."""
+        for name in ("iteration", "time", *self.kept):
+            *path, last = name.split(".")
+            owner: Any = reduce(getattr, path, self)
+            setattr(owner, last, _like(getattr(owner, last), state[name]))
+
+    def open_books(self, staggered: np.ndarray) -> None:
+        """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
+        self.injected, self.work = np.zeros((2, self.scene.replicas))
+        self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
+        driven = absolute(self.scene, staggered, self.spin_axes) * self.scene.lattice.is_driven
+        self.imposed = contact_differences(driven, self.scene.lattice, self.spin_axes)
+
+    def book(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
+        """Work of the mean forces (C, R, E) of a step on its mean slip, and of the driven spheres against them."""
+        scene = self.scene
+        reach, mean = duration * scene.lattice.radius, (before + after) / 2
+        self.work = self.work + reach * replica_sum(force * contact_differences(mean, scene.lattice, self.spin_axes))
+        self.injected = self.injected + reach * replica_sum(force * self.imposed)
+
+    def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
+        """The books, with the energy (R,) in the springs."""
+        kinetic = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
+        return Energy(kinetic, spring, self.injected, self.work - spring, self.energy_at_start)
+
+
+def _like(now: Any, stored: np.ndarray) -> Any:
+    """What a checkpoint has stored in the place of `now`."""
+    if isinstance(now, tuple):
+        return tuple(int(number) for number in stored)
+    return type(now)(stored) if isinstance(now, int | float) else np.array(stored)
+
+
+class SpringDynamics(Dynamics[OptionsOfSprings]):
+    """A dynamics whose contacts have springs: how it is looked at, and when it is at rest.
+
+    same_force : relative distance from all the friction it can bear at which a contact slips. checks : see RestWatch.
+    """
+
+    same_force: ClassVar[float]
+    checks: ClassVar[tuple[int, int, float]]
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
+        return super().plan(scene, spin)
+
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Staggered spins (C, R, *N), forces and elongations (C, R, E) of now."""
+        raise NotImplementedError
+
+    def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
+        """The energy balance of now, if it is kept."""
+        return self.balance(staggered, spring)
+
+    def findings(self) -> dict[str, np.ndarray]:
+        """What else is found."""
+        return {}
+
+    def progress(self) -> Progress:
+        scene, stiffness = self.scene, self.options.stiffness
+        staggered, force, stretch = self.motion()
+        springs = self.with_viscosity(stiffness * stretch, staggered) if scene.law.holds else force
+        saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
+        found = judged(
+            scene,
+            self.spin_axes,
+            staggered,
+            force,
+            springs,
+            iteration=self.iteration,
+            resolution=saturation.creep,
+            time=self.time,
+            energy=self.books(staggered, force, stiffness / 2 * replica_sum(stretch**2)),
+            slipping=saturation.slipping,
+            halted=self.halted,
+            findings=self.findings() | self._elastic_share(stretch),
+        )
+        self.rest.look(found, self.time, scene.lattice.radius, self.options.rest_tolerance, self.is_believed(found))
+        return replace(found, at_rest=self.rest.at_rest)
+
+    def with_viscosity(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
+        """The forces and what the viscosity of the contacts, if they have any, adds at these spins."""
+        scene = self.scene
+        if scene.viscosities is None:
+            return force
+        return force + scene.lattice.radius * scene.viscosities * contact_differences(
+            staggered, scene.lattice, self.spin_axes
+        )
+
+    def is_believed(self, found: Progress) -> bool:
+        """Rest is believed only if the certificate agrees."""
+        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= BELIEVED).all())
+
+    def _elastic_share(self, stretch: np.ndarray) -> dict[str, np.ndarray]:
+        """Share of the distance that the driven planes have slid past each other which the longest spring takes up;
+        none before they have slid, or without springs. Rigid contacts would take up nothing."""
+        slid = self.scene.lattice.radius * self.scene.jump * self.time
+        has_slid = slid > 0 and self.scene.law.holds
+        return {"elastic_share": vector_length(stretch).max(axis=1) / slid} if has_slid else {}

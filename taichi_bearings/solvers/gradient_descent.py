@@ -23,9 +23,9 @@ from taichi_bearings.kernels.descent import descent_sweeps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.lattice.incidence import contact_differences, weights
-from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import GradientDescent
 
 FIRST_EPOCH = 64
@@ -113,7 +113,8 @@ class GradientDescentMethod:
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
-        self.sweeps.run(self.fields, self.team, pairs, self.age, averaging, (step, sharpness, *self.box))
+        numbers = (step, sharpness, *self.box, float(averaging))
+        self.sweeps.run(self.fields, self.team, pairs, numbers, first=self.age // 2)
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs
@@ -133,27 +134,17 @@ class GradientDescentMethod:
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self._force_at(staggered)
-        objective = scene.objective(staggered, self.spin_axes)
-        bound = lower_bound(scene, force, self.spin_axes)
-        resolution = self._resolution()
+        resolution, iteration = self._resolution(), self.iteration
+        found = judged(scene, self.spin_axes, staggered, force, iteration=iteration, resolution=resolution)
         if self.momentum:
-            self._steer(staggered, objective, bound)
+            self._steer(staggered, found.objective, found.lower_bound)
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
             self._load_spins(staggered)
             self.step_length /= math.sqrt(2)
             if self.viscosity is not None:
                 self._load_weights()
             self._begin_epoch(2 * self.epoch_length)
-        return Progress(
-            iteration=self.iteration,
-            staggered=staggered,
-            spin_axes=self.spin_axes,
-            force=force,
-            objective=objective,
-            lower_bound=bound,
-            resolution=resolution,
-            largest_balance_residual=largest_unbalanced_torque(scene, force, self.spin_axes),
-        )
+        return found
 
     def _force_at(self, staggered: np.ndarray) -> np.ndarray:
         """Contact forces (C, R, E) of the law that the sweeps use."""

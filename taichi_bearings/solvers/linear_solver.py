@@ -17,8 +17,8 @@ from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference, ends
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
-from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import LinearSolver
 
 BUNDLE = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
@@ -102,16 +102,14 @@ class LinearSolverMethod:
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
         force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
-        return Progress(
+        return judged(
+            scene,
+            self.spin_axes,
+            staggered,
+            force,
             iteration=self.iteration,
-            staggered=staggered,
             rest=np.where(staggered == self.spin, self.rest, 0.0),  # none where clipping has moved a spin
-            spin_axes=self.spin_axes,
-            force=force,
-            objective=scene.objective(staggered, self.spin_axes),
-            lower_bound=lower_bound(scene, force, self.spin_axes),
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
-            largest_balance_residual=largest_unbalanced_torque(scene, force, self.spin_axes),
             exhausted=self.iteration == len(self.bundles),
             needed=len(self.bundles),
         )

@@ -1,11 +1,11 @@
 """What every method offers to the common loop in drive.py."""
 
-from collections.abc import Mapping
-from typing import Protocol, TypeGuard
+from typing import Any, Protocol
 
 import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import MethodOptions
 
@@ -45,29 +45,23 @@ class Method(Protocol):
         ...
 
 
-class Dynamics(Method, Protocol):
-    """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits."""
-
-    iteration: int
-    time: float
-    spin_axes: tuple[int, ...]
-
-    def aim_at(self, time: float) -> None:
-        """The next simulated time at which a state is wanted; infinity for none.
-
-        `next_check` stops at the first step that reaches it; a method that chooses its steps ends one there exactly.
-        """
-        ...
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Everything that the further course depends on."""
-        ...
-
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from such a state; called after `begin`."""
-        ...
-
-
-def is_dynamics(method: Method) -> TypeGuard[Dynamics]:
-    """True for a method that steps in time."""
-    return hasattr(method, "aim_at")
+def judged(
+    scene: Scene,
+    spin_axes: tuple[int, ...],
+    staggered: np.ndarray,
+    force: Forces,
+    proof: Forces | None = None,
+    **more: Any,
+) -> Progress:
+    """Progress of spins (C, R, *N) and contact forces (C, R, E), with what follows from them: what is minimised, its
+    lower bound from `proof`, or from the forces themselves if None, and the torque that the forces leave."""
+    return Progress(
+        staggered=staggered,
+        spin_axes=spin_axes,
+        force=force,
+        objective=scene.objective(staggered, spin_axes),
+        lower_bound=lower_bound(scene, force if proof is None else proof, spin_axes),
+        largest_balance_residual=largest_unbalanced_torque(scene, force, spin_axes),
+        proof=proof,
+        **more,
+    )

@@ -12,17 +12,19 @@ are set to rest and cost nothing from then on; where they have, they never start
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, relative_gap
-from taichi_bearings.scene import Energy, Progress, Scene
+from taichi_bearings.proof.certificate import relative_gap
+from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import absolute, default_inertia, kinetic_energy, moving_spin_axes, replica_sum
+from taichi_bearings.solvers.dynamics import BOOKS, Dynamics, replica_sum
+from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import RigidLimit
 
 FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
@@ -37,19 +39,15 @@ BELIEVED = 1e-9  # proven gap from which a state whose power no longer falls is 
 REST, STUCK = 2, 20  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
 
 
-class RigidLimitMethod:
+class RigidLimitMethod(Dynamics[RigidLimit]):
     """See the module docstring. An iteration is one time step of all replicas together."""
 
-    def __init__(self, options: RigidLimit) -> None:
-        self.options = options
-        self.aim = np.inf
-
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
-        return ()
+    kept = (
+        "length", "last_length", "unit", "largest", "creep", "staggered", "force", "moving", "slipping", "rest_time",
+        "newton_steps", "still", *BOOKS,
+    )  # fmt: skip
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        self.inertia = self.options.inertia or default_inertia(scene, self.options.mass)
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         spread = [float(values.max() - values.min()) for values in self.staggered]
         self.unit = max(spread) or 1.0
@@ -57,12 +55,10 @@ class RigidLimitMethod:
         self.moving = self.spin_axes
         self._prepare()
         self.force = self._force_at_start()
-        self.iteration = self.newton_steps = self.still = 0
-        self.time = 0.0
+        self.newton_steps = self.still = 0
         self.length = self.options.time_step or FIRST_STEP * self.options.error_tolerance * self.relaxation_time
         self.last_length = self.length
-        self.injected, self.dissipated = np.zeros(scene.replicas), np.zeros(scene.replicas)
-        self.energy_at_start = kinetic_energy(self.scene, self.staggered, self.spin_axes, self.inertia)
+        self.open_books(self.staggered)
         self.rest_time = np.zeros(scene.replicas)
         self.creep = RESOLVED * self.unit
         slips = scene.slips(self.staggered, self.spin_axes)
@@ -96,9 +92,6 @@ class RigidLimitMethod:
 
     def next_check(self, iteration: int) -> int:
         return iteration + 1
-
-    def aim_at(self, time: float) -> None:
-        self.aim = time
 
     def advance(self, steps: int) -> None:
         with one_thread():  # fronts are shared among threads here, not inside the library
@@ -152,7 +145,7 @@ class RigidLimitMethod:
         scene = self.scene
         before, objective_before = self.staggered, scene.objective(self.staggered, self.spin_axes)
         self.staggered, self.force = step.staggered, step.force
-        self._book(before, duration)
+        self.book(before, self.staggered, self.force, duration)
         self._lay_to_rest()
         self.time, self.last_length = time, duration
         self.slipping, self.creep = step.slipping, step.creep
@@ -162,16 +155,6 @@ class RigidLimitMethod:
         falls = fall > self.options.rest_tolerance * objective_before
         self.rest_time = np.where(falls, time, self.rest_time)
         self.still = 0 if falls.any() else self.still + 1
-
-    def _book(self, before: np.ndarray, duration: float) -> None:
-        """Work of the forces of a step on its mean slip, and of the driven spheres against them."""
-        scene = self.scene
-        reach, mean = duration * scene.lattice.radius, (before + self.staggered) / 2
-        slip = contact_differences(mean, scene.lattice, self.spin_axes)
-        self.dissipated = self.dissipated + reach * replica_sum(self.force * slip)
-        driven = absolute(scene, mean, self.spin_axes) * scene.lattice.is_driven
-        work = torques(self.force, scene.lattice, self.spin_axes) * driven
-        self.injected = self.injected - reach * replica_sum(work)
 
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
@@ -198,27 +181,20 @@ class RigidLimitMethod:
 
     def progress(self) -> Progress:
         scene = self.scene
-        objective = scene.objective(self.staggered, self.spin_axes)
-        bound = lower_bound(scene, self.force, self.spin_axes)
-        believed = bool((relative_gap(scene, objective, bound) <= BELIEVED).all())
-        return Progress(
+        found = judged(
+            scene,
+            self.spin_axes,
+            self.staggered.copy(),
+            self.force,
             iteration=self.iteration,
-            staggered=self.staggered.copy(),
-            spin_axes=self.spin_axes,
-            force=self.force,
-            objective=objective,
-            lower_bound=bound,
             resolution=scene.lattice.radius * self.creep,
-            largest_balance_residual=largest_unbalanced_torque(scene, self.force, self.spin_axes),
             time=self.time,
-            energy=Energy(
-                kinetic=kinetic_energy(self.scene, self.staggered, self.spin_axes, self.inertia),
-                spring=np.zeros(scene.replicas),
-                injected=self.injected,
-                dissipated=self.dissipated,
-                at_start=self.energy_at_start,
-            ),
+            energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
+        )
+        believed = bool((relative_gap(scene, found.objective, found.lower_bound) <= BELIEVED).all())
+        return replace(
+            found,
             at_rest=self.still >= REST and believed,
             exhausted=self.still >= STUCK and not believed,
             findings={
@@ -227,26 +203,8 @@ class RigidLimitMethod:
             },
         )
 
-    def state(self) -> dict[str, np.ndarray]:
-        books = ("injected", "dissipated", "energy_at_start", "rest_time", "slipping")
-        times = [self.time, self.length, self.last_length, self.unit, self.largest, self.creep]
-        return {name: np.array(getattr(self, name)) for name in books} | {
-            "force": self.force,
-            "spin": self.staggered,
-            "moving": np.array(self.moving, dtype=np.int64),
-            "times": np.array(times),
-            "counters": np.array([self.iteration, self.newton_steps, self.still], dtype=np.int64),
-        }  # fmt: skip
-
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        self.force = np.array(state["force"])
-        for name in ("injected", "dissipated", "energy_at_start", "rest_time", "slipping"):
-            setattr(self, name, np.array(state[name]))
-        self.staggered = np.array(state["spin"])
-        times = map(float, state["times"])
-        self.time, self.length, self.last_length, self.unit, self.largest, self.creep = times
-        self.iteration, self.newton_steps, self.still = map(int, state["counters"])
-        self.moving = tuple(int(component) for component in state["moving"])
+        super().restore(state)
         self._prepare()
 
 

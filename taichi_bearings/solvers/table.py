@@ -224,7 +224,7 @@ def _error_tolerance() -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Dynamics(MethodOptions):
+class Motion(MethodOptions):
     """What all dynamics have."""
 
     is_dynamics = True
@@ -243,7 +243,7 @@ class _Dynamics(MethodOptions):
 
 @register
 @dataclass(frozen=True, kw_only=True)
-class RigidLimit(_Dynamics):
+class RigidLimit(Motion):
     """Dynamics without springs, in implicit steps of any length.
 
     At rest once the power falls by less than rest_tolerance in a step and the proven gap is below 1e-9.
@@ -260,7 +260,7 @@ class RigidLimit(_Dynamics):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Springs(_Dynamics):
+class Springs(Motion):
     """Springs and dampers of Cundall and Strack, the paper's values as defaults.
 
     At rest once the power changes by less than rest_tolerance over three checks in a row, no contact changes between

@@ -14,17 +14,16 @@ class OneBlock:
     @ti.kernel
     def sweep(self, values: VALUES, blocks: BLOCKS, row: int, first: int, x: int, y: int, step: float, sharp: float):
         for _ in range(1):
-            strides, box = [in_range(x), in_range(y), 1], [[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]
-            numbers = [0.5 * step, step, sharp, box[0], box[1]]
-            begin = in_range(first * self.block)
-            carried = self.kernels.force_below(values, row, begin, begin, sharp)
-            self.kernels.update_block(values, blocks, 0, False, row, begin, strides, numbers, carried)
+            strides, begin = [in_range(x), in_range(y), 1], in_range(first * self.block)
+            numbers = [step, sharp, -9.0, -9.0, -9.0, 9.0, 9.0, 9.0, 0.0]
+            carried = self.kernels.enter(values, row, begin, numbers, 2)
+            self.kernels.walk(0, values, blocks, row, begin, strides, numbers, 2, carried)
 
     @ti.kernel
     def contact(self, values: VALUES, blocks: BLOCKS, row: int, first: int, x: int, y: int, step: float, sharp: float):
         for _ in range(1):
             strides = [in_range(x), in_range(y), 1]
-            numbers = [step, sharp, step + 1.0, step + 2.0, step + 3.0, step + 4.0, step + 5.0]
+            numbers = [step, sharp, step + 1.0, step + 2.0, step + 3.0, step + 4.0, step + 5.0, step]
             self.kernels.contact_pass(values, blocks, row, in_range(first * self.block), strides, numbers)
 
     @ti.kernel

@@ -53,7 +53,7 @@ def one_pass(name, block):
 
 # operations and roots that a block takes beside those of its sites: the contact below its first, constants of the pass
 ONCE = {
-    "sweep with momentum": (10, 2),
+    "sweep with momentum": (9, 2),
     "contact": (5, 0),
     "sphere": (0, 0),
     "limit": (4, 0),

@@ -47,9 +47,9 @@ def test_two_hundred_iterations_end_where_those_of_the_cpu_do(case, on_the_cpu, 
 @pytest.mark.parametrize(
     ("method", "where", "launches", "reads"),
     [
-        (GradientDescent().build(), ("sweeps", "pair_on_gpu"), 6, ["spin"]),  # sweeps come in pairs
-        (CundallStrack().build(), ("steps", "step_on_gpu"), 12, ["gear_0", "force", "elongation"]),
-        (OperatorSplitting().build(), ("contacts", "step_on_gpu"), 12, SPLITTING),
+        (GradientDescent().build(), ("sweeps", "turns"), 6, ["spin"]),  # sweeps come in pairs
+        (CundallStrack().build(), ("steps", "turns"), 12, ["gear_0", "force", "elongation"]),
+        (OperatorSplitting().build(), ("contacts", "step"), 12, SPLITTING),
         (OperatorSplitting().build(), ("balance.kernels", "on_gpu"), 12, SPLITTING),
     ],
 )

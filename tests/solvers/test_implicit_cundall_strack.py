@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import minimize
 
+from taichi_bearings.conic.contact_system import free_spins
 from taichi_bearings.conic.friction_stage import Friction
 from taichi_bearings.conic.grouped import each
 from taichi_bearings.errors import InputError
@@ -276,7 +277,7 @@ def test_a_stage_ends_at_the_minimum_of_its_function():
     scene = make_scene((2, 2, 4), seeds=(9,))
     method = begun(scene, random_start(scene))
     rng = np.random.default_rng(1)
-    base = method.samples[0].spins
+    base = free_spins(method.staggered)[0]
     start = each(lambda offset: rng.uniform(-20, 20, offset.shape), method.system.offset)
     limit = method.strength[0]
     friction = Friction(limit, each(np.full_like, limit, 80.0), 7.0)
@@ -301,7 +302,7 @@ def test_a_factorisation_serves_where_few_contacts_have_changed():
     def ends(anew):
         scene = make_scene((5, 5, 6), seeds=(9,))
         method = begun(scene, random_start(scene))
-        rng, base, found = np.random.default_rng(1), method.samples[0].spins, []
+        rng, base, found = np.random.default_rng(1), free_spins(method.staggered)[0], []
         start = each(lambda offset: rng.uniform(-20, 20, offset.shape), method.system.offset)
         friction = Friction(method.strength[0], each(np.full_like, method.strength[0], 4000.0), 7.0)
         for harder in (1.0, 1.002, 1.004, 1.006):

@@ -7,6 +7,7 @@ other's finest answer, which the order of its own errors extrapolates.
 import numpy as np
 import pytest
 
+from taichi_bearings.conic.contact_system import free_spins
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
@@ -31,7 +32,7 @@ def implicit(scene, spin, steps):
     method.begin(scene, spin, None)
     method.advance(steps)
     assert method.time == pytest.approx(DURATION, rel=1e-12)
-    spins = np.stack([sample.spins for sample in method.samples])
+    spins = free_spins(method.staggered)
     return np.moveaxis(spins.reshape(scene.replicas, *scene.lattice.free_shape, -1), -1, 0)
 
 
