@@ -92,17 +92,16 @@ def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **a
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.parts import Part
-    from taichi_bearings.scans.plan import Wishes, read_plan
+    from taichi_bearings.scans.plan import WISHES, read_plan
 
     path, folder = Path(scan), Path(asked["out"]) if asked["out"] else None
     if path.is_dir():  # the folder of a scan: go on there
         path, folder = path / "scan.toml", folder or path
     _refuse_contradictions(folder, **asked)
     workers, part = asked["workers"] or 0, None if asked["part"] is None else Part.parse(asked["part"])
-    plan = read_plan(path, asked["overrides"])
-    wishes = Wishes(asked["analyse"], asked["keep_states"], asked["sample_timeout"])
+    plan = read_plan(path, asked["overrides"], {name: asked[name] for name in WISHES if asked[name] is not None})
     if dry_run:
-        expected = study.estimate(plan, folder, workers, wishes, part)
+        expected = study.estimate(plan, folder, workers, part)
         click.echo(json.dumps(expected) if as_json else describe_estimate(expected))
         return
     if asked["merge"] and folder is not None:
@@ -110,7 +109,7 @@ def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **a
     else:
         folder = folder or default_run_path("scan")
         with ScanDisplay(asked["heartbeat"]) as display, _client(**asked) as client:
-            report = study.scan(plan, folder, workers, wishes, display, client=client, part=part)
+            report = study.scan(plan, folder, workers, display, client=client, part=part)
     click.echo(json.dumps(report) if as_json else describe(report))
     if report["interrupted"]:
         context.exit(130)

@@ -10,6 +10,7 @@ another one, and if it is lost again the scan tries it once more.
 import contextlib
 import importlib
 import logging
+import math
 import multiprocessing
 import queue
 import shutil
@@ -173,7 +174,7 @@ class DaskEngine:
 
     client: "Client"
     work: Work
-    allowed: Callable[[Unit], float | None] = lambda unit: None
+    allowed: Callable[[Unit], float] = lambda unit: math.inf
     workers: int = 0  # threads at most so far
     _name: str = field(default_factory=lambda: uuid.uuid4().hex)
     _submitted: "dict[str, tuple[Future, Unit]]" = field(default_factory=dict)
@@ -272,7 +273,7 @@ def _for_any_folder(sample: Sample) -> Sample:
 class _Solver:
     """The process in which one thread of a Dask worker has the samples of one scan solved."""
 
-    def __init__(self, work: Work, allowed: Callable[[Unit], float | None]) -> None:
+    def __init__(self, work: Work, allowed: Callable[[Unit], float]) -> None:
         self._engine = LocalEngine(work, 1, allowed)
         self._lock = threading.Lock()
         self._idle = threading.Timer(IDLE, self.end)
@@ -305,9 +306,7 @@ class _Solver:
 _solvers: dict[tuple[str, int], _Solver] = {}  # of this Dask worker, by scan and thread
 
 
-def solve_unit(
-    unit: Unit, scan: str, work: Work, allowed: Callable[[Unit], float | None]
-) -> tuple[list[Record] | None, str]:
+def solve_unit(unit: Unit, scan: str, work: Work, allowed: Callable[[Unit], float]) -> tuple[list[Record] | None, str]:
     """On a Dask worker: the records of a unit, or None and the reason why there are none."""
     multiprocessing.current_process().daemon = False  # Dask sets this, and then no process can be started from here
     mine = scan, threading.get_ident()

@@ -160,12 +160,12 @@ class LocalEngine:
     """Processes on this machine, started as they are needed.
 
     work : solves a unit in a worker; a function that can be pickled. workers : at most so many at a time.
-    allowed : seconds that a unit may take; None for no limit.
+    allowed : seconds that a unit may take.
     """
 
     work: Work
     workers: int
-    allowed: Callable[[Unit], float | None] = lambda unit: None
+    allowed: Callable[[Unit], float] = lambda unit: math.inf
     _pool: list[_Worker] = field(default_factory=list)
 
     @property
@@ -230,10 +230,8 @@ class LocalEngine:
         return None if unit is None else Outcome(unit, records)
 
     def _overdue(self, worker: _Worker) -> Outcome | None:
-        if worker.unit is None:
-            return None
-        allowed, unit = self.allowed(worker.unit), worker.unit
-        if allowed is None or time.monotonic() - worker.began < allowed:
+        unit = worker.unit
+        if unit is None or time.monotonic() - worker.began < (allowed := self.allowed(unit)):
             return None
         self._end(worker)
         return Outcome(unit, None, f"no result within {allowed:g} s")

@@ -67,8 +67,10 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     return numbers
 
 
-def part_of(plan: ScanPlan, part: Part) -> ScanPlan:
-    """The samples of one part, in the order of the plan."""
+def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
+    """The samples of one part, in the order of the plan; all of them for None."""
+    if part is None:
+        return plan
     numbers = part_numbers(plan, part.of)
     return replace(plan, samples=tuple(sample for sample in plan.samples if numbers[sample.key] == part.number))
 
