@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import InputError, WriteError
+from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED, bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.engine import Task
 from taichi_bearings.scans.plan import Sample, groups_of
 
 STATES = "states"  # folder of the full states
@@ -52,14 +53,12 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
     return [records[sample.key] for sample in samples]
 
 
-def failure(sample: Sample, reason: Exception | str) -> dict[str, Any]:
+def failure(task: Task, reason: Exception | str) -> dict[str, Any]:
     """The record of a sample that has no result."""
+    words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
-        logging.getLogger(__name__).debug("sample %s", sample.label, exc_info=reason)
-        words = str(reason) if isinstance(reason, InputError) else f"{type(reason).__name__}: {reason}"
-    else:
-        words = reason
-    record: dict[str, Any] = {"key": sample.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
+        logging.getLogger(__name__).debug("sample %s", task.label, exc_info=reason)
+    record: dict[str, Any] = {"key": task.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
     return record | ({"final": True} if isinstance(reason, InputError) else {})
 
 
