@@ -50,8 +50,9 @@ LONELY = 10.0  # seconds without any worker after which that is said
 
 def connected(
     scheduler: str | None = None, cluster: str | None = None, workers: int | None = None, options: Sequence[str] = ()
-) -> "contextlib.AbstractContextManager[Client]":
-    """The client of a Dask cluster: either one that is there, or one that is started for the scan and ended with it.
+) -> "contextlib.AbstractContextManager[Client | None]":
+    """The client of a Dask cluster: either one that is there, or one that is started for the scan and ended with it;
+    None if neither is named.
 
     scheduler : address of one that is there, such as ``tcp://node:8786``.
     cluster : one of QUEUES or "local" to start instead.
@@ -59,6 +60,8 @@ def connected(
     options : ``key=value`` for the class of dask-jobqueue, values as in TOML, other words are texts.
     Raises InputError if Dask is not installed, if nobody answers at the address, or if the options do not fit.
     """
+    if scheduler is None and cluster is None:
+        return contextlib.nullcontext()
     _need("distributed")
     if scheduler is not None:
         if cluster is not None or workers is not None or options:
