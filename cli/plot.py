@@ -39,8 +39,8 @@ KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
 )
 @click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
 @click.option(
-    "--fit", metavar="KIND[:SLOPE]", default=None,
-    help="scan: a line through each curve: power, exponential or log; with a slope a guide, as power:1.5.",
+    "--fit", metavar="power[:SLOPE]", default=None,
+    help="scan: a power law through each curve; with a slope a guide, as power:1.5.",
 )  # fmt: skip
 @click.option("--fit-range", metavar="LOW,HIGH", default=None, help="scan: the points for --fit, by their x.")
 @click.option(

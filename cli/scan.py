@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -91,26 +90,27 @@ def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **a
 
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.scans import scan as study
+    from taichi_bearings.scans.cluster import connected
     from taichi_bearings.scans.parts import Part
-    from taichi_bearings.scans.plan import Wishes, read_plan
+    from taichi_bearings.scans.plan import WISHES, read_plan
 
     path, folder = Path(scan), Path(asked["out"]) if asked["out"] else None
     if path.is_dir():  # the folder of a scan: go on there
         path, folder = path / "scan.toml", folder or path
     _refuse_contradictions(folder, **asked)
     workers, part = asked["workers"] or 0, None if asked["part"] is None else Part.parse(asked["part"])
-    plan = read_plan(path, asked["overrides"])
-    wishes = Wishes(asked["analyse"], asked["keep_states"], asked["sample_timeout"])
+    plan = read_plan(path, asked["overrides"], {name: asked[name] for name in WISHES if asked[name] is not None})
     if dry_run:
-        expected = study.estimate(plan, folder, workers, wishes, part)
+        expected = study.estimate(plan, folder, workers, part)
         click.echo(json.dumps(expected) if as_json else describe_estimate(expected))
         return
     if asked["merge"] and folder is not None:
         report = study.merge(plan, folder)
     else:
         folder = folder or default_run_path("scan")
-        with ScanDisplay(asked["heartbeat"]) as display, _client(**asked) as client:
-            report = study.scan(plan, folder, workers, wishes, display, client=client, part=part)
+        cluster = connected(asked["scheduler"], asked["cluster"], asked["workers"], asked["cluster_options"])
+        with ScanDisplay(asked["heartbeat"]) as display, cluster as client:
+            report = study.scan(plan, folder, workers, display, client=client, part=part)
     click.echo(json.dumps(report) if as_json else describe(report))
     if report["interrupted"]:
         context.exit(130)
@@ -128,17 +128,6 @@ def _refuse_contradictions(
         raise InputError("--merge solves nothing; leave out --part, --scheduler and --cluster")
     if folder is None and (merge or part is not None):
         raise InputError("--part and --merge need --out DIR, the same for all parts")
-
-
-def _client(
-    scheduler: str | None, cluster: str | None, workers: int | None, cluster_options: Sequence[str], **_: Any
-) -> AbstractContextManager[Any]:
-    """The client of the Dask cluster that was asked for, or None."""
-    if scheduler is None and cluster is None:
-        return nullcontext()
-    from taichi_bearings.scans.cluster import connected
-
-    return connected(scheduler, cluster, workers, cluster_options)
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:

@@ -20,7 +20,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, Work, run_samples
 from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.plan import Sample, sample_key
-from taichi_bearings.scans.sample import Wanted, failure, solve_samples
+from taichi_bearings.scans.sample import failure, solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
@@ -94,7 +94,7 @@ def _record(sample: Sample, solved: bool) -> dict[str, Any]:
 
 def contenders(workers: int, shape: tuple[int, ...]) -> list[Contender]:
     """Ours, Clarabel with its quickest linear solver here, and moreau; the peers as far as they are installed."""
-    found = [Contender(OURS, partial(solve_samples, wanted=Wanted()), workers)]
+    found = [Contender(OURS, solve_samples, workers)]
     here, _ = find_peers()
     if peer := quickest([one for one in here if one.name == "clarabel"], shape):
         work = partial(solve_by_peer, peer=peer)

@@ -70,7 +70,7 @@ def measured(chosen: Sequence[RunSettings], numbers: Numbers, journal: Path) -> 
     samples = [Sample(sample_key(settings), settings, {"seed": settings.seed}) for settings in chosen]
     known = read_journal(journal)
     missing = [sample for sample in samples if sample.key not in known]
-    costs = {sample.key: seconds_of(sample.settings, structure=True) or 1.0 for sample in missing}
+    costs = {sample.key: seconds_of(sample.settings, structure=True) for sample in missing}
     with Journal(journal) as kept, closing(_records(missing, numbers)) as records:
         for _, record in zip(each(missing, "sample", lambda sample: costs[sample.key]), records, strict=False):
             if record["scalars"]["status"] == FAILED:

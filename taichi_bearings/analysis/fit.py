@@ -1,4 +1,4 @@
-"""Lines through points that are straight on some pair of axes: power laws, exponentials and logarithms."""
+"""Power laws through points: straight lines on two logarithmic axes."""
 
 import math
 from collections.abc import Callable
@@ -10,34 +10,17 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.words import meant
 
 LEAST_POINTS = 3
-
-
-@dataclass(frozen=True)
-class Kind:
-    """What y(x) is, in words; on which axes it is straight; and what its slope there is called."""
-
-    words: str
-    log_x: bool
-    log_y: bool
-    slope: str
-
-
-KINDS = {
-    "power": Kind("a power law", True, True, "exponent"),
-    "exponential": Kind("an exponential", False, True, "rate"),
-    "log": Kind("a logarithm", True, False, "slope"),
-}
+POWER = "power"
 
 
 @dataclass(frozen=True)
 class Fit:
-    """y = A x^s (power), A e^(s x) (exponential) or A + s ln x (log), over [low, high].
+    """y = e^offset x^slope, over [low, high].
 
-    slope, error : s and its standard error; not-a-number for a slope that was given and so is a guide.
+    error : standard error of the slope; not-a-number for a slope that was given and so is a guide.
     chi_square : per degree of freedom, not-a-number where the points have no errors of their own.
     """
 
-    kind: str
     offset: float
     slope: float
     error: float
@@ -46,25 +29,23 @@ class Fit:
     chi_square: float = math.nan
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        kind = KINDS[self.kind]
-        line = self.offset + self.slope * (np.log(x) if kind.log_x else x)
-        values: np.ndarray = np.exp(line) if kind.log_y else line
+        values: np.ndarray = np.exp(self.offset + self.slope * np.log(x))
         return values
 
 
-def read_fit(text: str) -> tuple[str, float | None]:
-    """Kind and, if it is given, slope of `power` or `power:1.5`; InputError."""
+def read_fit(text: str) -> float | None:
+    """The slope of a guide, as in `power:1.5`, or None for `power`, which fits one; InputError."""
     name, colon, number = text.partition(":")
     try:
         slope = float(number) if colon else None
-        if name not in KINDS or (slope is not None and not math.isfinite(slope)):
+        if name != POWER or (slope is not None and not math.isfinite(slope)):
             raise ValueError
     except ValueError:
         raise InputError(
-            f"fit is {text!r}; it must be {', '.join(KINDS)}, or one of them with a slope for a guide, as in power:1.5"
-            + meant(name, KINDS)
+            f"fit is {text!r}; it must be power, or power with a slope for a guide, as in power:1.5"
+            + meant(name, [POWER])
         ) from None
-    return name, slope
+    return slope
 
 
 def read_range(text: str) -> tuple[float, float]:
@@ -78,25 +59,24 @@ def read_range(text: str) -> tuple[float, float]:
     return low, high
 
 
-def fit(kind: str, x: np.ndarray, y: np.ndarray, error: np.ndarray | None = None, slope: float | None = None) -> Fit:
-    """Least squares on the axes where the line is straight; error : standard errors of y, which weigh the points.
+def fit(x: np.ndarray, y: np.ndarray, error: np.ndarray | None = None, slope: float | None = None) -> Fit:
+    """Least squares on logarithmic axes; error : standard errors of y, which weigh the points.
 
     With errors that of the slope follows from them, and is made larger where the points scatter more than they say
     (by the root of chi-square per degree of freedom); else from the scatter alone. slope : given, not fitted.
     InputError for fewer than three points, for a guide for none, or numbers whose logarithm there is not.
     """
-    row = KINDS[kind]
-    for values, name, is_log in ((x, "x", row.log_x), (y, "y", row.log_y)):
-        if is_log and len(values) and values.min() <= 0:
+    for values, name in ((x, "x"), (y, "y")):
+        if len(values) and values.min() <= 0:
             raise InputError(
-                f"fit is {kind!r}, but the least {name} is {values.min():g}; {row.words} needs numbers above 0"
+                f"fit is 'power', but the least {name} is {values.min():g}; a power law needs numbers above 0"
             )
     points, needed = len(np.unique(x)), LEAST_POINTS if slope is None else 1
     if points < needed:
-        raise InputError(f"fit is {kind!r}, but a curve has {points} points in its range; it needs {needed}")
-    u, v = np.log(x) if row.log_x else x, np.log(y) if row.log_y else y
+        raise InputError(f"fit is 'power', but a curve has {points} points in its range; it needs {needed}")
+    u, v = np.log(x), np.log(y)
     weighs = error is not None and bool((np.isfinite(error) & (error > 0)).all())
-    sigma = (error / y if row.log_y else error) if weighs and error is not None else np.ones(len(x))
+    sigma = error / y if weighs and error is not None else np.ones(len(x))
     weight = sigma**-2
     middle = _mean(weight)
     spread = float((weight * (u - middle(u)) ** 2).sum())
@@ -106,9 +86,7 @@ def fit(kind: str, x: np.ndarray, y: np.ndarray, error: np.ndarray | None = None
     chi_square = float((weight * (v - offset - fitted * u) ** 2).sum()) / freedom
     scatter = math.sqrt(max(1.0, chi_square) if weighs else chi_square)
     spread_of_slope = math.nan if slope is not None else scatter / math.sqrt(spread)
-    return Fit(
-        kind, offset, fitted, spread_of_slope, float(x.min()), float(x.max()), chi_square if weighs else math.nan
-    )
+    return Fit(offset, fitted, spread_of_slope, float(x.min()), float(x.max()), chi_square if weighs else math.nan)
 
 
 def _mean(weight: np.ndarray) -> Callable[[np.ndarray], float]:

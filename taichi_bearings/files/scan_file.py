@@ -146,7 +146,7 @@ class StoredScan:
     """A scan as read back; every array has one entry a sample, in the order of scan.csv.
 
     attributes : of the root. scanned : names of the columns that were varied, in their order.
-    table : columns by name; texts are object arrays of str. units, descriptions : of the columns.
+    table : columns by name; texts are object arrays of str.
     histograms : distributions of power.
     """
 
@@ -154,8 +154,6 @@ class StoredScan:
     attributes: dict[str, Any]
     scanned: tuple[str, ...]
     table: dict[str, np.ndarray]
-    units: dict[str, str]
-    descriptions: dict[str, str]
     histograms: SampleHistograms
 
     def __post_init__(self) -> None:
@@ -216,8 +214,6 @@ class StoredScan:
             attributes=dict(attributes),
             scanned=tuple(attributes["scanned"]),
             table={item.name: item.values for item in columns},
-            units={item.name: item.units for item in columns},
-            descriptions={item.name: item.description for item in columns},
             histograms=histograms,
         )
 
@@ -243,8 +239,6 @@ def _read(path: Path, file: h5py.File) -> StoredScan:
         attributes={key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()},
         scanned=tuple(str(name) for name in file.attrs["scanned"]),
         table={name: _values(group[name]) for name in names},
-        units={name: str(group[name].attrs["units"]) for name in names},
-        descriptions={name: str(group[name].attrs["description"]) for name in names},
         histograms=SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS}),
     )
 

@@ -98,6 +98,5 @@ def formula(found: Fit, symbol: str) -> str:
         if is_guide or found.error < EXACT
         else with_error(found.slope, found.error).replace("+-", r"\pm")
     )
-    shape = {"power": rf"{{{symbol}}}^s", "exponential": rf"e^{{s\,{symbol}}}", "log": rf"a + s\,\ln {symbol}"}
     fitted = " (guide)" if is_guide else rf", ${found.low:g} \leq {symbol} \leq {found.high:g}$"
-    return rf"${shape[found.kind]}$, $s = {slope}${fitted}"
+    return rf"${{{symbol}}}^s$, $s = {slope}${fitted}"

@@ -10,6 +10,7 @@ another one, and if it is lost again the scan tries it once more.
 import contextlib
 import importlib
 import logging
+import math
 import multiprocessing
 import queue
 import shutil
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from distributed.deploy import Cluster
 
 QUEUES = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "sge": "SGECluster", "lsf": "LSFCluster"}  # of dask_jobqueue
-CLUSTERS = (*QUEUES, "local")
 DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C is for the scan, which ends its workers
 JOB = {"cores": 1, "memory": "2GB"}  # of a job in a queue, where neither an option nor the settings of Dask say
 CONNECT = 5.0  # seconds to wait for a scheduler
@@ -46,19 +46,22 @@ AHEAD = 2  # units at a time for each thread, so that the next one is there when
 LOOK = 1.0  # seconds between two counts of the workers
 RENEW = 60.0  # seconds between two submissions of jobs in place of those that have ended
 LONELY = 10.0  # seconds without any worker after which that is said
-IDLE = 60.0  # seconds without work after which a solving process ends
 
 
 def connected(
     scheduler: str | None = None, cluster: str | None = None, workers: int | None = None, options: Sequence[str] = ()
-) -> "contextlib.AbstractContextManager[Client]":
-    """The client of a Dask cluster: either one that is there, or one that is started for the scan and ended with it.
+) -> "contextlib.AbstractContextManager[Client | None]":
+    """The client of a Dask cluster: either one that is there, or one that is started for the scan and ended with it;
+    None if neither is named.
 
-    scheduler : address of one that is there, such as ``tcp://node:8786``. cluster : one of CLUSTERS to start instead.
+    scheduler : address of one that is there, such as ``tcp://node:8786``.
+    cluster : one of QUEUES or "local" to start instead.
     workers : Dask workers to start; default: a process for each processor (local), or one job.
     options : ``key=value`` for the class of dask-jobqueue, values as in TOML, other words are texts.
     Raises InputError if Dask is not installed, if nobody answers at the address, or if the options do not fit.
     """
+    if scheduler is None and cluster is None:
+        return contextlib.nullcontext()
     _need("distributed")
     if scheduler is not None:
         if cluster is not None or workers is not None or options:
@@ -173,7 +176,7 @@ class DaskEngine:
 
     client: "Client"
     work: Work
-    allowed: Callable[[Unit], float | None] = lambda unit: None
+    allowed: Callable[[Unit], float] = lambda unit: math.inf
     workers: int = 0  # threads at most so far
     _name: str = field(default_factory=lambda: uuid.uuid4().hex)
     _submitted: "dict[str, tuple[Future, Unit]]" = field(default_factory=dict)
@@ -269,56 +272,21 @@ def _for_any_folder(sample: Sample) -> Sample:
     return replace(sample, settings=replace(settings, **changes)) if changes else sample
 
 
-class _Solver:
-    """The process in which one thread of a Dask worker has the samples of one scan solved."""
-
-    def __init__(self, work: Work, allowed: Callable[[Unit], float | None]) -> None:
-        self._engine = LocalEngine(work, 1, allowed)
-        self._lock = threading.Lock()
-        self._idle = threading.Timer(IDLE, self.end)
-        self.ended = threading.Event()
-
-    def solve(self, unit: Unit) -> Outcome:
-        self._idle.cancel()
-        with self._lock:
-            self._engine.submit(unit)
-            outcomes: list[Outcome] = []
-            while not outcomes and not self.ended.is_set():
-                outcomes = self._engine.collect(PATIENCE)
-            if not outcomes:
-                self._engine.close()
-                return Outcome(unit, None, "the scan has ended")
-        self._idle = threading.Timer(IDLE, self.end)
-        self._idle.daemon = True
-        self._idle.start()
-        return outcomes[0]
-
-    def end(self) -> None:
-        """End the process; does not wait for a thread that listens to it, which ends it soon."""
-        self._idle.cancel()
-        self.ended.set()
-        if self._lock.acquire(blocking=False):
-            self._engine.close()
-            self._lock.release()
+_engines: dict[tuple[str, int], LocalEngine] = {}  # of this Dask worker, by scan and thread
 
 
-_solvers: dict[tuple[str, int], _Solver] = {}  # of this Dask worker, by scan and thread
-
-
-def solve_unit(
-    unit: Unit, scan: str, work: Work, allowed: Callable[[Unit], float | None]
-) -> tuple[list[Record] | None, str]:
+def solve_unit(unit: Unit, scan: str, work: Work, allowed: Callable[[Unit], float]) -> tuple[list[Record] | None, str]:
     """On a Dask worker: the records of a unit, or None and the reason why there are none."""
     multiprocessing.current_process().daemon = False  # Dask sets this, and then no process can be started from here
-    mine = scan, threading.get_ident()
-    if mine not in _solvers or _solvers[mine].ended.is_set():
-        _solvers[mine] = _Solver(work, allowed)
-    outcome = _solvers[mine].solve(unit)
-    return outcome.records, outcome.reason
+    engine = _engines.setdefault((scan, threading.get_ident()), LocalEngine(work, 1, allowed))
+    engine.submit(unit)
+    while not (outcomes := engine.collect(PATIENCE)):
+        pass
+    return outcomes[0].records, outcomes[0].reason
 
 
 def end_solvers(scan: str) -> None:
-    """On a Dask worker: end the processes of a scan."""
-    for name, thread in list(_solvers):
+    """On a Dask worker: end the processes of a scan. The threads that listen to them hear of it."""
+    for name, thread in list(_engines):
         if name == scan:
-            _solvers.pop((name, thread)).end()
+            _engines.pop((name, thread)).kill()

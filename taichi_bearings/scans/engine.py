@@ -48,6 +48,7 @@ Work = Callable[[Sequence[Any]], list[Record]]
 TRIES = 2  # of each sample
 HOPELESS = 10  # workers that end one after the other without any result
 PATIENCE = 0.2  # seconds between looks at what else is going on
+IDLE = 60.0  # seconds without work after which a worker ends
 
 
 @dataclass(frozen=True)
@@ -160,12 +161,12 @@ class LocalEngine:
     """Processes on this machine, started as they are needed.
 
     work : solves a unit in a worker; a function that can be pickled. workers : at most so many at a time.
-    allowed : seconds that a unit may take; None for no limit.
+    allowed : seconds that a unit may take.
     """
 
     work: Work
     workers: int
-    allowed: Callable[[Unit], float | None] = lambda unit: None
+    allowed: Callable[[Unit], float] = lambda unit: math.inf
     _pool: list[_Worker] = field(default_factory=list)
 
     @property
@@ -179,6 +180,9 @@ class LocalEngine:
     def submit(self, unit: Unit) -> None:
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)  # of the one Taichi runtime a process can have
+        for known in [known for known in self._pool if known.unit is None]:
+            if multiprocessing.connection.wait([known.pipe], 0):  # it has ended meanwhile
+                self._end(known)
         idle = [worker for worker in self._pool if worker.unit is None]
         worker = next((worker for worker in idle if worker.device == device), None)
         if worker is None:
@@ -230,10 +234,8 @@ class LocalEngine:
         return None if unit is None else Outcome(unit, records)
 
     def _overdue(self, worker: _Worker) -> Outcome | None:
-        if worker.unit is None:
-            return None
-        allowed, unit = self.allowed(worker.unit), worker.unit
-        if allowed is None or time.monotonic() - worker.began < allowed:
+        unit = worker.unit
+        if unit is None or time.monotonic() - worker.began < (allowed := self.allowed(unit)):
             return None
         self._end(worker)
         return Outcome(unit, None, f"no result within {allowed:g} s")
@@ -256,9 +258,14 @@ class LocalEngine:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else f"signal {-code}"
         return f"the worker was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
 
+    def kill(self) -> None:
+        """End all workers at once, from any thread; the one that listens to them removes them."""
+        for worker in list(self._pool):
+            with contextlib.suppress(ValueError):  # it is removed already
+                worker.process.kill()
+
     def close(self) -> None:
-        for worker in self._pool:
-            worker.process.kill()
+        self.kill()
         for worker in list(self._pool):
             self._end(worker)
 
@@ -276,7 +283,7 @@ def _main_left_out() -> Iterator[None]:
 
 
 def serve(pipe: Connection, work: Work) -> None:
-    """The life of a worker: solve units as they come, until the pipe or the parent ends.
+    """The life of a worker: solve units as they come, until the pipe or the parent ends or nothing has come for long.
 
     After an exception the process is not trusted any more: it hands over what it has and ends.
     """
@@ -284,10 +291,10 @@ def serve(pipe: Connection, work: Work) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with contextlib.suppress(OSError):  # if memory runs out, let it be a worker that goes, not the scan
         Path("/proc/self/oom_score_adj").write_text("500")
-    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError), pipe:
         pipe.send("started")
         healthy = True
-        while healthy:
+        while healthy and pipe.poll(IDLE):
             records = work(pipe.recv())
             healthy = all(r["scalars"]["status"] != FAILED or r.get("final", False) for r in records)
             pipe.send((records, healthy))

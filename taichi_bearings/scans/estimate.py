@@ -49,10 +49,12 @@ def unused_keys(plan: ScanPlan) -> list[str]:
     return [sentence for key, sentence in found.items() if key not in used]
 
 
-def seconds_of(settings: RunSettings, structure: bool = False) -> float | None:
-    """Time to solve one sample; None where it is not known, as for dynamics."""
+def seconds_of(settings: RunSettings, structure: bool = False) -> float:
+    """Time to solve one sample; infinite where it is not known, as for dynamics."""
     solve = row_of(settings).seconds(settings.shape, settings.tolerance)
-    return None if solve is None else seconds_beside(settings, structure) + min(solve, settings.time_limit or math.inf)
+    if solve is None:
+        return math.inf
+    return seconds_beside(settings, structure) + min(solve, settings.time_limit or math.inf)
 
 
 def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
@@ -78,8 +80,7 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     units = []
     for group in groups_of(samples):
         settings = group[0].settings
-        seconds = seconds_of(settings, structure)
-        number = 1 if seconds is None else int(UNIT_SECONDS / seconds)
+        number = int(UNIT_SECONDS / seconds_of(settings, structure))
         if math.prod(settings.shape) < row_of(settings).alike_in_a_block:
             number = max(number, TOGETHER)
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // math.prod(settings.shape)))
@@ -90,18 +91,10 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     return sorted(units, key=lambda unit: first[kind_of(unit[0].settings)] is not unit)
 
 
-def total_seconds(samples: Sequence[Sample], structure: bool = False) -> float | None:
-    """Work of one core for all samples; None if any of it is not known."""
-    parts = [(len(group), seconds_of(group[0].settings, structure)) for group in groups_of(samples)]
-    known = [number * seconds for number, seconds in parts if seconds is not None]
-    return math.fsum(known) if len(known) == len(parts) else None
-
-
 def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
     """How many workers the work pays for, each of which takes a second to start."""
-    work = total_seconds(samples, structure)
-    least = 1 if work is None else max(1, math.floor(work / WORKER_START))
-    return max(1, min(most, len(samples), most if work is None else least))
+    work = math.fsum(len(group) * seconds_of(group[0].settings, structure) for group in groups_of(samples))
+    return max(1, int(min(most, len(samples), work / WORKER_START)))
 
 
 @dataclass(eq=False)
@@ -156,8 +149,9 @@ class WorkLeft:
         settings, key = sample.settings, kind_of(sample.settings)
         if key not in self.kinds:
             seconds = seconds_of(settings, self.structure)
-            cost = math.prod(settings.shape) * (settings.duration or 1.0) if seconds is None else seconds
-            self.kinds[key] = _Kind(row_of(settings).name, seconds is not None, cost)
+            has_estimate = seconds < math.inf
+            cost = seconds if has_estimate else math.prod(settings.shape) * (settings.duration or 1.0)
+            self.kinds[key] = _Kind(row_of(settings).name, has_estimate, cost)
         return self.kinds[key]
 
     def retry(self, sample: Sample) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
-from taichi_bearings.analysis.fit import KINDS, Fit, fit, read_fit
+from taichi_bearings.analysis.fit import Fit, fit, read_fit
 from taichi_bearings.analysis.statistics import (
     LEAST,
     QUANTILES,
@@ -192,11 +192,15 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         used = rows[reasons[rows] == ""]
         own = [independent(values[used], disorder[used]) for values in terms]
         statistics = _statistics(own)
-        plot = (float(x) if isinstance(x, (int, float)) else place[x], *_shown(statistics, len(own[0]), request))
+        plot: Plotted = (
+            float(x) if isinstance(x, (int, float)) else place[x],
+            *_shown(statistics, len(own[0]), request),
+        )
         if request.collapse:
             if len(sizes := set(columns[SIZE][rows].tolist())) > 1:
                 raise InputError(f"a point has samples of several L ({sizes}); add --by L")
-            plot = _collapsed(plot, sizes.pop(), request.collapse)
+            (a, b), size, (place_x, *values) = request.collapse, float(sizes.pop()), plot
+            plot = (place_x * size**b, *(value * size**-a for value in values))
         points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
     _check_log(points, request.log)
     return points
@@ -255,24 +259,15 @@ def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
 def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tuple[float, float, float]:
     """The point and the ends of its bar, if it has enough samples for one."""
     bars = request.bars_shown
-    if request.is_ratio:
-        if bars != "bootstrap":
-            raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
-        return statistics["ratio"], statistics["low"], statistics["high"]
-    if number < LEAST:
-        return statistics["quantile_50" if bars == "quartiles" else "mean"], math.nan, math.nan
+    if request.is_ratio and bars != "bootstrap":
+        raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
     if bars == "quartiles":
-        return statistics["quantile_50"], statistics["quantile_25"], statistics["quantile_75"]
-    mean, error = statistics["mean"], statistics["standard_error"]
-    if bars == "bootstrap":
-        return mean, statistics["low"], statistics["high"]
-    return mean, mean - error, mean + error
-
-
-def _collapsed(plot: Plotted, size: float, exponents: tuple[float, float]) -> Plotted:
-    shrink, stretch = float(size) ** -exponents[0], float(size) ** exponents[1]
-    x, y, low, high = plot
-    return x * stretch, y * shrink, low * shrink, high * shrink
+        value, low, high = (statistics[f"quantile_{percent}"] for percent in (50, 25, 75))
+    else:
+        value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
+        if bars == "standard-error":
+            low, high = value - statistics["standard_error"], value + statistics["standard_error"]
+    return (value, low, high) if number >= LEAST else (value, math.nan, math.nan)
 
 
 def _check_log(points: Sequence[Point], log: str) -> None:
@@ -307,17 +302,16 @@ def _fitted(drawn: np.ndarray, request: Request) -> Fit | None:
     """The line through the points (P, 4) of a curve, if one is asked for; quartiles are no errors and weigh nothing."""
     if request.fit is None:
         return None
-    kind, slope = read_fit(request.fit)
     low, high = request.fit_range
     x, y, least, most = drawn[(drawn[:, 0] >= low) & (drawn[:, 0] <= high)].T
     errors = {"standard-error": (most - least) / 2, "bootstrap": (most - least) / 2 / TWO_SIDED}
-    return fit(kind, x, y, errors.get(request.bars_shown), slope)
+    return fit(x, y, errors.get(request.bars_shown), read_fit(request.fit))
 
 
 def _in_words(found: Fit) -> str:
     value = f"{found.slope:g}, a guide" if math.isnan(found.error) else with_error(found.slope, found.error)
     scatter = "" if math.isnan(found.chi_square) else f", chi-square {found.chi_square:.2g} per degree of freedom"
-    return f"{found.kind}: {KINDS[found.kind].slope} {value}, from {found.low:g} to {found.high:g}{scatter}"
+    return f"power: exponent {value}, from {found.low:g} to {found.high:g}{scatter}"
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequence[Point], request: Request) -> Look:

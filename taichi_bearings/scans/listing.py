@@ -1,33 +1,28 @@
 """What the run and scan folders below a folder hold, from their summaries and journals alone: `bearings list`."""
 
+import contextlib
 import math
 import os
 import re
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.files.scan_journal import NAME
 from taichi_bearings.plain_files import read_json, read_lines
-from taichi_bearings.scans.parts import JOURNAL
+from taichi_bearings.scans.parts import journals_in
 from taichi_bearings.scans.plan import count_samples
 from taichi_bearings.words import counted
 
 RUN, SCAN = "run", "scan"
-RESULTS = {"run.h5", "summary.json", "checkpoint.h5", "scan.h5", NAME}
+OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
 NEEDED = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
-FURTHER = {
-    "gap": float,
-    "power_normalised": float,
-    "states_proven": bool,
-    "coefficients": str,
-}  # None where a run has none
+FURTHER = {"gap": float, "power_normalised": float, "states_proven": bool, "coefficients": str}  # or None
 LARGEST = 1e300  # of a number
 UNITS = ("B", "kB", "MB", "GB", "TB")
 
@@ -71,20 +66,14 @@ def entries(folder: Path) -> list[Entry]:
         inside = [folder] if _kind_of(folder) else sorted(p for p in folder.iterdir() if not p.name.startswith("."))
     except OSError as error:
         raise InputError(f"{folder} cannot be read: {error.strerror or error}") from None
-    found = [entry for path in inside if (entry := _entry(path))]
-    return sorted(found, key=lambda entry: entry.modified, reverse=True)
+    return sorted(filter(None, map(_entry, inside)), key=lambda entry: entry.modified, reverse=True)
 
 
 def _kind_of(path: Path) -> str:
     """Run, scan, or an empty text."""
-    if any((path / name).is_file() for name in ("run.h5", "summary.json", "checkpoint.h5")):
+    if any((path / name).is_file() for name in OF_A_RUN):
         return RUN
-    return SCAN if (path / "scan.h5").is_file() or any(_journals(path)) else ""
-
-
-def _journals(path: Path) -> Iterator[Path]:
-    if path.is_dir():
-        yield from (file for file in path.iterdir() if file.name == NAME or JOURNAL.fullmatch(file.name))
+    return SCAN if (path / "scan.h5").is_file() or journals_in(path) else ""
 
 
 def _entry(path: Path) -> Entry | None:
@@ -105,17 +94,14 @@ def _entry(path: Path) -> Entry | None:
 
 def _size_and_time(path: Path) -> tuple[int, float]:
     """Bytes of all files, and when the last of those that hold results was written."""
-    size, newest = 0, 0.0
+    found = {}
     for root, _, names in os.walk(path):
         for name in names:
-            try:
-                status = os.stat(os.path.join(root, name), follow_symlinks=False)
-            except FileNotFoundError:  # on its way when it was listed, and renamed since
-                continue
-            size += status.st_size
-            if root == str(path) and (name in RESULTS or JOURNAL.fullmatch(name)):
-                newest = max(newest, status.st_mtime)
-    return size, newest or path.stat().st_mtime
+            with contextlib.suppress(FileNotFoundError):  # on its way when it was listed, and renamed since
+                found[Path(root, name)] = os.stat(os.path.join(root, name), follow_symlinks=False)
+    results = {path / name for name in (*OF_A_RUN, "scan.h5")} | set(journals_in(path))
+    newest = max((status.st_mtime for file, status in found.items() if file in results), default=0.0)
+    return sum(status.st_size for status in found.values()), newest or path.stat().st_mtime
 
 
 def _of_run(path: Path) -> dict[str, Any]:
@@ -148,7 +134,7 @@ def _of_scan(path: Path) -> dict[str, Any]:
     """What is scanned, how many samples it asks for, and how many its journals have, those that failed apart."""
     asked, scanned, fixed = count_samples(path / "scan.toml")
     last: dict[bytes, bytes] = {}
-    for journal in sorted(_journals(path)):
+    for journal in journals_in(path):
         lines = (line for line in read_lines(journal) if line.endswith(b"}}\n"))
         last.update((found[1], found[2]) for line in lines if (found := RECORD.match(line)))
     states = Counter(status.decode(errors="replace") for status in last.values())

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import BearingsError, InputError
-from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.runs.run import Run, job_of, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, run_samples
+from taichi_bearings.scans.sample import failure
 from taichi_bearings.scene import Scene
 
 
@@ -44,14 +44,9 @@ def solve_tasks(tasks: Sequence[SceneTask]) -> list[dict[str, Any]]:
                 solution = solve_job(job_of(settings, task.scene, task.spin))
                 record = {"key": task.key, "scalars": {"status": solution.status.value}, "solution": solution}
             except Exception as error:
-                record = _failure(task, str(error) if isinstance(error, BearingsError) else repr(error))
-                record |= {"final": True} if isinstance(error, InputError) else {}
+                record = failure(task, error)
             records.append(record)
     return records
-
-
-def _failure(task: Any, reason: str) -> dict[str, Any]:
-    return {"key": task.key, "scalars": {"status": FAILED, "error": reason}}
 
 
 def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, Run]]:
@@ -59,7 +54,7 @@ def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, R
     by_key = {task.key: task for task in tasks}
     with closing(LocalEngine(solve_tasks, workers)) as engine:
         units = [(task,) for task in tasks]
-        for records in run_samples(units, engine, lambda *_: None, _failure):
+        for records in run_samples(units, engine, lambda *_: None, failure):
             for record in records:
                 task = by_key.pop(record["key"])
                 if "solution" not in record:

@@ -17,11 +17,11 @@ from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import NAME, is_sample, read_journal
 from taichi_bearings.scans.plan import ScanPlan, groups_of
 
-JOURNAL = re.compile(r"part-([1-9][0-9]{0,5})-of-([1-9][0-9]{0,5})\.jsonl")
+JOURNAL = re.compile(r"part-[1-9][0-9]{0,5}-of-([1-9][0-9]{0,5})\.jsonl")
 MOST = 100_000
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Part:
     """Part `number` of a scan in `of` parts, counted from 1."""
 
@@ -67,31 +67,31 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     return numbers
 
 
-def part_of(plan: ScanPlan, part: Part) -> ScanPlan:
-    """The samples of one part, in the order of the plan."""
+def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
+    """The samples of one part, in the order of the plan; all of them for None."""
+    if part is None:
+        return plan
     numbers = part_numbers(plan, part.of)
     return replace(plan, samples=tuple(sample for sample in plan.samples if numbers[sample.key] == part.number))
 
 
-def parts_in(folder: Path) -> list[Part]:
-    """The parts that have a journal in a folder."""
-    names = [JOURNAL.fullmatch(file.name) for file in folder.iterdir()] if folder.is_dir() else []
-    parts = (Part(int(found[2]), int(found[1])) for found in names if found is not None)
-    return sorted(part for part in parts if part.number <= part.of <= MOST)
+def journals_in(folder: Path) -> list[Path]:
+    """The journals in a folder, of parts before that of the scan itself."""
+    files = folder.iterdir() if folder.is_dir() else ()
+    return sorted(file for file in files if file.name == NAME or JOURNAL.fullmatch(file.name))
 
 
 def journal_bytes(folder: Path) -> int | None:
     """Bytes in the journals of a folder, which only ever grow; None if it has none."""
-    names = [NAME, *(part.journal for part in parts_in(folder))]
-    sizes = [(folder / name).stat().st_size for name in names if (folder / name).is_file()]
+    sizes = [file.stat().st_size for file in journals_in(folder) if file.is_file()]
     return sum(sizes) if sizes else None
 
 
 def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
     """Records by sample of all journals in a folder; of several a result before a failure, then the fullest."""
     records: dict[str, dict[str, Any]] = {}
-    for name in [*(part.journal for part in parts_in(folder)), NAME]:
-        for key, record in read_journal(folder / name, is_sample).items():
+    for file in journals_in(folder):
+        for key, record in read_journal(file, is_sample).items():
             if key not in records or _worth(record) >= _worth(records[key]):
                 records[key] = record
     return records
@@ -115,7 +115,7 @@ def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping
     """Of the numbers of parts into which the journals of a folder divide the scan: `part`, i/n, and `missing`, how many
     of its samples have no result."""
     found = []
-    for of in sorted({part.of for part in parts_in(folder)}):
+    for of in sorted({int(match[1]) for file in journals_in(folder) if (match := JOURNAL.fullmatch(file.name))}):
         numbers = part_numbers(plan, of)
         lacking = Counter(number for key, number in numbers.items() if key not in records or is_failed(records[key]))
         found += [{"part": str(Part(of, number)), "missing": many} for number, many in sorted(lacking.items())]

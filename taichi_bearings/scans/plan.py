@@ -4,12 +4,15 @@ import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from sys import float_info
+from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.options import TRUTH, Kind, Option, bounded, real
 from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import (
     MOST_TEXT,
@@ -47,53 +50,42 @@ class Sample:
         return f"{words} ({self.key})" if words else self.key
 
 
-@dataclass(frozen=True)
-class Wishes:
-    """What is asked of every sample beside the numbers of `run`; None where nothing is said.
+WISHES = {  # what may be asked of every sample beside the numbers of `run`
+    "analyse": Option(None, TRUTH, "The numbers of `bearings analyse` too."),
+    "keep_states": Option(None, TRUTH, "The full state too."),
+    "sample_timeout": Option(
+        None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
+        "Time that a sample may take.", unit="s",
+    ),
+}  # fmt: skip
 
-    analyse : the numbers of `bearings analyse` too. keep_states : the full state too. sample_timeout : seconds that a
-    sample may take.
-    """
 
-    analyse: bool | None = None
-    keep_states: bool | None = None
-    sample_timeout: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("analyse", "keep_states"):
-            if not isinstance(value := getattr(self, name), (bool, type(None))):
-                raise InputError(f"{name} is {value!r}; it must be true or false")
-        seconds = self.sample_timeout
-        if seconds is not None and (type(seconds) not in (int, float) or not 0 < seconds < math.inf):
-            raise InputError(f"sample_timeout is {seconds}; it must be a positive number of seconds")
-
-    @classmethod
-    def taken_from(cls, document: dict[str, Any]) -> "Wishes":
-        """The wishes of a scan file, whose other keys stay in `document`."""
-        return cls(**{name: document.pop(name) for name in vars(cls()) if name in document})
-
-    def or_else(self, others: "Wishes") -> "Wishes":
-        """These, and of the others what these do not say."""
-        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
-
-    def to_toml(self) -> str:
-        return "".join(f"{name} = {toml_value(value)}\n" for name, value in vars(self).items() if value is not None)
+def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
+    """The wishes of a scan file by name, whose other keys stay in `document`; InputError for values not allowed."""
+    return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
 
 
 @dataclass(frozen=True)
 class ScanPlan:
     """The samples of a scan, no two with the same key. scanned : keys that vary. settings : the scan as TOML, but for
-    the wishes."""
+    the wishes. wishes : those of WISHES about which it says something."""
 
     scanned: tuple[str, ...]
     samples: tuple[Sample, ...]
     settings: str
-    wishes: Wishes = Wishes()
+    wishes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
         """The scan as TOML."""
-        return self.wishes.to_toml() + self.settings
+        return "".join(f"{name} = {toml_value(value)}\n" for name, value in self.wishes.items()) + self.settings
+
+    def going_on_in(self, folder: Path) -> "ScanPlan":
+        """The plan with what the scan in a folder was asked for before, where this one says nothing."""
+        file = folder / "scan.toml"
+        known = _wishes_in(read_toml(file)) if file.is_file() else {}
+        known |= self.wishes
+        return replace(self, wishes={name: known[name] for name in WISHES if name in known})
 
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
@@ -112,17 +104,19 @@ def written(value: Any) -> Any:
     return value
 
 
-def read_plan(path: Path, overrides: Sequence[str] = ()) -> ScanPlan:
+def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, Any] = MappingProxyType({})) -> ScanPlan:
     """The plan that a scan file describes.
 
-    path : TOML; keys of `run` for all samples, those of :class:`Wishes`, and a table ``[scan]`` with a list or a
+    path : TOML; keys of `run` for all samples, those of WISHES, and a table ``[scan]`` with a list or a
         range for each key that varies. The samples are the grid over all of them, the last key fastest; keys in one
         table ``[[scan.zip]]`` advance together and count as one axis. Without ``[scan]`` there is one sample.
     overrides : ``key=value`` fixes a key for all samples, ``scan.key=list or range`` scans it; values as in TOML, other
         words are texts.
+    wishes : some of WISHES; they win over the file and the overrides.
     Raises InputError in one sentence.
     """
-    return _plan(path, *_read(path, overrides))
+    document, single, tables = _read(path, overrides)
+    return _plan(path, document | dict(wishes), single, tables)
 
 
 Tables = tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]
@@ -172,7 +166,7 @@ def _override(text: str, document: dict[str, Any], single: dict[str, Any], table
 
 
 def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
-    wishes, table = Wishes.taken_from(document), settings_table()
+    wishes, table = _wishes_in(document), settings_table()
     axes = _axes(single, tables)
     scanned = tuple(key for keys, _ in axes for key in keys)
     for key in scanned:
@@ -202,12 +196,6 @@ def _axes(
         axes.append(_zip(part, MOST_SAMPLES // number))
         number *= len(axes[-1][1])
     return axes
-
-
-def stored_wishes(folder: Path) -> Wishes:
-    """What the scan in a folder has been asked for so far."""
-    file = folder / "scan.toml"
-    return Wishes.taken_from(read_toml(file)) if file.is_file() else Wishes()
 
 
 def _samples(

@@ -3,19 +3,20 @@
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import InputError, WriteError
+from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED, bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.engine import Task
 from taichi_bearings.scans.plan import Sample, groups_of
 
 STATES = "states"  # folder of the full states
@@ -25,16 +26,10 @@ class Interrupted(SystemExit):
     """The solve was interrupted from outside: what it reached is no result, and the worker ends."""
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What is kept of each sample. structure : the numbers of `analyse` too. states : folder for the full states."""
-
-    structure: bool = False
-    states: Path | None = None
-
-
-def solve_samples(samples: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
+def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path | None = None) -> list[dict[str, Any]]:
     """Solve samples and return a record of each, in their order.
+
+    analyse : the numbers of `bearings analyse` too. states : folder for the full states.
 
     A record is valid JSON: `key`; `scalars`, the summary of `bearings run` for that sample alone, nothing but numbers
     and texts; `bins`, number of the power bin -> slipping contacts. A sample that raises gives a record whose status is
@@ -45,28 +40,25 @@ def solve_samples(samples: Sequence[Sample], wanted: Wanted) -> list[dict[str, A
     with one_thread():
         for block in _blocks(samples):
             try:
-                found = _solve_block(block, wanted)
+                found = _solve_block(block, analyse, states)
             except WriteError as error:
                 unwritten = {"unwritten": True}
                 return [records.get(sample.key) or failure(sample, error) | unwritten for sample in samples]
             except Exception as error:
-                found = [failure(block[0], error)] if len(block) == 1 else _one_by_one(block, wanted)
+                if len(block) == 1:
+                    found = [failure(block[0], error)]
+                else:
+                    found = [record for sample in block for record in solve_samples([sample], analyse, states)]
             records |= {sample.key: record for sample, record in zip(block, found, strict=True)}
     return [records[sample.key] for sample in samples]
 
 
-def _one_by_one(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
-    return [record for sample in block for record in solve_samples([sample], wanted)]
-
-
-def failure(sample: Sample, reason: Exception | str) -> dict[str, Any]:
+def failure(task: Task, reason: Exception | str) -> dict[str, Any]:
     """The record of a sample that has no result."""
+    words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
-        logging.getLogger(__name__).debug("sample %s", sample.label, exc_info=reason)
-        words = str(reason) if isinstance(reason, InputError) else f"{type(reason).__name__}: {reason}"
-    else:
-        words = reason
-    record: dict[str, Any] = {"key": sample.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
+        logging.getLogger(__name__).debug("sample %s", task.label, exc_info=reason)
+    record: dict[str, Any] = {"key": task.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
     return record | ({"final": True} if isinstance(reason, InputError) else {})
 
 
@@ -91,7 +83,7 @@ def _alike_in_a_block(settings: RunSettings) -> bool:
     return not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
 
 
-def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]]:
+def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
     first = block[0].settings
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
     job = prepare(settings, strict=False)
@@ -99,18 +91,18 @@ def _solve_block(block: Sequence[Sample], wanted: Wanted) -> list[dict[str, Any]
     if solution.interrupted:
         raise Interrupted
     found = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
-    if wanted.states is not None:
-        make_folder(wanted.states)
+    if states is not None:
+        make_folder(states)
         for sample, run in zip(block, found, strict=True):
-            path = state_path(wanted.states, sample.key)
+            path = state_path(states, sample.key)
             write_state(path, replace(run, path=path, command="bearings scan"), sample.settings)
-    return [_record(sample, run, wanted) for sample, run in zip(block, found, strict=True)]
+    return [_record(sample, run, analyse) for sample, run in zip(block, found, strict=True)]
 
 
-def _record(sample: Sample, run: Run, wanted: Wanted) -> dict[str, Any]:
+def _record(sample: Sample, run: Run, analyse: bool) -> dict[str, Any]:
     solution = run.solution
     scalars = summarise(run) | {"slip_threshold": solution.slip_threshold}
-    if wanted.structure:
+    if analyse:
         from taichi_bearings.analysis.structure import structure_of
         from taichi_bearings.runs.structure_report import numbers_of
 

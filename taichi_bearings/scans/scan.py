@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runtime import available_threads, refuse_absent
-from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, Work, run_samples
+from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, run_samples
 from taichi_bearings.scans.estimate import (
     WORKER_START,
     WorkLeft,
@@ -40,8 +40,8 @@ from taichi_bearings.scans.parts import (
     part_of,
     read_journals,
 )
-from taichi_bearings.scans.plan import Sample, ScanPlan, Wishes, groups_of, stored_wishes
-from taichi_bearings.scans.sample import STATES, Wanted, failure, solve_samples, state_path
+from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
+from taichi_bearings.scans.sample import STATES, failure, solve_samples, state_path
 from taichi_bearings.scans.stored_scans import outdated_figures
 from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of
 from taichi_bearings.scene import Status
@@ -89,9 +89,7 @@ class ScanProgress:
 Monitor = Callable[[ScanProgress], None]
 
 
-def missing_samples(
-    plan: ScanPlan, folder: Path, wanted: Wanted, part: Part | None = None
-) -> tuple[list[Sample], dict[str, Record]]:
+def missing_samples(plan: ScanPlan, folder: Path, part: Part | None = None) -> tuple[list[Sample], dict[str, Record]]:
     """The samples, of one part or of all, that a folder lacks or that have failed there; and the records that it has.
 
     FileError if the folder holds samples that the plan does not ask for, or is something else altogether.
@@ -106,20 +104,14 @@ def missing_samples(
             f"{folder} holds {others:,} samples that this scan does not ask for; choose another --out, or a scan with "
             "all of them"
         )
-    ours = _samples_of(plan, part)
-    return [sample for sample in ours.samples if not _is_kept(sample, records.get(sample.key), folder, wanted)], records
 
+    def is_kept(sample: Sample) -> bool:
+        record, wishes = records.get(sample.key), plan.wishes
+        if record is None or is_failed(record) or (wishes.get("analyse") and not is_analysed(record)):
+            return False
+        return not wishes.get("keep_states") or _is_whole(state_path(folder / STATES, sample.key))
 
-def _samples_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
-    return plan if part is None else part_of(plan, part)
-
-
-def _is_kept(sample: Sample, record: Record | None, folder: Path, wanted: Wanted) -> bool:
-    if record is None or is_failed(record):
-        return False
-    if wanted.structure and not is_analysed(record):
-        return False
-    return wanted.states is None or _is_whole(state_path(folder / STATES, sample.key))
+    return [sample for sample in part_of(plan, part).samples if not is_kept(sample)], records
 
 
 def _is_whole(state: Path) -> bool:
@@ -134,19 +126,6 @@ def _is_whole(state: Path) -> bool:
     return True
 
 
-NO_WISHES = Wishes()
-
-
-def _with_wishes_of(folder: Path, plan: ScanPlan, wishes: Wishes = NO_WISHES) -> tuple[ScanPlan, Wanted]:
-    """The plan with all that the scan in a folder is asked for, and what that means for each sample.
-
-    wishes : those of this call; where they say nothing the plan does, then the folder.
-    """
-    known = wishes.or_else(plan.wishes).or_else(stored_wishes(folder))
-    wanted = Wanted(bool(known.analyse), (folder / STATES).absolute() if known.keep_states else None)
-    return replace(plan, wishes=known), wanted
-
-
 def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
     """InputError for what no sample uses; a scan that a folder holds already goes on with a warning."""
     for sentence in unused_keys(plan):
@@ -155,25 +134,20 @@ def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
         _say(f"{sentence}: it changes nothing here")
 
 
-def estimate(
-    plan: ScanPlan,
-    folder: Path | None,
-    workers: int = 0,
-    wishes: Wishes = NO_WISHES,
-    part: Part | None = None,
-) -> dict[str, Any]:
+def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
     for group in groups_of(plan.samples):
         row_of(group[0].settings)  # refuses what cannot be
-    ours, structure = _samples_of(plan, part), bool(wishes.or_else(plan.wishes).analyse)
-    missing = list(ours.samples)
+    ours = part_of(plan, part).samples
+    missing: Sequence[Sample] = ours
     if folder is not None:
-        plan, wanted = _with_wishes_of(folder, plan, wishes)
-        missing, structure = missing_samples(plan, folder, wanted, part)[0], wanted.structure
-    number = _number_of_workers(missing, workers, structure)
-    seconds = WorkLeft(units_of(missing, structure, number), {}, structure).expected(number)
+        plan = plan.going_on_in(folder)
+        missing, _ = missing_samples(plan, folder, part)
+    analyse = bool(plan.wishes.get("analyse"))
+    number = _number_of_workers(missing, workers, analyse)
+    seconds = WorkLeft(units_of(missing, analyse, number), {}, analyse).expected(number)
     return {
-        "samples": len(ours.samples),
+        "samples": len(ours),
         "scanned": list(plan.scanned),
         "missing": len(missing),
         "workers": number,
@@ -182,17 +156,15 @@ def estimate(
     }
 
 
-def _number_of_workers(missing: Sequence[Sample], workers: int, structure: bool) -> int:
+def _number_of_workers(missing: Sequence[Sample], workers: int, analyse: bool) -> int:
     on_device = any(sample.settings.arch != "cpu" for sample in missing)
-    most = workers or (1 if on_device else available_threads())
-    return paying_workers(missing, most, structure)
+    return paying_workers(missing, workers or (1 if on_device else available_threads()), analyse)
 
 
 def scan(
     plan: ScanPlan,
     folder: Path,
     workers: int = 0,
-    wishes: Wishes = NO_WISHES,
     monitor: Monitor = lambda _: None,
     engine: Engine | None = None,
     client: "Client | None" = None,
@@ -200,42 +172,35 @@ def scan(
 ) -> dict[str, Any]:
     """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
 
-    workers : processes at most; 0 for one a processor. wishes : where they say nothing the plan does, then what the
-    folder was asked for before; the time else 100 times what is expected, at least 600, and no limit for dynamics.
-    Samples that lack what is asked for are solved again. client : of a Dask cluster that solves; default: processes on
+    Where the plan has no wishes those count that the folder was asked for before, and samples that lack what is asked
+    for are solved again; without a time for a sample it is 100 times what is expected, at least 600 s, and no limit for
+    dynamics.
+    workers : processes at most; 0 for one a processor. client : of a Dask cluster that solves; default: processes on
     this machine.
     engine : where to solve instead of either. part : solve those samples alone, and write nothing but their journal.
     returns : the report of `--json`. Ctrl-C and SIGTERM end it; finished samples are kept.
     Raises InputError or FileError before anything is computed.
     """
-    began = time.monotonic()
-    plan, wanted = _with_wishes_of(folder, plan, wishes)
+    plan = plan.going_on_in(folder)
     for group in groups_of(plan.samples):  # refuses what cannot be, before the folder is touched
         settings = group[0].settings
         row_of(settings)
         if engine is None and client is None:  # solved on this machine
             refuse_absent(settings.arch, settings.precision)
     _refuse_unused(plan, folder)
-    name = "" if part is None else part.name
-    with writable_folder(folder, name):
-        journals = journal_bytes(folder) or 0
-        missing, records = missing_samples(plan, folder, wanted, part)
+    with writable_folder(folder, "" if part is None else part.name):
+        course = _Course(plan, folder, part, monitor)
         refuse_link_out(folder / STATES)
         if (folder / STATES).is_dir():
             tidy(folder / STATES)
         replace_file(folder / "scan.toml", plan.text.encode())
-        if engine is None:
-            work = partial(solve_samples, wanted=wanted)
-            allowed = partial(_allowed, sample_timeout=plan.wishes.sample_timeout, structure=wanted.structure)
-            engine = _engine(work, allowed, client, _number_of_workers(missing, workers, wanted.structure))
-        course = _Course(plan, part, folder, records, missing, monitor, began, journals)
+        engine = engine or _engine(plan, folder, list(course.missing.values()), workers, client)
         try:
             with closing(engine), Journal(course.journal) as journal, awaited() as stopped:
-                units = units_of(missing, wanted.structure, engine.workers or 1)
-                course.follow(units, WorkLeft(units, records, wanted.structure), engine, journal, stopped)
+                course.follow(engine, journal, stopped)
             course.write_files()
         except FileError as error:
-            kept = len(records)
+            kept = len(course.records)
             raise FileError(f"{error}; {kept:,} samples are kept there, and the same scan again goes on") from None
     return course.report(stopped.is_set()) | {"workers": engine.workers}
 
@@ -246,33 +211,32 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
     returns : the report of :func:`scan`, and `incomplete_parts`, the parts that lack samples and how many.
     Raises FileError if the folder has no samples of this scan.
     """
-    began = time.monotonic()
     if not folder.is_dir():
         raise FileError(f"{folder} is not the folder of a scan")
-    plan, wanted = _with_wishes_of(folder, plan)
+    plan = plan.going_on_in(folder)
     with writable_folder(folder):
-        journals = journal_bytes(folder) or 0
-        missing, records = missing_samples(plan, folder, wanted)
-        if not records:
+        course = _Course(plan, folder)
+        if not course.records:
             raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
-        course = _Course(plan, None, folder, records, missing, lambda _: None, began, journals)
         course.write_files()
-        return course.report(False) | {"incomplete_parts": incomplete_parts(plan, folder, records)}
+        return course.report(False) | {"incomplete_parts": incomplete_parts(plan, folder, course.records)}
 
 
-def _engine(work: Work, allowed: Callable[[Unit], float | None], client: "Client | None", workers: int) -> Engine:
+def _engine(plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None") -> Engine:
+    analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
+    work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
+    allowed = partial(_allowed, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
     if client is None:
-        return LocalEngine(work, workers, allowed)
+        return LocalEngine(work, _number_of_workers(missing, workers, analyse), allowed)
     from taichi_bearings.scans.cluster import DaskEngine
 
     return DaskEngine(client, work, allowed)
 
 
-def _allowed(unit: Unit, sample_timeout: float | None, structure: bool) -> float | None:
+def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
     if sample_timeout is not None:
         return sample_timeout * len(unit)
-    parts = [seconds_of(sample.settings, structure) for sample in unit]
-    return None if None in parts else max(LEAST_ALLOWED, ALLOWED * sum(part for part in parts if part is not None))
+    return max(LEAST_ALLOWED, ALLOWED * sum(seconds_of(sample.settings, analyse) for sample in unit))
 
 
 def _say(text: str) -> None:
@@ -283,30 +247,20 @@ class _Course:
     """A scan on its way: what it has, and who wants to hear of it."""
 
     def __init__(
-        self,
-        plan: ScanPlan,
-        part: Part | None,
-        folder: Path,
-        records: dict[str, Record],
-        missing: Sequence[Sample],
-        monitor: Monitor,
-        began: float,
-        journals: int,
+        self, plan: ScanPlan, folder: Path, part: Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
-        self.plan, self.part = _samples_of(plan, part), part
-        self.folder, self.records, self.monitor, self.began = folder, records, monitor, began
-        before = len(self.plan.samples) - len(missing)
-        self.progress = ScanProgress(len(self.plan.samples), before, done=before)
+        self.began = self.written = time.monotonic()
+        self.plan, self.folder, self.monitor = part_of(plan, part), folder, monitor
+        self.journal = folder / (JOURNAL if part is None else part.journal)
+        self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
+        self.others = (journal_bytes(folder) or 0) - self._own_bytes()
+        missing, self.records = missing_samples(plan, folder, part)
         self.missing = {sample.key: sample for sample in missing}
         self.open = set(self.missing)  # samples that still lack something
-        self.written, self.writing = time.monotonic(), 0.0
-        self.next_forecast = 0.0
+        before = len(self.plan.samples) - len(missing)
+        self.progress = ScanProgress(len(self.plan.samples), before, done=before)
+        self.writing = self.next_forecast = 0.0
         self.removed: list[Path] = []
-        self.others = journals - self._own_bytes()
-
-    @property
-    def journal(self) -> Path:
-        return self.folder / (JOURNAL if self.part is None else self.part.journal)
 
     def _own_bytes(self) -> int:
         return self.journal.stat().st_size if self.journal.exists() else 0
@@ -315,50 +269,51 @@ class _Course:
         """Bytes of the journals that have the records: of this one all, of others what was there at the start."""
         return self.others + self._own_bytes()
 
-    @property
-    def files(self) -> list[Path]:
-        """What is made from the journal; parts of a scan leave that to the merge."""
-        return [self.folder / name for name in ("scan.h5", "scan.csv")] if self.part is None else []
+    def follow(self, engine: Engine, journal: Journal, stopped: threading.Event) -> None:
+        """Have the missing samples solved and written down, until all are or it is stopped."""
+        analyse = bool(self.plan.wishes.get("analyse"))
+        units = units_of(list(self.missing.values()), analyse, engine.workers or 1)
+        work = WorkLeft(units, self.records, analyse)
 
-    def follow(
-        self, units: Sequence[Unit], work: WorkLeft, engine: Engine, journal: Journal, stopped: threading.Event
-    ) -> None:
         def retry(sample: Sample, reason: str) -> None:
             _say(f"sample {sample.label} failed and is tried again: {reason}")
             work.retry(sample)
 
-        def keep(finished: list[Record]) -> None:
-            news = [record for record in finished if not (is_failed(record) and self._has_result(record["key"]))]
-            journal.append(news)
-            self.records |= {record["key"]: record for record in news}
-            for record in finished:
-                work.finish(self.missing[record["key"]])
-                if is_failed(record):
-                    self.progress.failed += 1
-                    _say(f"sample {self.missing[record['key']].label} failed: {record['scalars']['error']}")
-                else:
-                    self.progress.done += 1
-                    self.open.discard(record["key"])
-            self.progress.note(time.monotonic() - self.began)
-
-        def look() -> bool:
-            self.progress.seconds = now = time.monotonic() - self.began
-            running = engine.running
-            self.progress.running = [unit[0] for unit in running]
-            work.look(running, engine.workers, now)
-            if now >= self.next_forecast:
-                self.progress.seconds_left = work.seconds_left(engine.workers, now)
-                self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
-            self.monitor(self.progress)
-            if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
-                self._write_meanwhile()
-            return not stopped.is_set()
-
         for finished in run_samples(units, engine, retry, failure):
             if finished:
-                keep(finished)
-            elif not look():
+                self._keep(finished, work, journal)
+                continue
+            self._look(work, engine)
+            if stopped.is_set():
                 return
+
+    def _keep(self, finished: Sequence[Record], work: WorkLeft, journal: Journal) -> None:
+        news = [record for record in finished if not (is_failed(record) and self._has_result(record["key"]))]
+        journal.append(news)
+        self.records |= {record["key"]: record for record in news}
+        for record in finished:
+            sample = self.missing[record["key"]]
+            work.finish(sample)
+            if is_failed(record):
+                self.progress.failed += 1
+                _say(f"sample {sample.label} failed: {record['scalars']['error']}")
+            else:
+                self.progress.done += 1
+                self.open.discard(sample.key)
+        self.progress.note(time.monotonic() - self.began)
+
+    def _look(self, work: WorkLeft, engine: Engine) -> None:
+        """Tell where the scan stands, and write its files now and then."""
+        self.progress.seconds = now = time.monotonic() - self.began
+        running = engine.running
+        self.progress.running = [unit[0] for unit in running]
+        work.look(running, engine.workers, now)
+        if now >= self.next_forecast:
+            self.progress.seconds_left = work.seconds_left(engine.workers, now)
+            self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
+        self.monitor(self.progress)
+        if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
+            self._write_meanwhile()
 
     def _has_result(self, key: str) -> bool:
         return key in self.records and not is_failed(self.records[key])

@@ -52,8 +52,6 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
     """Numbers and texts of a sample: those of its record, and of its settings what a record without result lacks."""
     found = dict(record["scalars"])
-    if found.get("spans") is False:  # journals of before may say 0
-        found |= dict.fromkeys(found.keys() & OF_A_SPANNING_NETWORK)
     return found | {name: written(getattr(sample.settings, name)) for name in OF_SETTINGS if name not in found}
 
 

@@ -23,7 +23,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import BOOKS, Dynamics, replica_sum
+from taichi_bearings.solvers.dynamics import BOOKS, Dynamics, absolute, replica_sum
 from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import RigidLimit
 

@@ -74,7 +74,7 @@ def test_a_factorisation_is_counted_as_dense_elimination_where_nothing_is_divide
 def test_contenders_solve_the_same_samples(monkeypatch):
     samples = scans.samples_of((3, 3, 4), first=5, number=3)
     assert [sample.settings.seed for sample in samples] == [5, 6, 7]
-    records = scans.solve_samples(samples, scans.Wanted())
+    records = scans.solve_samples(samples)
     assert all(record["scalars"]["states_proven"] for record in records)
     here = [peer for peer in scans.find_peers()[0] if peer.name == "clarabel"]
     if here:

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from taichi_bearings.files.scan_journal import read_journal
-from taichi_bearings.scans.plan import Wishes, read_plan
-from taichi_bearings.scans.sample import Wanted
+from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
 from tests.cli.commands import bearings
-from tests.scans.scan_faults import Here
+from tests.scans.scan_faults import Here, asking
 from tests.scans.test_scan import assert_same_but_for_the_clock
 
 COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
@@ -151,7 +150,7 @@ def test_a_killed_scan_goes_on_with_all_that_it_was_asked_for(scan_file, tmp_pat
         assert len(table) == samples == len(list((folder / "states").glob("*.h5")))
         assert all(row["power_minimum_cut"] and row["domains"] and row["spans"] for row in table)
     whole = read_plan(file, ["scan.seed={start=0, stop=51}"])
-    scan(whole, tmp_path / "undisturbed", wishes=Wishes(True), engine=Here(Wanted(True)))
+    scan(asking(whole, analyse=True), tmp_path / "undisturbed", engine=Here(analyse=True))
     assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
 
 
@@ -206,9 +205,9 @@ def test_samples_without_the_analysis_of_the_others_are_told(tmp_path):
 
     scene = tmp_path / "scan.toml"
     scene.write_text("shape = [3, 4]\nanalyse = true\n[scan]\nseed = [0, 1]\n")
-    scan(read_plan(scene), tmp_path / "scan", engine=Here(Wanted(structure=True)))
-    report = scan(read_plan(scene, ["scan.seed=[0, 1, 2]"]), tmp_path / "scan", wishes=Wishes(False), engine=Here())
+    scan(read_plan(scene), tmp_path / "scan", engine=Here(analyse=True))
+    report = scan(read_plan(scene, ["scan.seed=[0, 1, 2]", "analyse=false"]), tmp_path / "scan", engine=Here())
     words = "1 sample without the numbers of --analyse that the others have; bearings scan"
     assert f"{words} {tmp_path / 'scan'} --analyse adds them" in describe(report)
-    report = scan(read_plan(scene, ["scan.seed=[0, 1, 2]"]), tmp_path / "other", wishes=Wishes(False), engine=Here())
+    report = scan(read_plan(scene, ["scan.seed=[0, 1, 2]", "analyse=false"]), tmp_path / "other", engine=Here())
     assert "--analyse" not in describe(report)

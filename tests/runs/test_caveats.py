@@ -12,7 +12,7 @@ from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import Runtime
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.sample import Wanted, solve_samples
+from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scene import Status
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -119,7 +119,7 @@ def test_answers_in_python_have_their_warnings_too():
 def test_a_scan_has_them_as_text_where_there_are_any(tmp_path):
     file = tmp_path / "scan.toml"
     file.write_text('shape = [4, 5]\n[scan]\ndistribution = ["constant:1", "uniform:0.1,1.0"]\n')
-    tied, other = (record["scalars"] for record in solve_samples(read_plan(file).samples, Wanted()))
+    tied, other = (record["scalars"] for record in solve_samples(read_plan(file).samples))
     assert "tie exactly" in tied["warnings"]
     assert f" {tied['tied_contacts']} contacts" in tied["warnings"]
     assert "warnings" not in other

@@ -3,10 +3,11 @@
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from taichi_bearings.scans.engine import Outcome
-from taichi_bearings.scans.sample import Wanted, failure, solve_samples
+from taichi_bearings.scans.sample import failure, solve_samples
 
 OUT_OF_MEMORY, EXITS, HANGS, ABORTS, FLAKY = 3, 5, 7, 8, 11  # seeds
 ROOM = 40_000_000  # bytes of memory
@@ -29,7 +30,7 @@ def solve(samples, marks):
         if seed == OUT_OF_MEMORY:
             records.append(failure(sample, MemoryError("no room")))
         else:
-            records += solve_samples([sample], Wanted())
+            records += solve_samples([sample])
     return records
 
 
@@ -45,13 +46,13 @@ def solve_in_little_memory(samples, marks):
             resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, resource.getrlimit(resource.RLIMIT_AS)[1]))
         if seed == EXITS:
             os.kill(os.getpid(), signal.SIGKILL)
-    return solve_samples(samples, Wanted())
+    return solve_samples(samples)
 
 
 def dawdle(samples, seconds):
     """Solve samples, slowly."""
     time.sleep(seconds * len(samples))
-    return solve_samples(samples, Wanted())
+    return solve_samples(samples)
 
 
 def lack_memory(samples):
@@ -62,20 +63,25 @@ def die(samples):
     os._exit(1)
 
 
+def asking(plan, **wishes):
+    """The plan with these wishes beside the numbers of `run`."""
+    return replace(plan, wishes=wishes)
+
+
 class Here:
     """An engine without workers: units are solved at once, in this process."""
 
     workers = 0
 
-    def __init__(self, wanted=None):
-        self.wanted, self.running, self.outcomes = wanted or Wanted(), [], []
+    def __init__(self, analyse=False):
+        self.analyse, self.running, self.outcomes = analyse, [], []
 
     @property
     def has_room(self):
         return not self.outcomes
 
     def submit(self, unit):
-        self.outcomes.append(Outcome(unit, solve_samples(unit, self.wanted)))
+        self.outcomes.append(Outcome(unit, solve_samples(unit, self.analyse)))
 
     def collect(self, seconds):
         outcomes, self.outcomes = self.outcomes, []
@@ -94,11 +100,11 @@ def end_dask_worker(samples):
     if any(sample.settings.seed == EXITS for sample in samples):
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(3600)
-    return solve_samples(samples, Wanted())
+    return solve_samples(samples)
 
 
 def halt(samples):
     """Solve samples; at one seed the worker is stopped, and neither ends nor answers."""
     if any(sample.settings.seed == HANGS for sample in samples):
         os.kill(os.getpid(), signal.SIGSTOP)
-    return solve_samples(samples, Wanted())
+    return solve_samples(samples)

@@ -21,11 +21,11 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.estimate import paying_workers, units_of, unused_keys
-from taichi_bearings.scans.plan import Wishes, read_plan
-from taichi_bearings.scans.sample import Wanted, failure, solve_samples
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.sample import failure, solve_samples
 from taichi_bearings.scans.scan import estimate, scan
 from tests.scans import scan_faults
-from tests.scans.scan_faults import Here
+from tests.scans.scan_faults import Here, asking
 
 CLOCKS = {"seconds", "seconds_compile"}
 
@@ -106,7 +106,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     plan = plan_of("shape = [4, 4, 4]\n[scan]\nseed = [1, 2, 3]\n")
     scan(plan, tmp_path / "scan")
     assert "spans" not in read_scan(tmp_path / "scan").table
-    report = scan(plan, tmp_path / "scan", wishes=Wishes(True, True))
+    report = scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan")
     assert report["solved_now"] == 3
     stored = read_scan(tmp_path / "scan")
     for row, sample in enumerate(plan.samples):
@@ -121,7 +121,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
             "disjoint_paths",
         ):
             assert stored.table[name][row] == numbers[name], name
-    assert scan(plan, tmp_path / "scan", wishes=Wishes(True, True))["solved_now"] == 0
+    assert scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan")["solved_now"] == 0
     damaged = tmp_path / "scan" / "states" / f"{plan.samples[1].key}.h5"
     whole = damaged.read_bytes()
     with h5py.File(damaged, "r") as file:
@@ -153,10 +153,10 @@ def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
     assert not np.isnan(read_scan(folder).table["power_minimum_cut"]).any()
     assert {file.stem for file in (folder / "states").iterdir()} == {sample.key for sample in four.samples}
     five = plan_of("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 5 }\n")
-    report = scan(five, folder, wishes=Wishes(False, False))
+    report = scan(asking(five, analyse=False, keep_states=False), folder)
     assert (report["lacking"], report["unanalysed"]) == (0, 1)
     assert np.isnan(read_scan(folder).table["power_minimum_cut"]).sum() == 1
-    assert read_plan(folder / "scan.toml").wishes == Wishes(False, False, 50)
+    assert read_plan(folder / "scan.toml").wishes == {"analyse": False, "keep_states": False, "sample_timeout": 50}
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_bad_wishes_are_named(plan_of, line):
 def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
     plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 2, stop = 5 }\n"), tmp_path / "scan"
     scan(plan, folder, engine=Here())
-    report = scan(plan, folder, wishes=Wishes(True), engine=LocalEngine(scan_faults.lack_memory, 1))
+    report = scan(asking(plan, analyse=True), folder, engine=LocalEngine(scan_faults.lack_memory, 1))
     assert (report["done"], report["failed"], report["lacking"]) == (3, 0, 3)
     assert caplog.text.count("failed: MemoryError: no room") == 3
     assert np.isfinite(read_scan(folder).table["power"]).all()
@@ -404,7 +404,7 @@ def test_records_come_in_the_order_of_the_samples(plan_of):
     plan = plan_of("shape = [5, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = [7, 3, 5, 4]\n")
     mixed = random.Random(1).sample(list(plan.samples), 8)
     began = time.perf_counter()
-    records = solve_samples(mixed, Wanted())
+    records = solve_samples(mixed)
     assert [record["key"] for record in records] == [sample.key for sample in mixed]
     assert [record["scalars"]["seed"] for record in records] == [sample.settings.seed for sample in mixed]
     assert sum(record["scalars"]["seconds"] for record in records) < time.perf_counter() - began
@@ -413,11 +413,11 @@ def test_records_come_in_the_order_of_the_samples(plan_of):
 def test_a_sample_is_the_same_beside_others_and_alone(plan_of):
     """Solved side by side: every number but the time, to the last bit."""
     plan = plan_of("shape = [9, 9, 9]\n[scan]\nseed = { start = 0, stop = 11 }\n")
-    together = solve_samples(plan.samples, Wanted(structure=True))
+    together = solve_samples(plan.samples, analyse=True)
     assert {record["scalars"]["status"] for record in together} == {"certified"}
     assert len({record["scalars"]["iterations"] for record in together}) > 1
     for sample, record in zip(plan.samples, together, strict=True):
-        (alone,) = solve_samples([sample], Wanted(structure=True))
+        (alone,) = solve_samples([sample], analyse=True)
         for found in (record, alone):
             for name in ("seconds", "seconds_compile"):
                 found["scalars"].pop(name)

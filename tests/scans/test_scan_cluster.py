@@ -15,7 +15,7 @@ import pytest
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.scans.cluster import DaskEngine, connected
-from taichi_bearings.scans.plan import Wishes, read_plan
+from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
 from tests.cli.commands import bearings
 from tests.scans import scan_faults
@@ -110,12 +110,11 @@ def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(client, plan_o
 def test_files_are_found_and_states_kept_wherever_workers_run(client, plan_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plan = plan_of("shape = [3, 3, 3]\n[scan]\nseed = [1]\n")
-    whole = Wishes(keep_states=True)
-    assert scan(plan, tmp_path / "first", client=client, wishes=whole)["reached"] == 1
+    assert scan(scan_faults.asking(plan, keep_states=True), tmp_path / "first", client=client)["reached"] == 1
     state = next((tmp_path / "first" / "states").iterdir())
     state.rename(tmp_path / "start.h5")
-    (tmp_path / "scan.toml").write_text('shape = [3, 3, 3]\ncoefficients = "start.h5"\n')
-    assert scan(read_plan(Path("scan.toml")), Path("second"), client=client, wishes=whole)["reached"] == 1
+    (tmp_path / "scan.toml").write_text('shape = [3, 3, 3]\ncoefficients = "start.h5"\nkeep_states = true\n')
+    assert scan(read_plan(Path("scan.toml")), Path("second"), client=client)["reached"] == 1
     assert len(list((tmp_path / "second" / "states").iterdir())) == 1
     powers = [read_scan(tmp_path / name).table["power"][0] for name in ("first", "second")]
     assert powers[0] == powers[1]

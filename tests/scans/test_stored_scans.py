@@ -11,11 +11,10 @@ from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.figure import Request, columns_of, look_of, plot_scan, points_of
 from taichi_bearings.scans.histogram import histogram, pooled, read_source
-from taichi_bearings.scans.plan import Wishes
 from taichi_bearings.scans.scan import scan
 from taichi_bearings.scans.stored_scans import open_scan
 from taichi_bearings.scans.systems import disorder_of, system_columns
-from tests.scans.scan_faults import Here
+from tests.scans.scan_faults import Here, asking
 
 LAWS = "shape = [4, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 6 }\n"
 
@@ -122,7 +121,7 @@ def test_a_curve_without_a_single_sample_is_named(folder):
 
 def test_what_does_not_span_has_no_path_and_is_not_averaged_in(plan_of, tmp_path):
     plan = plan_of('shape = [4, 4, 4]\ndistribution = "lognormal:0.4,0.8"\n[scan]\nseed = { start = 0, stop = 6 }\n')
-    scan(plan, tmp_path / "scan", wishes=Wishes(True), workers=1)
+    scan(asking(plan, analyse=True), tmp_path / "scan", workers=1)
     table = open_scan(tmp_path / "scan").table
     spans = table["spans"]
     assert 0 < spans.sum() < 6

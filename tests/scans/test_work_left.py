@@ -6,7 +6,6 @@ sample in the plan, how many), when it began and ended, and the seconds of its s
 
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from taichi_bearings.runs.settings import read_toml
 from taichi_bearings.scans.engine import LocalEngine
 from taichi_bearings.scans.estimate import WorkLeft, seconds_of, units_of
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.sample import Wanted, solve_samples
+from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scans.scan import scan
 
 RECORDINGS = sorted((Path(__file__).parent / "recorded").glob("*.toml"))
@@ -45,7 +44,7 @@ class Recorder(LocalEngine):
 
 def record(path, folder, monitor=lambda _: None):
     """The text of a recording of a scan."""
-    plan, engine = read_plan(path), Recorder(partial(solve_samples, wanted=Wanted()), WORKERS)
+    plan, engine = read_plan(path), Recorder(solve_samples, WORKERS)
     report = scan(plan, folder, monitor=monitor, engine=engine)
     index = {sample.key: number for number, sample in enumerate(plan.samples)}
     rows = [
