@@ -79,7 +79,8 @@ class Samples:
     def can_be_judged(self) -> bool:
         """False for a law that is not known here, and for numbers that are not finite, too large or small for products,
         or not positive where they must be."""
-        if self.law not in LAWS:
+        imposed = (self.normal_force, self.radius, self.spin_top, self.spin_bottom, *self.direction)
+        if self.law not in LAWS or not np.isfinite(imposed).all() or not any(self.direction):
             return False
         scales = [self.normal_force, self.radius, self.jump_size or 1.0]
         strengths = [self.normal_force * c for c in self.coefficient]

@@ -252,7 +252,18 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
         if unique[number] is False and (found.unique or not (exact or found.unique is False)):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
+        if proven[number] is False and _agree(run, number):
+            yield f"the states{which} are said not to be proven, and each of them is"
         yield from _kinds(run, number, found)
+
+
+def _agree(run: StoredRun, number: int) -> bool:
+    """True if the file has each contact slip or not as it says to be proven, of laws without viscosity."""
+    kinds, acts = [run.reported.get(name) for name in ("state", "proven")], range(run.samples.dimension)
+    if run.samples.flows or kinds[0] is None or kinds[1] is None:
+        return False
+    pairs = [(kinds[0][axis][number], kinds[1][axis][number], run.samples.idle(axis)[number]) for axis in acts]
+    return all(((said == known) & (known <= SLIPPING) | idle).all() for said, known, idle in pairs)
 
 
 def _kinds(run: StoredRun, number: int, found: States) -> Iterator[str]:
@@ -271,7 +282,7 @@ def _kinds(run: StoredRun, number: int, found: States) -> Iterator[str]:
     tied, said = run.claimed("tied_contacts")[number], run.claimed("unproven")[number]
     if tied is not None and not ties[0] <= tied <= ties[1]:
         yield f"{tied} contacts{which} are said to differ between minima; what is proven allows {ties[0]} to {ties[1]}"
-    if said is not None and "proven" in run.reported and said != unproven:
+    if "unproven" in run.attributes and "proven" in run.reported and said != unproven:
         yield f"unproven{which}: the summary says {said!r}, the arrays {unproven!r}"
 
 

@@ -35,6 +35,7 @@ RUNS = {
     "springs": {"shape": (3, 3, 4), "method": "cundall-strack", "duration": 0.2, "slip_threshold": 1e-4},
     "dashpots": {"shape": (4, 5), "law": "viscous", "method": "implicit-cundall-strack", "duration": 0.2},
     "rigid": {"shape": (3, 4), "method": "rigid-limit"},
+    "states": {"shape": (3, 3, 4), "top": (1.0, 0.5, 0.0, 0.2), "bottom": (0.0, 0.0, 0.0, -0.4)},
 }
 WORDS = ("", "x", "Certified", "certified (gap 1e-16)", "uniform:0.1,1.1", *STATUSES, *LAWS, *METHODS)
 ROUNDED = 1e-15  # what docs/proofs.md allows a gap to be off

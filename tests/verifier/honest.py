@@ -20,6 +20,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.runs.run import Run, prepare, resume, run, solve_job, write_state
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene import Scene
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 METHODS = (
@@ -34,6 +35,9 @@ SCENES = (
     {"radius": 1e-12}, {"radius": 1e12}, {"direction": (1, 0, 0)}, {"direction": (1, 1e-9, 0)}, {"direction": (1, 1,
     1)}, {"direction": (0, 0, 1)}, {"slip_threshold": 1e-3}, {"replicas": 3}, {"initial": "random"}, {"initial":
     "zero"}, {"initial": "minimum-cut"},
+)  # fmt: skip
+STATES = (
+    (1, 1, 0, 0.2), (0, 0, 0, 1), (1, 0.5, -0.3, 0), (-1, 0, 0, 1), (1e-9, 1, 0, 1e-9), (1, 1, 1, 1e12), (0, 0, 0, 0),
 )  # fmt: skip
 DISTRIBUTIONS = (
     "uniform:0.1,1.0", "uniform:0.1,1.0", "lognormal:1,5", "lognormal:1,12", "constant:1", "bimodal:0.1,1,0.5",
@@ -70,6 +74,9 @@ def drawn(seed: int, number: int = 0) -> dict:
         given["iterations"] = end
     if method == "planar-cut" and len(given["shape"]) == 3:
         given["direction"] = one_of(((1, 0, 0), (0, 1, 0), (1, 0, 3)))
+    elif len(given["shape"]) == 3 and rng.random() < 0.25:
+        given = {key: value for key, value in given.items() if key not in Scene.BY_SPINS}
+        given |= {"top": one_of(STATES), "bottom": one_of(STATES)}
     return given
 
 
