@@ -207,7 +207,7 @@ def test_a_run_in_use_is_not_resumed(tmp_path):
     assert "in use by another process" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["spin", "proof", "history/lower_bound", "elapsed"])
+@pytest.mark.parametrize("name", ["staggered", "proof", "history/lower_bound", "elapsed"])
 def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path, name):
     words = ("--shape", "3,3,4", "--method", "rigid-limit", "--initial", "random", "--iterations", "20")
     assert bearings("run", *words, "--checkpoint-every", "0.001", "--out", tmp_path / "run").returncode == 1

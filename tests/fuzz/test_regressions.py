@@ -159,11 +159,11 @@ def test_a_scan_without_its_columns(corpus, tmp_path, scanned):
         ("snapshots/time", np.zeros(7)),
         ("history/power", np.zeros(3)),
         ("history/nothing", np.zeros((1, 1))),
-        ("spin", np.zeros((1, 1, 3, 4), dtype=int)),
+        ("staggered", np.zeros((1, 1, 3, 4), dtype=int)),
         ("force", np.zeros((1, 1, 13))),
         ("proof", np.zeros(3)),
         ("proof", np.zeros((2, 1, 17))),
-        ("times", np.zeros(2)),
+        ("work", np.zeros(2)),
         ("elapsed", np.zeros(2)),
     ],
 )
