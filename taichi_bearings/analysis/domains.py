@@ -7,7 +7,10 @@ have the same staggered spin, so they roll on each other as one bearing. In 2D, 
 agree.
 
 A domain is locked to a driven plane in component k if contacts tie it to that plane in k. At a minimum no domain is
-locked to both planes in a component that they drive differently; slip thresholds can make it look so.
+locked to both planes in a component that they drive differently; slip thresholds can make it look so. Where the imposed
+states differ in their dilation, planes turn unevenly, and what joins them in a layer without a jump is no lock of
+others: then a plane is a body a layer of component k, and all that turns with the bottom, or with the top as it turns
+there, still is one domain of k.
 """
 
 from dataclasses import dataclass
@@ -15,6 +18,8 @@ from enum import IntFlag
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
 
@@ -41,8 +46,9 @@ class RigidDomains:
     component_domain : (C, *N) label of the domain of each component.
     domain : N, label of the rigid domain: 0, 1, ... by falling number of spheres.
     spheres : (D,) spheres of each, driven ones included. staggered : (D, C) mean staggered spin, 1/time.
-    spread : largest distance of a sphere from the mean of its domain, over all components: 0 but for rounding.
-    lock : (D, C) values of Lock.
+    spread : largest distance of a sphere from the mean of its domain, or from the top where it is locked to that, over
+        all components: 0 but for rounding.
+    lock : (D, C) values of Lock. jump : (D, C) staggered spin of the top in the layers of each domain, 1/time.
     """
 
     spin_axes: tuple[int, ...]
@@ -52,6 +58,7 @@ class RigidDomains:
     staggered: np.ndarray
     spread: float
     lock: np.ndarray
+    jump: np.ndarray
 
     @property
     def number(self) -> int:
@@ -64,6 +71,13 @@ class RigidDomains:
         held = self.lock != Lock.NEITHER
         answers = [bottom & top, bottom, top, held.all(axis=1), held.any(axis=1)]
         return np.select(answers, [KINDS.index(kind) for kind in ("both", "bottom", "top", "mixed", "partly")], 5)
+
+    @property
+    def turn(self) -> np.ndarray:
+        """(D, C) staggered spin between that of the bottom (0) and that of the top (1) in its layers, 0 where these
+        agree."""
+        share = np.divide(self.staggered, self.jump, out=np.zeros_like(self.staggered), where=self.jump != 0)
+        return np.where(self.lock == Lock.TOP, 1.0, np.where(self.lock == Lock.NEITHER, share, 0.0))
 
     @property
     def largest_intermediate(self) -> int:
@@ -85,20 +99,47 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
 
     staggered : (C, *N) spins, components as named by spin_axes, 1/time.
     """
-    pieces = np.stack([network.pieces(network.axis != component) for component in spin_axes])
-    tied = Lock.BOTTOM * (pieces == pieces[:, :1]) + Lock.TOP * (pieces == pieces[:, -1:])
-    labels = pieces[:, network.body]
+    top = staggered[..., -1].reshape(len(spin_axes), -1)
+    uneven = bool((top != top[:, :1]).any())
+    labels, tied = np.stack([_of_component(network, component, uneven) for component in spin_axes], axis=1)
     together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
     order = np.argsort(-np.bincount(together), kind="stable")  # the largest first
     of_sphere = np.argsort(order)[together]
     spheres, flat = np.bincount(of_sphere), staggered.reshape(len(spin_axes), -1)
     mean = np.stack([np.bincount(of_sphere, weights=values) / spheres for values in flat], axis=1)
+    first = np.unique(of_sphere, return_index=True)[1]
+    lock, top = tied[:, first].T, np.repeat(top, network.lattice.shape[-1], axis=1).T  # above each sphere
+    held = np.where((lock == Lock.TOP)[of_sphere], top, mean[of_sphere])
     return RigidDomains(
         spin_axes=spin_axes,
         component_domain=labels.reshape(-1, *network.lattice.shape),
         domain=of_sphere.reshape(network.lattice.shape),
         spheres=spheres,
         staggered=mean,
-        spread=float(np.abs(flat.T - mean[of_sphere]).max()),
-        lock=tied[:, network.body[np.unique(of_sphere, return_index=True)[1]]].T,
+        spread=float(np.abs(flat.T - held).max()),
+        lock=lock,
+        jump=top[first],
     )
+
+
+def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Label (sites,) of the domain of one component that each sphere is in, and what it is locked to.
+
+    uneven : the planes are a body a layer along the component.
+    """
+    chosen = network.axis != component
+    if not uneven:
+        pieces = network.pieces(chosen)
+        own, bottom, top = pieces[network.body], pieces[0], pieces[-1]
+        return own, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)
+    lattice = network.lattice
+    layer = np.indices(lattice.shape)[component]
+    body = np.arange(lattice.sites).reshape(lattice.shape)
+    planes = lattice.sites + 2 * layer
+    body[..., 0], body[..., -1] = planes[..., 0], planes[..., -1] + 1
+    ends, bodies = body.ravel()[network.ends[:, chosen]], lattice.sites + 2 * lattice.shape[component]
+    graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(bodies, bodies))
+    pieces = connected_components(graph, directed=False)[1]
+    own, bottom, top = (pieces[of].ravel() for of in (body, planes, planes + 1))
+    label = np.where(own == bottom, 0, np.where(own == top, 1, own + 2))
+    return label, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)

@@ -39,7 +39,7 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
-    colour = colour_of_turn(turn_of(domains))[domains.domain]
+    colour = colour_of_turn(domains.turn)[domains.domain]
     shape = colour.shape[:-1]
     flat = len(shape) == 2
     planes = () if flat else page.planes or middle_planes(shape)
@@ -70,14 +70,6 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     _draw_values(values, domains, wide > 1)
     values.set_title(f"({LETTERS[maps]}) how they turn: the key to the colours")
     return figure
-
-
-def turn_of(domains: RigidDomains) -> np.ndarray:
-    """(D, C) mean staggered spin between that of the bottom (0) and that of the top (1), 0 where these agree."""
-    bottom, top = domains.staggered[domains.domain.flat[0]], domains.staggered[domains.domain.flat[-1]]
-    jump = top - bottom
-    turn: np.ndarray = (domains.staggered - bottom) / np.where(jump == 0, 1.0, jump)
-    return turn
 
 
 def colour_of_turn(turn: np.ndarray) -> np.ndarray:
@@ -122,7 +114,7 @@ def _draw_sizes(axes: Any, domains: RigidDomains) -> None:
 
 def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
     """Every domain at its turn: two components against each other, or one against the number of spheres."""
-    turn, margin = turn_of(domains), 0.04
+    turn, margin = domains.turn, 0.04
     along = np.linspace(-margin, 1 + margin, 200)
     plane = turn.shape[1] > 1
     if plane:

@@ -124,6 +124,7 @@ def _findings(run: StoredRun, replica: int) -> Mapping[str, Finding]:
 def _domains(scene: Scene, found: Mapping[str, Finding]) -> RigidDomains:
     domain, axes = found["domain"].values, scene.minimum_spin_axes
     number = int(domain.max()) + 1  # what is padded lies behind
+    first = np.unique(domain.ravel(), return_index=True)[1] // scene.lattice.shape[-1]
     return RigidDomains(
         spin_axes=axes,
         component_domain=np.stack([found[f"component_domain/{AXES[k]}"].values for k in axes]),
@@ -132,6 +133,7 @@ def _domains(scene: Scene, found: Mapping[str, Finding]) -> RigidDomains:
         staggered=found["domains/staggered_spin"].values[:number],
         spread=0.0,
         lock=found["domains/lock"].values[:number],
+        jump=scene.top_spin(axes).reshape(len(axes), -1)[:, first].T,
     )
 
 

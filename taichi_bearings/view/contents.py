@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 
-from taichi_bearings.plots.domains import colour_of_turn, turn_of
+from taichi_bearings.plots.domains import colour_of_turn
 from taichi_bearings.plots.lattice import COLOURS
 from taichi_bearings.proof.contact_state import ContactState, count, critical
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
@@ -21,7 +21,7 @@ SHARE = (0.12, 0.95)  # of a map of colours that is seen on white
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows."""
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in (drawn.spheres, drawn.contacts))
-    turn = colour_of_turn(turn_of(drawn.domains))[spheres["domain"], :3]
+    turn = colour_of_turn(drawn.domains.turn)[spheres["domain"], :3]
     names = ("slip", "power", "force", "betweenness", *drawn.scene.named_coefficients)
     found = {name: contacts[name].astype(np.float32) for name in names}
     found |= {

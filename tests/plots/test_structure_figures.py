@@ -13,7 +13,7 @@ from taichi_bearings.analysis.domains import KINDS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.plots.cut_surface import draw_cut_surface
-from taichi_bearings.plots.domains import colour_of_turn, draw_domains, turn_of
+from taichi_bearings.plots.domains import colour_of_turn, draw_domains
 from taichi_bearings.plots.lattice import COLOURS, box_edges, seen, walls_between
 from taichi_bearings.plots.network import REACHED, contact_colours, draw_network
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
@@ -98,7 +98,7 @@ def test_every_figure_draws_any_lattice(shape, setting):
 def test_the_domain_figure_has_the_endpoints_colours_where_domains_are_locked():
     domains = Case((9, 8, 3), levels=(0.0, 0.0, 0.5, 1.0, 1.0)).domains
     assert all(number > 0 for kind, number in domains.domains_of_kind().items() if kind != "both")
-    colour = colour_of_turn(turn_of(domains))
+    colour = colour_of_turn(domains.turn)
     kind = np.array(KINDS)[domains.kind]
     assert (colour[kind == "bottom"] == BOTTOM).all()
     assert (colour[kind == "top"] == TOP).all()

@@ -206,3 +206,13 @@ def test_a_layer_without_a_jump_does_not_slip():
 def test_states_that_cannot_be_are_refused(words, sentence):
     with pytest.raises(InputError, match=sentence):
         Scene.random((3, 3, 4), **words)
+
+
+def test_domains_turn_between_the_planes_of_their_layers():
+    best = solve(Scene.random((5, 4, 6), seed=3, top=(1.0, 0.0, 0.0, 0.2), bottom=(0.0, 0.0, 0.0, -0.1)))
+    domains = tb.analyse(best).structure.domains
+    assert domains.spread < 1e-12
+    assert domains.turn.min() > -1e-12
+    assert domains.turn.max() < 1 + 1e-12
+    assert (domains.turn[domains.domain[1, 1, -1]] == 1).all()
+    assert ((domains.turn > 0.01) & (domains.turn < 0.99)).any()
