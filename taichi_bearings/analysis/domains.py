@@ -141,5 +141,5 @@ def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tup
     graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(bodies, bodies))
     pieces = connected_components(graph, directed=False)[1]
     own, bottom, top = (pieces[of].ravel() for of in (body, planes, planes + 1))
-    label = np.where(own == bottom, 0, np.where(own == top, 1, own + 2))
+    label = np.unique(np.where(own == bottom, 0, np.where(own == top, 1, own + 2)), return_inverse=True)[1]
     return label, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)
