@@ -86,6 +86,8 @@ def _fresh_home(process: int) -> Path:
 
     def go() -> None:
         if os.getpid() == process:
+            if "ti" in globals():  # which else would write its cache there later
+                globals()["ti"].reset()
             shutil.rmtree(home, ignore_errors=True)
 
     atexit.register(go)

@@ -506,6 +506,21 @@ def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch, spo
     compiler._fresh_home.cache_clear()
 
 
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
+def test_kernels_that_can_be_kept_nowhere_leave_no_folder(tmp_path):
+    """The home cannot be written and the temporary folder is one that others can write in."""
+    strange = tmp_path / f"taichi_bearings-cache-{os.getuid()}"
+    strange.mkdir()
+    strange.chmod(0o777)
+    (tmp_path / "file").touch()
+    places = {"XDG_CACHE_HOME": str(tmp_path / "file" / "cache"), "TMPDIR": str(tmp_path)}
+    words = ("run", "--shape", "4,5", "--method", "cundall-strack", "--iterations", "1", "--figures", "none")
+    command = [sys.executable, "-m", "taichi_bearings_cli", *words, "--out", str(tmp_path / "run")]
+    assert subprocess.run(command, env=os.environ | places, capture_output=True).returncode == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "run", strange.name]
+    assert not any(strange.iterdir())
+
+
 def test_a_lock_that_a_killed_compiler_has_left_goes(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     folder = compiler.cache_folder()
