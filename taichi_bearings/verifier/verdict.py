@@ -252,18 +252,10 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
         if unique[number] is False and (found.unique or not (exact or found.unique is False)):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
-        if proven[number] is False and _agree(run, number):
+        told = run.claimed("unproven")[number] == 0 and not run.samples.flows
+        if proven[number] is False and told and found.agree(given):
             yield f"the states{which} are said not to be proven, and each of them is"
         yield from _kinds(run, number, found)
-
-
-def _agree(run: StoredRun, number: int) -> bool:
-    """True if the file has each contact slip or not as it says to be proven, of laws without viscosity."""
-    kinds, acts = [run.reported.get(name) for name in ("state", "proven")], range(run.samples.dimension)
-    if run.samples.flows or kinds[0] is None or kinds[1] is None:
-        return False
-    pairs = [(kinds[0][axis][number], kinds[1][axis][number], run.samples.idle(axis)[number]) for axis in acts]
-    return all(((said == known) & (known <= SLIPPING) | idle).all() for said, known, idle in pairs)
 
 
 def _kinds(run: StoredRun, number: int, found: States) -> Iterator[str]:
