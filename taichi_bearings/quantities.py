@@ -61,7 +61,7 @@ class Answered:
     def power_normalised(self) -> np.ndarray | None:
         """(R,) P / (F_n R omega_T); None without that unit."""
         scene = self.scene
-        unit = scene.normal_force * scene.lattice.radius * abs(scene.imposed[1])
+        unit = scene.normal_force * scene.lattice.radius * abs(scene.imposed[0])
         return self.solution.power / unit if scene.law.is_rate_independent and unit > 0 else None
 
     def at_end(self, column: str) -> np.ndarray | None:
@@ -188,8 +188,8 @@ SAMPLES = _named(
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere",
                  lambda a: a.solution.largest_balance_residual),
-        Quantity("spin_top", "1/time", "spin of the top plane", lambda a: a.scene.imposed[1], r"\omega_T"),
-        Quantity("spin_bottom", "1/time", "spin of the bottom plane", lambda a: a.scene.imposed[0], r"\omega_B"),
+        Quantity("spin_top", "1/time", "spin of the top plane", lambda a: a.scene.imposed[0], r"\omega_T"),
+        Quantity("spin_bottom", "1/time", "spin of the bottom plane", lambda a: a.scene.imposed[1], r"\omega_B"),
         Quantity("normal_force", "force", "force at every contact", lambda a: a.scene.normal_force, "F_n"),
         Quantity("radius", "length", "radius of the spheres", lambda a: a.scene.lattice.radius, "R"),
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),

@@ -56,7 +56,7 @@ def draw_spins(
     figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)
     figure.suptitle(f"{title or describe(scene)}\n{note}")
     axes = figure.axes
-    bottom, top = scene.imposed
+    top, bottom = scene.imposed
     below = speed.ndim == 3 and columns_on(page, len(axes), NARROW) < 3
     look = {"location": "bottom", "aspect": 30} if below else {}
     draw_speed_bar(figure, axes, top, bottom, shrink=0.8, pad=0.02, **look)

@@ -27,7 +27,7 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
 
 def driving(scene: Scene) -> tuple[float, str]:
     """The imposed spin that times and powers are counted in, 1/time, and its symbol."""
-    bottom, top = scene.imposed
+    top, bottom = scene.imposed
     return (abs(top), SPEED_OF[True]) if top else (abs(bottom) or 1.0, SPEED_OF[False])
 
 

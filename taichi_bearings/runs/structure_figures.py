@@ -21,7 +21,7 @@ from taichi_bearings.proof.contact_state import ContactState
 
 
 def _with_driving(draw: Callable[..., Figure]) -> Callable[[Structure, Page], Figure]:
-    return lambda s, page: draw(s.network, s.spin, *reversed(s.scene.imposed), page)
+    return lambda s, page: draw(s.network, s.spin, *s.scene.imposed, page)
 
 
 def _draw_cut_surface(structure: Structure, page: Page) -> Figure:

@@ -124,11 +124,11 @@ class Driving:
 
     @property
     def largest_spins(self) -> tuple[float, float]:
-        """|spin| imposed on the bottom and on the top, where it is largest, 1/time."""
+        """|spin| imposed on the top and on the bottom, where it is largest, 1/time."""
         axes = self.lattice.all_spin_axes
         low = np.broadcast_to(self.bottom_state(axes)[0][:, 0], (len(axes), *self.lattice.shape))
         high = low[..., -1] + self.imposed_on_top(axes)[0]
-        return tuple(float(np.linalg.norm(of, axis=0).max()) for of in (low[..., 0], high))  # type: ignore[return-value]
+        return tuple(float(np.linalg.norm(of, axis=0).max()) for of in (high, low[..., 0]))  # type: ignore[return-value]
 
 
 def _unit_vector(vector: np.ndarray) -> Pair:

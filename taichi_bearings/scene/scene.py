@@ -189,7 +189,7 @@ class Scene:
     def __repr__(self) -> str:
         shape, seeds = "x".join(map(str, self.lattice.shape)), f"seed {self.seeds[0]}"
         seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
-        bottom, top = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.bottom, self.top)
+        top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
         return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}>"
 
     @cached_property
@@ -240,8 +240,8 @@ class Scene:
 
     @property
     def imposed(self) -> tuple[float, float]:
-        """Spins of bottom and top, 1/time; where states are imposed, their largest sizes on the planes."""
-        return (self.spin_bottom, self.spin_top) if self.top is None else self.driving.largest_spins
+        """Spins of top and bottom, 1/time; where states are imposed, their largest sizes on the planes."""
+        return (self.spin_top, self.spin_bottom) if self.top is None else self.driving.largest_spins
 
     @property
     def fastest(self) -> float:

@@ -180,7 +180,7 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
 
 def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
-    by_axis, (bottom, top) = scene.lattice.by_axis, scene.imposed
+    by_axis, (top, bottom) = scene.lattice.by_axis, scene.imposed
     samples = Samples(
         scene.lattice.shape, scene.law.name, by_axis(scene.coefficient), top, bottom,
         scene.direction, scene.normal_force, scene.lattice.radius, spin, spin_rounding,

@@ -113,10 +113,8 @@ class RestWatch:
         if time < self.time * (1 + self.later):
             return
         assert found.slipping is not None
-        typical_torque, slipping = (
-            radius * float(vector_length(found.force).max(initial=0.0)),
-            int(found.slipping.sum()),
-        )
+        typical_torque = radius * float(vector_length(found.force).max(initial=0.0))
+        slipping = int(found.slipping.sum())
         still = bool((np.abs(found.objective - self.last_objective) <= tolerance * np.abs(found.objective)).all())
         balanced = bool((found.largest_balance_residual <= 1e3 * tolerance * typical_torque).all())
         quiet = believed and still and balanced and slipping == self.last_slipping

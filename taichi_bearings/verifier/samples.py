@@ -138,11 +138,6 @@ class Samples:
         layer x_k along k, one where it is the same in all of them, to DIGITS digits."""
         with localcontext() as context:
             context.prec = DIGITS
-            if self.top is None:  # the difference of the spins first, which may be far below both
-                whole = (Decimal(self.spin_top) - Decimal(self.spin_bottom)) / Decimal(self.spin_unit)
-                parts = [Decimal(d) for d in ((0.0, 0.0, 1.0) if self.dimension == 2 else self.direction)]
-                size = sum((part * part for part in parts), Decimal(0)).sqrt()
-                return {k: [whole * parts[k] / size] for k in self.components}
             unit = Decimal(self.spin_unit)
             return {
                 k: [(high - low) / unit for low, high in zip(*self.imposed_in_layers(k), strict=True)]

@@ -140,7 +140,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     together = connected_components(follows, directed=True, connection="strong")[1]
     bottom, top = (np.unique(place[..., end][~flat[..., end]]) for end in (0, -1))
     is_above, is_below = _reached(follows, top), _reached(follows.T.tocsr(), bottom)
-    first = np.bincount(bottom // samples.sublattice.size, is_above[bottom], samples.count) > 0
+    contradicts = np.bincount(bottom // samples.sublattice.size, is_above[bottom], samples.count) > 0
     found = []
     for axis, coefficient in enumerate(samples.coefficient):
         a, b = (place[end] for end in samples.ends(axis))
@@ -153,7 +153,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     done = ~np.any([of_axis.reshape(samples.count, -1).any(axis=1) for of_axis in open_], axis=0)
     return [
         States(tuple(states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie")
-        if not first[r]
+        if not contradicts[r]
         else _nothing(samples, "the friction contradicts itself")
         for r in range(samples.count)
     ]

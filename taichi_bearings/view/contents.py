@@ -108,7 +108,7 @@ def title_of(drawn: PointsAndLines) -> str:
 def _subtitle(drawn: PointsAndLines) -> str:
     """Method, power and what is proven of it."""
     solution, scene = drawn.solution, drawn.scene
-    unit = scene.strength * scene.lattice.radius * abs(scene.imposed[1])
+    unit = scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     of = "" if scene.law.minimises == "power" else f"its {scene.law.minimises} "
     gap = f"{of}proven within {solution.gap[0]:.1e}" if np.isfinite(solution.gap[0]) else "without a proven bound"
