@@ -79,17 +79,24 @@ class Driving:
             return np.zeros(1)
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
-    def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Jump at each sphere of the top plane, (C, nx, ny), in 2D (C, nx), in twice the precision, 1/time."""
-        plane = self.lattice.shape[:-1]
-        found = np.empty((2, len(spin_axes), *plane))
-        for slot, k in enumerate(spin_axes):
+    @cached_property
+    def _all_on_top(self) -> Pair:
+        """Jump at each sphere of the top plane by every component of the lattice, in twice the precision, 1/time."""
+        axes, plane = self.lattice.all_spin_axes, self.lattice.shape[:-1]
+        found = np.empty((2, len(axes), *plane))
+        for slot, k in enumerate(axes):
             position = self.positions(k)
             lies = k < len(plane)
             pair = self.jump.along(k, position if lies else position[-1:])
             for whole, part in zip(found, pair, strict=True):
                 whole[slot] = part.reshape([-1 if a == k else 1 for a in range(len(plane))]) if lies else part
         return found[0], found[1]
+
+    def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
+        """The same of these components, (C, nx, ny), in 2D (C, nx)."""
+        slots = [self.lattice.all_spin_axes.index(k) for k in spin_axes]
+        high, low = self._all_on_top
+        return high[slots], low[slots]
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
         """The same over `unit`, a power of two where the jump varies."""
