@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 CGROUP = Path("/sys/fs/cgroup")
-LITTLE = 1e8  # bytes
+LITTLE_BYTES = 1e8  # bytes
 
 
 def free_bytes() -> float:
@@ -35,7 +35,7 @@ def free_bytes() -> float:
 
 def refuse_beyond(needed: float, what: str) -> None:
     """MemoryError if so many bytes are not there; little is not worth a look."""
-    room = free_bytes() if needed > LITTLE else needed
+    room = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > room:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(room, 0) / 1e9:.1f} GB are free")
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import Any
 
 MOST_DIGITS = 12
-SMALL = -4  # decimal exponent below which numbers are written with one
-ALIKE = 0.6  # share of the letters that a mistyped word has in common with what was meant
+LEAST_EXPONENT = -4  # decimal exponent below which numbers are written with one
+LIKE_LETTERS = 0.6  # share of the letters that a mistyped word has in common with what was meant
 MOST_SHOWN, LEAST_SHOWN = 100, 8  # letters of a value in a sentence: at most, and at its end if it is longer
 LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
 
@@ -44,7 +44,7 @@ def with_error(value: float, error: float) -> str:
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return f"{value:.6g}"
     size = math.floor(math.log10(max(abs(value), error)))
-    if size < SMALL:
+    if size < LEAST_EXPONENT:
         return f"({with_error(value / 10.0**size, error / 10.0**size)})e{size}"
     place = math.floor(math.log10(error))
     place -= error < 2 * 10.0**place
@@ -75,7 +75,7 @@ def meant(word: object, known: Iterable[str]) -> str:
     """
     names = {_folded(name): name for name in known}
     text = _folded(word)
-    near = difflib.get_close_matches(text, names, n=1, cutoff=ALIKE)
+    near = difflib.get_close_matches(text, names, n=1, cutoff=LIKE_LETTERS)
     near = near or [name for name in names if len(text) >= LEAST_LETTERS and name.startswith(text)]
     return f"; did you mean {names[near[0]]!r}?" if near else ""
 

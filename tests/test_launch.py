@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.elimination import LANES, VALUES, VECTORS
+from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
 from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("taichi_runtime")
 
 
 @ti.kernel
-def add(values: VALUES, vectors: VECTORS, first: int, count: int):
+def add(values: NUMBERS, vectors: VECTORS, first: int, count: int):
     for i in range(count):
         vectors[i] = vectors[i] + values[first + i]
 

@@ -58,7 +58,7 @@ from taichi_bearings import compiler, runtime
 runtime.start("cpu", "f64", {threads})
 from tests.scenes import make_scene
 import taichi_bearings.fields.fields as fields
-fields.LEAST_SHARE = {least_share}
+fields.LEAST_WORKER_NUMBERS = {least_share}
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve

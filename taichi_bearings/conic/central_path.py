@@ -21,23 +21,26 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
-LONG_ENOUGH = 0.9  # step length beyond which no further corrector is tried
-WORTHWHILE = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
+MOST_CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
+FULL_STEP = 0.9  # step length beyond which no further corrector is tried
+LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
 STEP_SHARE = 0.95  # of the way to the boundary of the cones
 TINY = np.finfo(np.float64).tiny
-WEAK = 1e-14  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
-REFINEMENTS, BALANCED = 4, 1e-11  # of the last solve, at most; torque, of the mean friction, that needs no second one
-SPREAD = 10.0  # correctors bring products into [target / SPREAD, target * SPREAD]
+LEAST_WORK = 1e-14  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
+STEP_REFINEMENTS, STEP_TORQUE = (
+    4,
+    1e-11,
+)  # of the last solve, at most; torque, of the mean friction, that needs no second one
+PRODUCT_SPREAD = 10.0  # correctors bring products into [target / PRODUCT_SPREAD, target * PRODUCT_SPREAD]
 Viscous = np.ndarray | None
 
 
 def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference|, plus the weak WEAK / slip^2 along the slip, which is at
-    most `share` of that across it."""
+    """Second derivative (d, d, n) of friction * |difference|, plus the weak LEAST_WORK / slip^2 along the slip,
+    which is at most `share` of that across it."""
     size = length(difference)
     along = difference / size
-    weak = np.minimum(WEAK / size**2, share * friction / size) if share < np.inf else WEAK / size**2
+    weak = np.minimum(LEAST_WORK / size**2, share * friction / size) if share < np.inf else LEAST_WORK / size**2
     stiffness = weak * along[:, None] * along[None, :]
     if len(along) == 2:
         across = np.stack([-along[1], along[0]])
@@ -67,7 +70,7 @@ def flowing(
     """
     matrix.factorise(isotropic(system.offset, viscosity), inertia.weight if inertia else 0.0)
     best, least = spins, np.inf
-    for _ in range(REFINEMENTS + 1):
+    for _ in range(STEP_REFINEMENTS + 1):
         left_over = system.torques(-viscosity * system.differences(spins))
         left_over = left_over if inertia is None else left_over - inertia.torques(spins)
         size, last = float(np.abs(left_over).max(initial=0.0)), least
@@ -109,7 +112,7 @@ class _Step:
     @property
     def lengths(self) -> np.ndarray:
         """How far primal and dual points may go, (2, S)."""
-        return self.found[: kernels.LEAST]
+        return self.found[: kernels.LEAST_FOUND]
 
     @property
     def shorter(self) -> np.ndarray:
@@ -162,7 +165,7 @@ class Path:
         rows = self._rows
         smooth = each(np.zeros_like, iterate.bound) if iterate.smooth is None else iterate.smooth
         for row, values in (
-            (kernels.FRICTION, iterate.friction),
+            (kernels.FRICTION_ROW, iterate.friction),
             (kernels.BOUND, iterate.bound),
             (kernels.SLIP, iterate.difference),
             (kernels.DUAL, iterate.dual),
@@ -193,18 +196,18 @@ class Path:
         True (S,) where it could be taken, and is: not where the Newton matrix is singular to working precision.
         """
         rows = self._rows
-        rows.run(kernels.prepare, (0, 0), WEAK)
+        rows.run(kernels.prepare, (0, 0), LEAST_WORK)
         going = self._matrix.factorise_rows(rows, self.used, self._inertia, self._viscous)
         taken, step = going.copy(), self._solved(0)
         target = self._target(step)
         rows.run(kernels.correct, (0, 1), target)
         step, rejected = self._solved(1), np.zeros_like(going)
-        for _ in range(CORRECTORS):
-            going &= ~(step.shorter > LONG_ENOUGH)
+        for _ in range(MOST_CORRECTORS):
+            going &= ~(step.shorter > FULL_STEP)
             if not going.any():
                 break
             further = self._recentred(step, target, going, rejected)
-            rejected = going & (further.reach < step.reach + WORTHWHILE)
+            rejected = going & (further.reach < step.reach + LEAST_GAIN)
             step = further.but(rejected, step) if rejected.any() else further
             going &= ~rejected
         if rejected.any():  # what is better is in the other slot
@@ -231,20 +234,20 @@ class Path:
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
         choice = np.where(going, kernels.GO_ON, other)
         slots = step.slot, 1 - step.slot
-        self._rows.run(kernels.recentre, slots, *lengths, target / SPREAD, target * SPREAD, choice)
+        self._rows.run(kernels.recentre, slots, *lengths, target / PRODUCT_SPREAD, target * PRODUCT_SPREAD, choice)
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
         """Solve for the torques that rounding left, as long as that helps."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
-        for _ in range(REFINEMENTS):
+        for _ in range(STEP_REFINEMENTS):
             force = rows.two(kernels.FORCE)
             np.add(rows.two(kernels.DUAL), rows.two(_in(step.slot, kernels.DUAL_STEP)), out=force)
             if self._viscosity is not None:
                 force -= self._viscosity * (rows.two(kernels.SLIP) + rows.two(_in(step.slot, kernels.CHANGE)))
             self._imbalance(kernels.FORCE, self._spins + step.spins)
             size = np.abs(rows.spins).max(axis=0, initial=0.0)
-            going &= (size > BALANCED) & (size < last / 2)
+            going &= (size > STEP_TORQUE) & (size < last / 2)
             if not going.any():
                 break
             last = size
@@ -278,14 +281,14 @@ class Path:
         self._rows.change(_in(slot, kernels.CHANGE))
         found = self._rows.run(kernels.expand, (slot, slot))
         if self._together:
-            found[: kernels.LEAST] = found[: kernels.LEAST].min(axis=0)
+            found[: kernels.LEAST_FOUND] = found[: kernels.LEAST_FOUND].min(axis=0)
         return _Step(slot, spins, found)
 
     def _take(self, step: _Step) -> None:
         """Go there."""
         along, dual_along = step.within(STEP_SHARE)
         found = self._rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
-        self._power, self._excess, self._price = found[kernels.POWER], found[kernels.EXCESS], None
+        self._power, self._excess, self._price = found[kernels.POWER_FOUND], found[kernels.EXCESS], None
         self._spins_before, self._spins = self._spins, self._spins + along * step.spins
 
     def gap(self, sample: int) -> float:

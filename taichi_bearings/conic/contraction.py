@@ -17,7 +17,10 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, two_sum
 
-MANY, LEAF = 2_000, 20  # unknowns of a sample with an order of its own, and of a region that then is not divided
+OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = (
+    2_000,
+    20,
+)  # unknowns of a sample with an order of its own, and of a region that then is not divided
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ class Contraction:
         """Of elimination of the unknowns of a sample, counted from its first. In small ones a set goes when the last of
         its spins would. In large ones the sets, which reach across any plane, are dissected anew: by where they are."""
         own = self.span(sample)
-        if self.whole.place is not None and own.stop - own.start >= MANY:
+        if self.whole.place is not None and own.stop - own.start >= OWN_ORDER_UNKNOWNS:
             return self._dissected(own, self.whole.place)
         number = np.split(self.number, self.owners.samples)[sample][self._order]
         number = number[number >= 0] - own.start
@@ -156,7 +159,7 @@ class Contraction:
         first, second = (end - own.start for end in self.system.couplings())
         inside = (first >= 0) & (first < size)
         graph = coupled(np.arange(size), first[inside], second[inside])
-        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], LEAF)])
+        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], OWN_LEAF_UNKNOWNS)])
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""

@@ -22,17 +22,23 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
 
-MOST_ITERATIONS = 60  # of Newton's method
-SETTLED, BALANCED = 1e-10, 1e-15  # torque left, relative to friction and inertia: Newton ends; linear corrections end
-CORRECTIONS = 3  # linear ones with the last factorisation, at most
-COUPLED = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
-RULED_BY_INERTIA = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
-SHARP = 1e-5  # residual to which they do, relative
-FEW, MUCH = 5, 0.5  # contacts that may have changed by so much of their stiffness where an old factorisation serves
-FLAT = 0.1  # share of its slope at which a line search ends
-LINE_SEARCH = 20  # trials, at most
-TINY = 1e-280  # far below any force, and no limit over it overflows
-EPSILON = np.finfo(np.float64).eps
+MOST_STAGE_STEPS = 60  # of Newton's method
+STAGE_TORQUE, CORRECTED_TORQUE = (
+    1e-10,
+    1e-15,
+)  # torque left, relative to friction and inertia: Newton ends; linear corrections end
+MOST_CORRECTIONS = 3  # linear ones with the last factorisation, at most
+LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
+GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
+GRADIENT_RESIDUAL = 1e-5  # residual to which they do, relative
+MOST_CHANGED, CHANGED_SHARE = (
+    5,
+    0.5,
+)  # contacts that may have changed by so much of their stiffness where an old factorisation serves
+SEARCH_SLOPE = 0.1  # share of its slope at which a line search ends
+MOST_SEARCHES = 20  # trials, at most
+LEAST_FORCE = 1e-280  # far below any force, and no limit over it overflows
+EPS = np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,7 @@ class Friction:
 
     def limited(self, trial: Arrays) -> Arrays:
         """Forces (d, n) a group that friction allows."""
-        return each(lambda f, m: f * np.minimum(1.0, m / np.maximum(vector_length(f), TINY)), trial, self.limit)
+        return each(lambda f, m: f * np.minimum(1.0, m / np.maximum(vector_length(f), LEAST_FORCE)), trial, self.limit)
 
     def slips(self, trial: Arrays) -> Arrays:
         return each(vector_length, trial) > self.limit
@@ -75,7 +81,7 @@ class Friction:
         """Derivative of the limited force by the slip, (d, d, n) a group."""
 
         def derivative(force: np.ndarray, limit: np.ndarray, resistance: np.ndarray) -> np.ndarray:
-            size = np.maximum(vector_length(force), TINY)
+            size = np.maximum(vector_length(force), LEAST_FORCE)
             slips, along = size > limit, force / size
             across = np.where(slips, limit / size, 1.0)
             lost = np.where(slips, across, 0.0) * along[:, None] * along[None, :]
@@ -121,12 +127,12 @@ class FrictionStage:
         trial = self._trial(start, resistance, spins)
         scale = inertia * self.spin_scale + self.radius * self.force_scale
         # of torques, from rounding the spins
-        noise = 8 * EPSILON * friction.stiffest * self.radius**2 * self.spin_scale
+        noise = 8 * EPS * friction.stiffest * self.radius**2 * self.spin_scale
         stiffness: Arrays | None = None
-        for _ in range(MOST_ITERATIONS):
+        for _ in range(MOST_STAGE_STEPS):
             force = self._with_viscosity(friction, friction.limited(trial), spins)
             torque = self._torque(force, inertia, spins - base)
-            if stiffness is not None and np.abs(torque).max(initial=0.0) <= SETTLED * scale + noise:
+            if stiffness is not None and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
                 return self._corrected(friction, base, spins, trial, force, stiffness, scale)
             stiffness = friction.stiffness(trial)
             if not self._prepare(friction, trial, stiffness):
@@ -157,16 +163,16 @@ class FrictionStage:
         changes, and in a step it also serves to solve where few contacts have changed between sticking and slipping.
         """
         self._inertia, self._stiffness = friction.inertia, self.radius**2 * stiffness
-        coupling = COUPLED * self.radius**2 * friction.stiffest
+        coupling = LARGEST_EIGENVALUE * self.radius**2 * friction.stiffest
         self._precondition: Callable[[np.ndarray], np.ndarray] | None = None
-        if coupling <= RULED_BY_INERTIA * friction.inertia and friction.slips(trial).any():
+        if coupling <= GRADIENT_RATIO * friction.inertia and friction.slips(trial).any():
             self._precondition = np.copy
             return True
         if self._factorised is not None and self._factorised[0] == friction.inertia:
             changed = each(_changed, self._stiffness, self._factorised[1])
             if (changed == 0).all():
                 return True
-            if self._of_this_step and (~(changed <= MUCH)).sum() <= FEW:
+            if self._of_this_step and (~(changed <= CHANGED_SHARE)).sum() <= MOST_CHANGED:
                 self._precondition = self.matrix.solve
                 return True
         self._factorised = None
@@ -179,10 +185,10 @@ class FrictionStage:
         return True
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
-        """Solution with what was prepared last; by conjugate gradients to SHARP, relative."""
+        """Solution with what was prepared last; by conjugate gradients to GRADIENT_RESIDUAL, relative."""
         if self._precondition is None:
             return self.matrix.solve(right)
-        solution, left, enough = np.zeros_like(right), right, SHARP**2 * float(right @ right)
+        solution, left, enough = np.zeros_like(right), right, GRADIENT_RESIDUAL**2 * float(right @ right)
         direction = near = self._precondition(left)
         size = float(left @ near)
         while float(left @ left) > enough:
@@ -217,14 +223,14 @@ class FrictionStage:
             return friction.inertia * float((gained + length * step) @ step) + work
 
         low, high, at_low, at_high = 0.0, 1.0, first, slope(1.0)
-        if at_high <= FLAT * abs(first):
+        if at_high <= SEARCH_SLOPE * abs(first):
             return 1.0
         length = 1.0
-        for _ in range(LINE_SEARCH):  # regula falsi; the end that stays is halved (Illinois)
+        for _ in range(MOST_SEARCHES):  # regula falsi; the end that stays is halved (Illinois)
             share = at_low / (at_low - at_high)
             length = low + min(max(share, 0.05), 0.95) * (high - low)
             now = slope(length)
-            if abs(now) <= FLAT * abs(first):
+            if abs(now) <= SEARCH_SLOPE * abs(first):
                 break
             if now > 0:
                 high, at_high, at_low = length, now, at_low / 2
@@ -243,9 +249,9 @@ class FrictionStage:
         scale: float,
     ) -> StageEnd:
         """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
-        for _ in range(CORRECTIONS):
+        for _ in range(MOST_CORRECTIONS):
             torque = self._torque(force, friction.inertia, spins - base)
-            if np.abs(torque).max(initial=0.0) <= BALANCED * scale:
+            if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
                 break
             step = self._conserving(self._solved(-torque), base - spins)
             force = force + self.radius * resisted(stiffness, self.system.change(step))

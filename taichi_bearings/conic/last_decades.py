@@ -19,15 +19,21 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-CLEARLY = 0.5  # power of the product with which slip or margin of a contact falls that is decided
-NO_ROOM = 1e-6  # margin below which one can be at its limit
-BOTH = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
-DECIDED = 1e4  # ratio of slip and margin from which a contact surely slips
-STICKING, ROOM = 1e-5, 1e-5  # and below which one surely sticks, if it falls with the product; and its least margin
-LEAST = 1e-25  # product at which double precision ends
-STEPS = 80
-STALLING, PATIENCE = 0.6, 10  # share of the product that a step leaves if rounding stops it, and such steps in a row
-BALANCED = 1e-6  # torques, of the mean friction, up to which a point can be judged
+DECIDED_EXPONENT = 0.5  # power of the product with which slip or margin of a contact falls that is decided
+LEAST_MARGIN_AT_LIMIT = 1e-6  # margin below which one can be at its limit
+VANISHING_PRODUCT = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
+SLIPPING_RATIO = 1e4  # ratio of slip and margin from which a contact surely slips
+STICKING_RATIO, STICKING_MARGIN = (
+    1e-5,
+    1e-5,
+)  # and below which one surely sticks, if it falls with the product; and its least margin
+LEAST_PRODUCT = 1e-25  # product at which double precision ends
+MOST_PATH_STEPS = 80
+STALLED_SHARE, MOST_STALLED_STEPS = (
+    0.6,
+    10,
+)  # share of the product that a step leaves if rounding stops it, and such steps in a row
+JUDGED_TORQUE = 1e-6  # torques, of the mean friction, up to which a point can be judged
 EPS = np.finfo(np.float64).eps
 
 
@@ -89,9 +95,9 @@ class LastDecades:
     @property
     def ended(self) -> bool:
         """Is the product so small that double precision ends?"""
-        return self.product < LEAST
+        return self.product < LEAST_PRODUCT
 
-    def decide(self, doubtful: int = 0, to_the_end: bool = False, until: float = LEAST) -> Arrays | None:
+    def decide(self, doubtful: int = 0, to_the_end: bool = False, until: float = LEAST_PRODUCT) -> Arrays | None:
         """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or `until` the
         product is so small; `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if
         that fails.
@@ -102,29 +108,34 @@ class LastDecades:
         """
         before, last, stalled, fell = self._ratios, self._product, 0, each(np.ones_like, self.point.friction, bool)
         late: tuple[Arrays, float] | None = None  # ratios and product where contacts at their limit begin to tell
-        for _ in range(STEPS):
+        for _ in range(MOST_PATH_STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             if not product > 0:  # it underflows where coefficients differ by thirty decades
                 return None
-            stalled = stalled + 1 if product > STALLING * last else 0
+            stalled = stalled + 1 if product > STALLED_SHARE * last else 0
             power = each(np.log, ratios / before) / abs(np.log(product / last))
-            decided = (each(np.abs, power) > CLEARLY) | (ratios > DECIDED)
+            decided = (each(np.abs, power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
             enough = product < until or (not to_the_end and (~decided).sum() <= doubtful)
-            ended = enough and self.point.unbalanced < BALANCED
-            if ended or stalled == PATIENCE:
-                self.sticking = fell & (power < -CLEARLY) & (ratios < STICKING) & (self.point.margin > ROOM)
+            ended = enough and self.point.unbalanced < JUDGED_TORQUE
+            if ended or stalled == MOST_STALLED_STEPS:
+                self.sticking = (
+                    fell
+                    & (power < -DECIDED_EXPONENT)
+                    & (ratios < STICKING_RATIO)
+                    & (self.point.margin > STICKING_MARGIN)
+                )
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
                 if not self.ended or late is None:
                     return (ratios > 1) | (ratios > before)
                 self.critical = self._vanishing(late)
                 return (ratios > 1) & ~self.critical
-            if late is None and product < BOTH:
+            if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
             far = self.point.difference.length() > max(product / (1000 * EPS), 100 * np.sqrt(product))
-            slips = far & ((power > CLEARLY) | self._smooth)
+            slips = far & ((power > DECIDED_EXPONENT) | self._smooth)
             self.point = newton_step(self.point.let_slip(slips), self._matrix)
-            before, last, fell = ratios, product, ~(power > -CLEARLY)
+            before, last, fell = ratios, product, ~(power > -DECIDED_EXPONENT)
         return None
 
     @property
@@ -135,5 +146,5 @@ class LastDecades:
     def _vanishing(self, late: tuple[Arrays, float]) -> Arrays:
         """Masks (n,) a group, contacts whose ratio of slip and margin has not changed with the product since then."""
         ratios, fall = self.point.slip_over_margin, abs(np.log(self.point.complementarity / late[1]))
-        steady = each(np.abs, each(np.log, ratios / late[0])) < CLEARLY * fall
-        return ~self._smooth & steady & (self.point.margin < NO_ROOM)
+        steady = each(np.abs, each(np.log, ratios / late[0])) < DECIDED_EXPONENT * fall
+        return ~self._smooth & steady & (self.point.margin < LEAST_MARGIN_AT_LIMIT)

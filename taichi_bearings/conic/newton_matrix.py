@@ -12,8 +12,8 @@ from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
-REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
-SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
+FORCE_REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
+DIAGONAL_SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 Order = np.ndarray | Callable[[int], np.ndarray]
 
 
@@ -139,7 +139,9 @@ class NewtonMatrix:
         load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
-        for _ in range(REFINEMENTS):  # each from the forces of the last: what a stretch rounds falls with the stretch
+        for _ in range(
+            FORCE_REFINEMENTS
+        ):  # each from the forces of the last: what a stretch rounds falls with the stretch
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))
         return dual
@@ -157,7 +159,7 @@ def _raised(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndar
         return regular & wanted
     numbers, shift = factor.entries[diagonal], np.zeros(len(wanted))
     hopeless = ~(wanted & np.isfinite(numbers).all(axis=0))
-    for further in SHIFTS:
+    for further in DIAGONAL_SHIFTS:
         shift[~regular] = further
         factor.entries[diagonal] = numbers * (1 + shift)
         regular = factor.factorise()

@@ -15,12 +15,12 @@ from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square, square_root, subtract
 
-STEPS, ENOUGH = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
-FAITHFUL = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
-FAINT = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
-LONGEST = 0.5  # largest such change that is allowed
-VISIBLE = 1e-10  # slips below which differences are to be trusted more than spins
-SPARE = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
+MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
+MATRIX_CHANGE = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
+FREE_STIFFNESS = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
+MOST_SLIP_CHANGE = 0.5  # largest such change that is allowed
+SLIP_IN_SPINS = 1e-10  # slips below which differences are to be trusted more than spins
+SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
 
 Places = tuple[np.ndarray, ...]
 
@@ -41,7 +41,7 @@ def polished(
     may be more precise than those of the spins. top : imposed on the top above each unknown of a sample.
     """
     system, owners = _PreciseSystem(tied, top), tied.owners
-    rough = chosen & owners.any(difference.length() < VISIBLE)
+    rough = chosen & owners.any(difference.length() < SLIP_IN_SPINS)
     unknown, fitted = _fitted(system, matrix, spins, difference, rough) if rough.any() else (spins, rough)
     balanced, fine = _balanced(system, matrix, friction, unknown, chosen & (fitted | ~rough))
     slips = system.differences(balanced)
@@ -57,7 +57,7 @@ def _balanced(
     """
     owners, strongest = system.owners, system.owners.largest(friction)
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
-    for _ in range(STEPS):
+    for _ in range(MOST_POLISHING_STEPS):
         precise = system.differences(unknown)
         difference = _high(precise)
         slip = difference.length()
@@ -65,17 +65,17 @@ def _balanced(
         size = owners.largest_of_spins(np.abs(torques))
         going = going & (size < least) & ~owners.any(slip == 0)
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
-        going = going & (size <= least / 2) & (size > ENOUGH * strongest)
+        going = going & (size <= least / 2) & (size > POLISHED_TORQUE * strongest)
         if not going.any():
             break
         least, anew, before = np.where(going, size, least), going & ~factorised, going
         if anew.any():
-            stiffness = each(friction_stiffness, friction, difference, FAINT)
+            stiffness = each(friction_stiffness, friction, difference, FREE_STIFFNESS)
             going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
         step = matrix.solve(-torques, going)
         change = owners.largest(system.contracted.change(step).length() / slip)
-        going = going & (change <= LONGEST)
-        fine, factorised = fine & (going | ~before), change < FAITHFUL
+        going = going & (change <= MOST_SLIP_CHANGE)
+        fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
         unknown = _chosen(going[owners.spins], add(unknown, exactly(step)), unknown)
     return best, fine
 
@@ -135,11 +135,11 @@ class _PreciseSystem:
         total, rest = np.zeros(self.contracted.unknowns), _high(pulls)
         largest = self.owners.largest(abs(rest))
         for _ in range(2):
-            grain = self.owners.at_contacts(np.ldexp(1.5, np.frexp(largest)[1] + SPARE))
+            grain = self.owners.at_contacts(np.ldexp(1.5, np.frexp(largest)[1] + SUM_BITS))
             leading = (rest + grain) - grain
             total = total + self.contracted.torques(leading)
             rest = rest - leading
-            largest = largest * 2.0 ** (SPARE - 52)
+            largest = largest * 2.0 ** (SUM_BITS - 52)
         return total + self.contracted.torques(rest + each(lambda pair: pair[1], pulls))
 
     def expanded(self, unknown: Pair) -> Pair:

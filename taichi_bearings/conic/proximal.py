@@ -24,11 +24,16 @@ from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
 
-SHARP = 1e-10  # excess of the cost over its dual, relative to the work done on inertia, at which a step is solved
-CLOSEST = 1e-13  # or relative to the power, where double precision ends
-ENOUGH, LAST_RESORT = 1e-3, 1e-9  # the same where the path cannot be followed to the end: with less a step has failed
-BALANCED = 1e-13  # torque, of the mean friction, that may be left on a sphere
-MOST_STEPS, PATIENCE = 60, 3  # Newton steps, and those in a row that gain nothing
+SOLVED_EXCESS = (
+    1e-10  # excess of the cost over its dual, relative to the work done on inertia, at which a step is solved
+)
+LEAST_EXCESS = 1e-13  # or relative to the power, where double precision ends
+ACCEPTED_EXCESS, ACCEPTED_GAP = (
+    1e-3,
+    1e-9,
+)  # the same where the path cannot be followed to the end: with less a step has failed
+PROXIMAL_TORQUE = 1e-13  # torque, of the mean friction, that may be left on a sphere
+MOST_PROXIMAL_STEPS, MOST_IDLE_STEPS = 60, 3  # Newton steps, and those in a row that gain nothing
 
 
 @dataclass(frozen=True)
@@ -123,22 +128,22 @@ class ProximalSteps:
         if viscosity is not None:
             spins = flowing(self._system, viscosity, self._matrix, spins, inertia)
         iterate = replace(Iterate.start(self._system, spins, friction, slack, viscosity), inertia=inertia)
-        best, steps, patience = iterate, 0, PATIENCE
+        best, steps, patience = iterate, 0, MOST_IDLE_STEPS
         with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
             try:
-                while steps < MOST_STEPS and patience and not _excess(best) <= 1.0:
+                while steps < MOST_PROXIMAL_STEPS and patience and not _excess(best) <= 1.0:
                     iterate = newton_step(iterate, self._matrix)
                     steps += 1
                     if iterate.excess < best.excess:
-                        best, patience = iterate, PATIENCE
+                        best, patience = iterate, MOST_IDLE_STEPS
                     else:
                         patience -= 1
-                if best.unbalanced > BALANCED:
+                if best.unbalanced > PROXIMAL_TORQUE:
                     balanced = balance(best, self._matrix)
                     best = balanced if balanced.unbalanced < best.unbalanced else best
             except NotPositiveDefinite:
                 pass
-        solved = _excess(best, ENOUGH, LAST_RESORT) <= 1.0
+        solved = _excess(best, ACCEPTED_EXCESS, ACCEPTED_GAP) <= 1.0
         slip, margin = best.difference.length(), 1 - best.dual.length() / friction
         return _Answer(best.spins, best.whole_dual, slip, slip > margin, steps, solved)
 
@@ -150,7 +155,7 @@ class ProximalSteps:
         return _Answer(spins, -damping * difference, slip, slip > 0, 1)
 
 
-def _excess(iterate: Iterate, sharp: float = SHARP, closest: float = CLOSEST) -> float:
+def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_EXCESS) -> float:
     """Excess of the cost over its dual, relative to what is allowed."""
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin

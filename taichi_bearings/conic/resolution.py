@@ -29,7 +29,14 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import AT_LIMIT, Borne, bear, borne_nearby, nearly_borne, roughly_borne
+from taichi_bearings.conic.slipless_forces import (
+    ROUNDED_AT_LIMIT,
+    Borne,
+    bear,
+    borne_nearby,
+    nearly_borne,
+    roughly_borne,
+)
 from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
@@ -234,8 +241,8 @@ def _tried(
         ((settled, motion, dual),) = _borne([iterate], [found], [near], lattice)
         if settled is not None or found is None:
             break
-        beyond = found.critical & (dual.length() > (1 + AT_LIMIT) * iterate.friction)
-        full = ~(found.slipping | found.critical) & (dual.length() > (1 - AT_LIMIT) * iterate.friction)
+        beyond = found.critical & (dual.length() > (1 + ROUNDED_AT_LIMIT) * iterate.friction)
+        full = ~(found.slipping | found.critical) & (dual.length() > (1 - ROUNDED_AT_LIMIT) * iterate.friction)
         if not (beyond.any() or full.any()):
             break
         slipping, critical = found.slipping | beyond, (found.critical & ~beyond) | full

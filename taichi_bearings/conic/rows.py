@@ -11,9 +11,9 @@ from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros
 
-# of no contact: no harm, and next to no power
-ALONE = {kernels.FRICTION: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
-CONSTANTS = 5  # that a law is told of each sample, at most
+# padding contacts: finite in every formula, with negligible power
+PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
+MOST_CONSTANTS = 5  # that a law is told of each sample, at most
 Sums = tuple[np.ndarray, np.ndarray]  # what numbers to add up or take off, for kernels.add_up
 
 
@@ -51,9 +51,9 @@ class ContactRows:
         self._contacts, self._length = contacts, contacts * self.samples
         self._flat = aligned_zeros(kernels.ROWS * self._length, kernels.BLOCK)
         self.values = self._flat.reshape(kernels.ROWS, contacts, self.samples)
-        for row, value in ALONE.items():
+        for row, value in PADDING.items():
             self.values[row] = value
-        self._numbers = np.zeros((CONSTANTS, kernels.BLOCK // self.samples, self.samples))
+        self._numbers = np.zeros((MOST_CONSTANTS, kernels.BLOCK // self.samples, self.samples))
         found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
         self.place = np.arange(operators[0].shape[1]) if place is None else place
@@ -83,7 +83,7 @@ class ContactRows:
         """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
-        self._found[: kernels.LEAST], self._found[kernels.LEAST :] = np.inf, 0.0
+        self._found[: kernels.LEAST_FOUND], self._found[kernels.LEAST_FOUND :] = np.inf, 0.0
         key = (kernel, slots)
         if key not in self._starts:
             blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
@@ -95,7 +95,9 @@ class ContactRows:
     def _over_contacts(self) -> np.ndarray:
         """Added up in the same order however many samples there are."""
         by_sample = self._found.transpose(0, 2, 1).copy()
-        return np.concatenate([by_sample[: kernels.LEAST].min(axis=2), by_sample[kernels.LEAST :].sum(axis=2)])
+        return np.concatenate(
+            [by_sample[: kernels.LEAST_FOUND].min(axis=2), by_sample[kernels.LEAST_FOUND :].sum(axis=2)]
+        )
 
     def change(self, row: int) -> None:
         """Write the change of the slips that that of the spins makes into two rows from this one on."""

@@ -20,21 +20,33 @@ from taichi_bearings.conic.central_path import balance, newton_step
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
-from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
+from taichi_bearings.conic.newton_matrix import FORCE_REFINEMENTS, NewtonMatrix
 from taichi_bearings.numerics.cholesky import Memory
 
-STEPS = 40
-SLACK = 1e-2  # of the bounds at the start, in units of the motion
-NEARLY, BALANCED = 1e-4, 1e-11  # torques, of the mean friction, that may be taken away at once, and that may be left
-SURELY = 10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
-FEW, FAR = 100, 30  # contacts outside their discs for whose sake others change their forces, so many contacts away
-CONSIDERABLE, NEAR = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
-MORE_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
-LOOSE = 1e-5  # share of its friction by which a contact at its limit counts as having room where forces are balanced
-AT_LIMIT = 1e-11  # share of the friction by which rounding may take the force of such a contact beyond the limit
-CLEAR = 1e6  # ratio of slip and margin of a contact that tells motion from rest
-STIFF = 1e-10  # mean product of the two from which rounding leaves torques
-CLOSE = 1e-22  # mean product of the two at which nothing more can be told
+MOST_MOTION_STEPS = 40
+FIRST_SLACK = 1e-2  # of the bounds at the start, in units of the motion
+REMOVABLE_TORQUE, LEFT_TORQUE = (
+    1e-4,
+    1e-11,
+)  # torques, of the mean friction, that may be taken away at once, and that may be left
+MARGIN_PER_TORQUE = (
+    10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
+)
+MOST_REPAIRED, REPAIR_DISTANCE = (
+    100,
+    30,
+)  # contacts outside their discs for whose sake others change their forces, so many contacts away
+QUICK_TORQUE, QUICK_DISTANCE = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
+LIMITED_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
+ROOM_AT_LIMIT = (
+    1e-5  # share of its friction by which a contact at its limit counts as having room where forces are balanced
+)
+ROUNDED_AT_LIMIT = (
+    1e-11  # share of the friction by which rounding may take the force of such a contact beyond the limit
+)
+MOTION_RATIO = 1e6  # ratio of slip and margin of a contact that tells motion from rest
+ROUNDED_PRODUCT = 1e-10  # mean product of the two from which rounding leaves torques
+FINAL_PRODUCT = 1e-22  # mean product of the two at which nothing more can be told
 
 
 @dataclass(frozen=True)
@@ -70,19 +82,21 @@ def bear(
     matrix = NewtonMatrix(slipless, _free(number[order]), memory)
     at_rest = np.zeros(slipless.unknowns)
     load = -system.torques(where(slipping, dual, 0.0))[number >= 0]
-    point = replace(Iterate.start(slipless, at_rest, friction[kept], SLACK), load=load, inertia=Inertia(1.0, at_rest))
-    for _ in range(STEPS):
+    point = replace(
+        Iterate.start(slipless, at_rest, friction[kept], FIRST_SLACK), load=load, inertia=Inertia(1.0, at_rest)
+    )
+    for _ in range(MOST_MOTION_STEPS):
         point = newton_step(point, matrix)
-        if point.complementarity < STIFF and point.unbalanced > BALANCED:
+        if point.complementarity < ROUNDED_PRODUCT and point.unbalanced > LEFT_TORQUE:
             point = balance(point, matrix)
         still = replace(point, inertia=None)
-        if still.unbalanced < NEARLY:
+        if still.unbalanced < REMOVABLE_TORQUE:
             still = balance(still, matrix)
-        if still.unbalanced < BALANCED:
+        if still.unbalanced < LEFT_TORQUE:
             whole = dual.placed(kept, still.dual)
             if roughly or _inside(friction, whole, slipping, system.torques(whole)[:, None])[0]:
                 return Borne(dual=whole)
-        if point.slip_over_margin.max() > CLEAR or point.complementarity < CLOSE:
+        if point.slip_over_margin.max() > MOTION_RATIO or point.complementarity < FINAL_PRODUCT:
             return Borne(motion=np.append(point.spins, 0.0)[number])
     return Borne()
 
@@ -105,12 +119,14 @@ def nearly_borne(
     :func:`bear`, of all samples together, the dual of slipless contacts nearly in balance and inside their friction
     discs.
     """
-    room = where(slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, LOOSE * friction, 0.0)))
+    room = where(
+        slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, ROOM_AT_LIMIT * friction, 0.0))
+    )
     side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
     at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
-    for _ in range(REFINEMENTS if at_limit is None else MORE_REFINEMENTS):  # as in NewtonMatrix.balanced
+    for _ in range(FORCE_REFINEMENTS if at_limit is None else LIMITED_REFINEMENTS):  # as in NewtonMatrix.balanced
         side = side if at_limit is None else each(_at_limit, side, at_limit)
         side = side - springs * system.change(matrix.solve(system.torques(side)))
     whole = one_by_one(side)
@@ -130,9 +146,9 @@ def borne_nearby(
     """
     at_limit = slipping | critical
     too_much = ~at_limit & ~(dual.length() < friction)
-    if not 0 < too_much.sum() <= FEW or not _within(friction, dual, critical).all():
+    if not 0 < too_much.sum() <= MOST_REPAIRED or not _within(friction, dual, critical).all():
         return Borne()
-    nearby = system.around(too_much, FAR, ~at_limit)
+    nearby = system.around(too_much, REPAIR_DISTANCE, ~at_limit)
     found = bear(system, order, friction, dual, ~nearby)
     inside = found.dual is None or _inside(friction, found.dual, at_limit, system.torques(found.dual)[:, None])[0]
     return found if inside else Borne()
@@ -141,26 +157,26 @@ def borne_nearby(
 @np.errstate(all="ignore")
 def roughly_borne(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
     """A quick look for contacts that are wrongly said not to slip: as :func:`bear`, roughly, and only contacts near
-    spins that feel a torque of CONSIDERABLE change their forces."""
-    unbalanced = system.at(np.abs(system.torques(dual)) > CONSIDERABLE) & ~slipping
+    spins that feel a torque of QUICK_TORQUE change their forces."""
+    unbalanced = system.at(np.abs(system.torques(dual)) > QUICK_TORQUE) & ~slipping
     if not unbalanced.any():
         return Borne(dual=dual)
-    return bear(system, order, friction, dual, ~system.around(unbalanced, NEAR, ~slipping), roughly=True)
+    return bear(system, order, friction, dual, ~system.around(unbalanced, QUICK_DISTANCE, ~slipping), roughly=True)
 
 
 def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:
     """Is the dual of each sample, (samples,), in balance, and with room in all friction discs of slipless contacts for
     what is not? torques : (unknowns, samples), of the dual, also on spins that are held."""
     left = np.abs(torques).T.copy()
-    total, samples = SURELY * left.sum(axis=1), len(left)
+    total, samples = MARGIN_PER_TORQUE * left.sum(axis=1), len(left)
     surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
     inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
-    return (left.max(axis=1, initial=0.0) < SURELY * BALANCED) & np.all(inside, axis=0)
+    return (left.max(axis=1, initial=0.0) < MARGIN_PER_TORQUE * LEFT_TORQUE) & np.all(inside, axis=0)
 
 
 def _within(friction: Arrays, dual: Arrays, critical: Arrays) -> Arrays:
     """Masks (n,) a group, contacts that are not critical, or bear their friction and no more."""
-    return ~critical | (dual.length() < (1 + AT_LIMIT) * friction)
+    return ~critical | (dual.length() < (1 + ROUNDED_AT_LIMIT) * friction)
 
 
 def _at_limit(force: np.ndarray, limit: np.ndarray) -> np.ndarray:

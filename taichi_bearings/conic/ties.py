@@ -14,13 +14,13 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
 
-LARGEST = 600  # unknowns of a block that is searched for motions which turn no slip
-NONE = 2e-3  # part of a force at its limit that can be noise, of the other one
-TURNS = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
-MOVES = 1e-7  # least change of a slip, of the largest of its motion, that counts
-FAR = 1e6  # most of a motion that is looked at
-COMES_TO_REST = 1e-7  # share of its slip that is left of one that comes to rest
-MANY = 200  # linear programmes for one polyhedron, at most
+MOST_BLOCK_UNKNOWNS = 600  # unknowns of a block that is searched for motions which turn no slip
+NOISE_SHARE = 2e-3  # part of a force at its limit that can be noise, of the other one
+LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
+LEAST_MOVE = 1e-7  # least change of a slip, of the largest of its motion, that counts
+LONGEST_MOTION = 1e6  # most of a motion that is looked at
+REST_SHARE = 1e-7  # share of its slip that is left of one that comes to rest
+MOST_PROGRAMMES = 200  # linear programmes for one polyhedron, at most
 
 
 def tied_contacts(
@@ -51,8 +51,8 @@ def tied_contacts(
     rates = np.concatenate(
         [np.einsum("dn,dnk->nk", n, change) for n, change in zip(along, tied.system.change(motions), strict=True)]
     )
-    rates = rates / np.maximum(np.abs(rates).max(axis=0), MOVES)
-    rates = np.where(np.abs(rates) > MOVES, rates, 0.0)
+    rates = rates / np.maximum(np.abs(rates).max(axis=0), LEAST_MOVE)
+    rates = np.where(np.abs(rates) > LEAST_MOVE, rates, 0.0)
     slips = np.concatenate([*where(slipping, difference.length(), 0.0)])
     found = _tied(slips, rates)
     parts = np.split(found, np.cumsum([len(kept) for kept in tied.kept])[:-1])
@@ -61,7 +61,7 @@ def tied_contacts(
 
 def _towards(dual: np.ndarray) -> np.ndarray:
     """(d, n), the one way in which contacts at their limit can slip."""
-    return np.where(np.abs(dual) > NONE * np.abs(dual).max(axis=0), -dual, 0.0)
+    return np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
 
 
 def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
@@ -70,7 +70,7 @@ def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
     for group, slip in zip(tied.system.groups, difference, strict=True):
         if len(slip) == 2:
             along = slip / np.hypot(*slip)
-            across = np.where(np.abs(along[::-1]) > TURNS, [-along[1], along[0]], 0.0)
+            across = np.where(np.abs(along[::-1]) > LEAST_TURN, [-along[1], along[0]], 0.0)
             count = slip.shape[1]
             take = sparse.csr_array(
                 (across.ravel(), (np.tile(np.arange(count), 2), np.arange(2 * count))), shape=(count, 2 * count)
@@ -84,10 +84,10 @@ def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
     filled = conditions[np.flatnonzero(np.diff(conditions.indptr))]
     for block in range(blocks):
         own = np.flatnonzero(label == block)
-        if len(own) <= LARGEST:
+        if len(own) <= MOST_BLOCK_UNKNOWNS:
             matrix = filled[np.flatnonzero(of_row == block)][:, own].toarray()
             _, sizes, vectors = np.linalg.svd(np.vstack([matrix, np.zeros((1, len(own)))]))
-            free = np.append(sizes, np.zeros(len(own) - len(sizes))) < TURNS
+            free = np.append(sizes, np.zeros(len(own) - len(sizes))) < LEAST_TURN
             basis = np.zeros((unknowns, int(free.sum())))
             basis[own] = vectors[free].T
             motions.append(basis)
@@ -114,17 +114,17 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     slips = first > 0
     if rates.shape[1] == 1 and slips.all():
         ends = (end * rates[:, 0] / np.max(end * rates[:, 0]) for end in (1, -1))
-        return np.any([1 - end < COMES_TO_REST for end in ends], axis=0)
+        return np.any([1 - end < REST_SHARE for end in ends], axis=0)
     found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
-    for _ in range(MANY):
+    for _ in range(MOST_PROGRAMMES):
         left = np.flatnonzero(~found & ~asked)
         if not len(left):
             break
         some = left if together else left[:1]
         towards = np.where(slips[some], 1.0, -1.0) @ rates[some]
-        answer = linprog(towards, A_ub=-rates, b_ub=first, bounds=(-FAR, FAR))
+        answer = linprog(towards, A_ub=-rates, b_ub=first, bounds=(-LONGEST_MOTION, LONGEST_MOTION))
         there = first + rates @ answer.x if answer.status == 0 else np.ones(len(first)) - ~slips
-        new = np.where(slips, there < COMES_TO_REST, there > MOVES)
+        new = np.where(slips, there < REST_SHARE, there > LEAST_MOVE)
         asked[some] |= not together
         together = together and bool((new & ~found).any())
         found |= new

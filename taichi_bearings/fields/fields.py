@@ -12,8 +12,8 @@ from taichi_bearings.memory import aligned_zeros
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
 
 CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
-LEAST_SHARE = 2_000  # site values a worker must have, or meeting the others would cost more than it saves
-MOST_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
+LEAST_WORKER_NUMBERS = 2_000  # site values a worker must have, or meeting the others would cost more than it saves
+MOST_FIELD_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
 
 
 def make_layout(replicas: int, shape: tuple[int, ...]) -> Layout:
@@ -59,8 +59,8 @@ class Fields:
         self.layout, self.slot, self.components = layout, first_slots(spec), dict(spec)
         self.rows = sum(self.components.values())
         self.dtype = number_type()
-        if self.rows * layout.length > MOST_NUMBERS:
-            most = MOST_NUMBERS // self.rows
+        if self.rows * layout.length > MOST_FIELD_NUMBERS:
+            most = MOST_FIELD_NUMBERS // self.rows
             raise DeviceError(f"{layout.sites} spheres are too many here; this method can index about {most}")
         try:
             self.values, self._host = self._allocate()
@@ -128,4 +128,4 @@ def team_size(layout: Layout, components: int) -> int:
     running = runtime.current()
     if running.is_gpu:
         return 0
-    return max(1, min(running.threads, layout.sites * components // LEAST_SHARE))
+    return max(1, min(running.threads, layout.sites * components // LEAST_WORKER_NUMBERS))

@@ -26,7 +26,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, printable
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.scene.solution import ROUNDING
+from taichi_bearings.scene.solution import CROSSED_BOUND
 
 SCHEMA = "taichi_bearings.scan"
 SCHEMA_VERSION = 1
@@ -226,7 +226,7 @@ def read_scan(scan: Path) -> StoredScan:
     with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a scan") as file:
         found = _read(path, file)
     gap = found.table.get("gap", np.zeros(0))
-    if gap.dtype.kind == "f" and (gap < -ROUNDING).any():
+    if gap.dtype.kind == "f" and (gap < -CROSSED_BOUND).any():
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
     return found
 

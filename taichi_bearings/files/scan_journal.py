@@ -19,7 +19,7 @@ from typing import Any
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 from taichi_bearings.plain_files import opened, read_lines, write_all
-from taichi_bearings.scene.solution import ROUNDING
+from taichi_bearings.scene.solution import CROSSED_BOUND
 
 NAME = "samples.jsonl"
 HEAD = '{"crc32": "%08x", "sample": '
@@ -78,8 +78,8 @@ def _has_bound_above_power(scalars: Mapping[str, Any]) -> bool:
     """True if a lower bound lies above what it bounds by more than rounding, where there is something to drive."""
     power, bound = (scalars.get(name) for name in ("potential" if "potential" in scalars else "power", "lower_bound"))
     gap = scalars.get("gap")
-    above = power is not None and bound is not None and power > 0 and bound > power * (1 + ROUNDING)
-    return above or (gap is not None and gap < -ROUNDING)
+    above = power is not None and bound is not None and power > 0 and bound > power * (1 + CROSSED_BOUND)
+    return above or (gap is not None and gap < -CROSSED_BOUND)
 
 
 def _record(line: bytes, fits: Callable[[Any], bool]) -> dict[str, Any] | None:

@@ -13,16 +13,16 @@ precision, whatever that of the runtime.
 from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.elimination import LANES, TABLES, VALUES, VECTORS
+from taichi_bearings.kernels.elimination import LANES, NUMBERS, TABLES, VECTORS
 from taichi_bearings.kernels.memory import BLOCKS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
-NEVER = 1e30  # length of a step that never leaves its cone
+ENDLESS_STEP = 1e30  # length of a step that never leaves its cone
 
 # Rows of the iterate, and of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled
 # point, W^-2 in the blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
-FRICTION, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
-WEIGHT, HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
+FRICTION_ROW, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
+WEIGHT, WEIGHT_HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
 # the iterate before, and room for forces
 BOUND_BEFORE, SLIP_BEFORE, DUAL_BEFORE, FORCE = 20, 21, 23, 25
 STATE_ROWS = 27
@@ -34,8 +34,8 @@ ROWS = STATE_ROWS + 2 * STEP_ROWS
 # friction * bound + difference . dual, of its derivatives by either length, and of the mixed one. Of an iterate: the
 # sums of friction * slip, and of what of it the forces do not bear
 REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH = 0, 1, 2, 3, 4, 5
-POWER, EXCESS = 2, 3
-LEAST, FOUND = 2, 6  # of how many numbers the least is found, and how many there are
+POWER_FOUND, EXCESS = 2, 3
+LEAST_FOUND, FOUND = 2, 6  # of how many numbers the least is found, and how many there are
 GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # what recentring does: its work, or nothing to the one step or the other
 
 
@@ -80,7 +80,7 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
     """W point: head first."""
     weight = values[at[WEIGHT] + m]
-    found = rotated(values[at[HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, 1)
+    found = rotated(values[at[WEIGHT_HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, 1)
     return [weight * x for x in ti.static(found)]
 
 
@@ -88,7 +88,7 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 def unscaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
     """W^-1 point: head first."""
     share = 1.0 / values[at[WEIGHT] + m]
-    found = rotated(values[at[HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, -1)
+    found = rotated(values[at[WEIGHT_HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, -1)
     return [x * share for x in ti.static(found)]
 
 
@@ -128,14 +128,14 @@ def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
     away = ti.sqrt(ti.max(square, 0.0)) - linear
     # inside the cone constant > 0: a positive root exists if the quadratic is negative or (linear < 0 and real roots)
     leaves = (quadratic < 0.0) | ((linear < 0.0) & (square >= 0.0))
-    return ti.select(leaves, constant / away, ti.cast(NEVER, ti.f64))
+    return ti.select(leaves, constant / away, ti.cast(ENDLESS_STEP, ti.f64))
 
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """Everything about the iterate that its steps share, and the aim of the predictor: all products zero."""
     state, like = at[0], at[2]
-    friction, bound = values[state[FRICTION] + m], values[state[BOUND] + m]
+    friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
     axes = ti.static(range(len(like)))
@@ -179,7 +179,7 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth = values[state[SMOOTH] + m] > 0.0
-    friction, bound = values[state[FRICTION] + m], values[state[BOUND] + m]
+    friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
     change = vector(values, step, CHANGE, like, m)
@@ -198,7 +198,7 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     off = dot(vector(values, state, OFF, like, m), change)
     bound_step = (values[step[RIGHT_HEAD] + m] - off) / values[state[DIAGONAL] + m]
     # a law is far from linear once a slip changes by as much as itself
-    moved, never = size(change), ti.cast(NEVER, ti.f64)
+    moved, never = size(change), ti.cast(ENDLESS_STEP, ti.f64)
     half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
     along = ti.select(smooth, half, reach(bound, slip, bound_step, change))
     dual_along = ti.select(smooth, never, reach(friction, dual, ti.cast(0.0, ti.f64), dual_step))
@@ -223,7 +223,7 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     found = jordan(one[0], one[1:], other[0], other[1:])
     mend = divided(values, state, found[0] - numbers[m], found[1:], m)
     dual = vector(values, state, DUAL, like, m)
-    return aimed(values, state, -values[state[FRICTION] + m] - mend[0], [-dual[k] - mend[1 + k] for k in axes], m)
+    return aimed(values, state, -values[state[FRICTION_ROW] + m] - mend[0], [-dual[k] - mend[1 + k] for k in axes], m)
 
 
 @ti.func
@@ -240,7 +240,7 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     after = [slip[k] + along * change[k] for k in axes]
     dual_after = [dual[k] + dual_along * dual_step[k] for k in axes]
     bound = values[state[BOUND] + m] + along * values[step[BOUND_STEP] + m]
-    one = scaled(values, state, values[state[FRICTION] + m], dual_after, m)
+    one = scaled(values, state, values[state[FRICTION_ROW] + m], dual_after, m)
     other = unscaled(values, state, bound, after, m)
     found = jordan(one[0], one[1:], other[0], other[1:])
     tail = found[1:]
@@ -265,7 +265,7 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """The iterate after steps of two given lengths, the one before, and what the new one comes to."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
-    smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION] + m], values[state[BOUND] + m]
+    smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     along, dual_along = numbers[m], numbers[BLOCK + m]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
@@ -288,7 +288,7 @@ def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tupl
 SCALAR, VECTOR = (1, 1), (1, 2)
 AIM = _numbered((RIGHT_HEAD, SCALAR), (RIGHT_TAIL, VECTOR), (PULL, VECTOR))
 MADE = _numbered(
-    (WEIGHT, SCALAR), (HEAD, SCALAR), (TAIL, VECTOR), (POINT_HEAD, SCALAR), (POINT_TAIL, VECTOR),
+    (WEIGHT, SCALAR), (WEIGHT_HEAD, SCALAR), (TAIL, VECTOR), (POINT_HEAD, SCALAR), (POINT_TAIL, VECTOR),
     (DIAGONAL, SCALAR), (OFF, VECTOR), (STIFFNESS, (1, 3)),
 )  # fmt: skip
 EXTENT = _numbered((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR))
@@ -296,7 +296,7 @@ TAKEN = _numbered(
     (BOUND, SCALAR), (SLIP, VECTOR), (DUAL, VECTOR),
     (BOUND_BEFORE, SCALAR), (SLIP_BEFORE, VECTOR), (DUAL_BEFORE, VECTOR),
 )  # fmt: skip
-NONE = ((), ())
+NOTHING = ((), ())
 
 
 @ti.func
@@ -322,18 +322,18 @@ def walk(
     turns = found.shape[0] // FOUND
     for k in ti.static(range(len(finds))):
         at, more = finds[k] * turns + block % turns, rows[ti.static(len(to) + k)]
-        if ti.static(finds[k] < LEAST):
+        if ti.static(finds[k] < LEAST_FOUND):
             found[at] = ti.min(found[at], more)
         else:
             found[at] = found[at] + more
 
 
-def _pass(law: Callable, iterate: tuple = NONE, step: tuple = NONE, finds: tuple = ()) -> Callable:
+def _pass(law: Callable, iterate: tuple = NOTHING, step: tuple = NOTHING, finds: tuple = ()) -> Callable:
     """Kernel that walks a law over all contacts. iterate, step : rows that it writes, of one component and of two."""
 
     @ti.kernel
     def run(
-        values: VALUES, blocks: BLOCKS, found: BLOCKS, numbers: VALUES, length: int, first_two: int, count: int,
+        values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first_two: int, count: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
         ti.loop_config(serialize=True)
@@ -356,7 +356,7 @@ prepare = _pass(prepared, MADE, AIM)
 expand = _pass(expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH))
 correct = _pass(corrected, step=AIM)
 recentre = _pass(recentred, step=AIM)
-take = _pass(taken, TAKEN, finds=(POWER, EXCESS))
+take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
 
 
 @ti.func
@@ -368,7 +368,7 @@ def nothing(together: ti.template()):
 
 def _sums(together: bool) -> Callable:
     """Kernel that adds numbers up, those of LANES samples or of a sample alone."""
-    kind = VECTORS if together else VALUES
+    kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(begins: TABLES, places: TABLES, values: kind, found: kind, first: int, to: int):

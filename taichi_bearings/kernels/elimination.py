@@ -17,7 +17,7 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 
 PANEL = 4  # columns, and rows or vectors of rows, that are worked on together: their numbers fit into registers
 LANES = 8  # matrices side by side, or rows of one alone: what an AVX-512 instruction works on at once
-VALUES = ti.types.ndarray(dtype=ti.f64, ndim=1)
+NUMBERS = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 TABLES = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
@@ -29,8 +29,19 @@ FRONTS, PLACES, MAPS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 2, 3, 
 # child and the next child of its parent, or -1, where its part of maps and slots begins, first own unknown, numbers
 # from one column and one column of the update to the next, the row at which columns of the update begin, and where its
 # border begins in vectors
-OWN, BORDER, COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, SHARE, FIRST = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-HEIGHT, UPDATE_HEIGHT, SKIP, REST, WIDTH = 10, 11, 12, 13, 14
+OWN, BORDER, OWN_COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, BATCH_SHARE, FIRST_ROW = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+)
+HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, WIDTH = 10, 11, 12, 13, 14
 
 
 @ti.func
@@ -56,7 +67,7 @@ def sheets_before(tables: ti.template(), at, column):
 @ti.func
 def column_of(tables: ti.template(), at, column):
     """Where row 0 of a column of a front would stand."""
-    own, start = tables[at + OWN], tables[at + COLUMNS] + column * tables[at + HEIGHT]
+    own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
     if column >= own:
         before, pitch = sheets_before(tables, at, column), tables[at + UPDATE_HEIGHT]
         start = tables[at + UPDATE] + (column - own) * (pitch - before) - tables[at + SKIP] - before
@@ -74,7 +85,7 @@ def gather(
 
     unit : rows that make a vector.
     """
-    columns, height, step = tables[at + COLUMNS], tables[at + HEIGHT], tables[STEP]
+    columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
     column = first
     while column < end:
         begin = column_of(tables, at, column)
@@ -89,7 +100,7 @@ def gather(
     next_child = tables[at + CHILD]
     while next_child >= 0:
         child = HEADER + next_child * WIDTH
-        own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + SHARE]
+        own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + BATCH_SHARE]
         j = 0
         while j < length and tables[places + j] < first:
             j += step
@@ -169,7 +180,7 @@ def panel(
     shape : where the columns before begin and end, of which the own ones count, and numbers from one to the next; the
     same for these columns, from where row 0 would stand; whether they are own.
     """
-    own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + COLUMNS]
+    own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
     pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
     start = column_of(tables, at, j)
     shape = [begin, begin + ti.min(j, own) * height, height, start, pitch, j < own]
@@ -211,7 +222,7 @@ def eliminate(tables: TABLES, entries: VECTORS, numbers: VECTORS):
 
 
 @ti.kernel
-def eliminate_alone(tables: TABLES, entries: VALUES, numbers: VALUES, vectors: VECTORS):
+def eliminate_alone(tables: TABLES, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
     """The same for one matrix. vectors : the numbers, LANES at a time."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
@@ -225,7 +236,7 @@ def _assembly(serial: bool) -> Callable:
     chunk = 1 if serial else LEAST_CHUNK
 
     @ti.kernel
-    def run(tables: TABLES, entries: VALUES, numbers: VALUES, begin: int, end: int):
+    def run(tables: TABLES, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
         """Items begin ... end-1 of the work: each a front, and its first and last column."""
         if ti.static(serial):
             ti.loop_config(serialize=True)

@@ -10,7 +10,7 @@ from taichi_bearings.kernels.contact import clamp, length
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, minus, places, store_each, zero
 from taichi_bearings.kernels.stencil import Stencil
 
-OUTSIDE = -1.0  # friction where the lattice has no contact
+ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
 
 
 @lru_cache
@@ -23,7 +23,7 @@ def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
 class ContactStep:
     """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`.
 
-    friction : mu F_n of the contact above each site along each axis, OUTSIDE where the lattice has none.
+    friction : mu F_n of the contact above each site along each axis, ABSENT_FRICTION where the lattice has none.
     trial : the force that each contact would need, before friction limits it; V numbers a site, as in Stencil.
     spring : the force of each spring, weight D(potential) - (trial - 2 limited(trial)).
     potential : the spins in units of force, penalty * spin; the penalty is part of it, so kernels need not know it.

@@ -9,23 +9,23 @@ from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.kernels.elimination import (
+    BATCH_SHARE,
     BORDER,
     BRANCHES,
     CHILD,
-    COLUMNS,
-    FIRST,
+    FIRST_ROW,
     FRONTS,
     HEADER,
     HEIGHT,
+    NUMBERS,
     OWN,
+    OWN_COLUMNS,
     PANEL,
-    REST,
-    SHARE,
+    REST_HEIGHT,
     SIBLING,
     SLOTS,
     STEP,
     TABLES,
-    VALUES,
     VECTORS,
     WIDTH,
     clear,
@@ -91,13 +91,13 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
 @ti.func
 def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
     """A front, once its children are done."""
-    own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST], tables[at + REST]
+    own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     clear(alone, vector, rest, rest + border, step)
     next_child = tables[at + CHILD]
     while next_child >= 0:
         child = HEADER + next_child * WIDTH
-        slots, left, i = tables[SLOTS] + tables[child + SHARE], tables[child + REST], 0
+        slots, left, i = tables[SLOTS] + tables[child + BATCH_SHARE], tables[child + REST_HEIGHT], 0
         while i < tables[child + BORDER]:
             to = tables[slots + i]
             vector[to] = vector[to] + vector[left + i]
@@ -105,7 +105,7 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
         next_child = tables[child + SIBLING]
     k = 0
     while k < own:
-        start = tables[at + COLUMNS] + k * (height + 1)
+        start = tables[at + OWN_COLUMNS] + k * (height + 1)
         if k + PANEL <= own:
             forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], PANEL)
             k += PANEL
@@ -117,8 +117,8 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
 @ti.func
 def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
     """A front, once its parent is done."""
-    own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST], tables[at + REST]
-    height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + SHARE]
+    own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
+    height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + BATCH_SHARE]
     i = 0
     while i < border:
         vector[rest + i] = vector[tables[slots + i]]
@@ -127,17 +127,17 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
     while k > 0:
         if k % PANEL == 0:
             k -= PANEL
-            start = tables[at + COLUMNS] + k * (height + 1)
+            start = tables[at + OWN_COLUMNS] + k * (height + 1)
             backward(numbers, vector, [start, height, first + k, first + own, rest, border, step], PANEL)
         else:
             k -= 1
-            start = tables[at + COLUMNS] + k * (height + 1)
+            start = tables[at + OWN_COLUMNS] + k * (height + 1)
             backward(numbers, vector, [start, height, first + k, first + own, rest, border, step], 1)
 
 
 def _substitution(together: bool) -> Callable:
     """Kernel that solves in place, forward and backward, on one thread."""
-    kind = VECTORS if together else VALUES
+    kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(tables: TABLES, numbers: kind, vector: kind):
@@ -155,7 +155,7 @@ substitute, substitute_alone = _substitution(True), _substitution(False)
 
 
 @ti.kernel
-def substitute_branches(tables: TABLES, numbers: VALUES, vector: VALUES, forth: int, begin: int, end: int):
+def substitute_branches(tables: TABLES, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
     """The same for one matrix on several threads, half of it: branches begin ... end-1 of the tree, each the fronts
     from one number in the table of branches to the next."""
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):

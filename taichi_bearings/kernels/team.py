@@ -25,11 +25,18 @@ from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range
 
 COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
-MISSED = 0.2  # of a processor; a team that got less than its size by so much shares the cores with other programs
-TRIAL, PIECE = 0.01, 0.3  # seconds that a launch should take: the first of a team, and the longest after it did well
-SHORT = 0.004  # seconds; launches too short to judge by
+MISSED_PROCESSORS = (
+    0.2  # of a processor; a team that got less than its size by so much shares the cores with other programs
+)
+TRIAL_SECONDS, PIECE_SECONDS = (
+    0.01,
+    0.3,
+)  # seconds that a launch should take: the first of a team, and the longest after it did well
+SHORT_SECONDS = 0.004  # seconds; launches too short to judge by
 FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds that a smaller team goes on
-PATIENCE = 2**30  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
+MOST_POLLS = (
+    2**30
+)  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
 
 
 class Team:
@@ -37,7 +44,12 @@ class Team:
 
     def __init__(self, size: int) -> None:
         self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
-        self.workers, self.piece, self.rest_until, self.rest = size, TRIAL if size > 1 else PIECE, 0.0, FIRST_REST
+        self.workers, self.piece, self.rest_until, self.rest = (
+            size,
+            TRIAL_SECONDS if size > 1 else PIECE_SECONDS,
+            0.0,
+            FIRST_REST,
+        )
         self.seconds = math.inf  # that a step took lately
 
     def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0) -> None:
@@ -50,7 +62,7 @@ class Team:
         begin = 0
         while begin < count or count == 0:
             if self.workers < self.size and time.monotonic() >= self.rest_until:
-                self.workers, self.piece = self.size, TRIAL
+                self.workers, self.piece = self.size, TRIAL_SECONDS
             end = min(count, begin + max(1, int(self.piece / self.seconds))) if count else 0
             self.arrived[0] = 0
             wall, processor = time.perf_counter(), time.process_time()
@@ -58,18 +70,18 @@ class Team:
             wall, processor = time.perf_counter() - wall, time.process_time() - processor
             if count == 0:
                 return
-            if self.arrived[0] >= PATIENCE:
+            if self.arrived[0] >= MOST_POLLS:
                 raise DeviceError(f"{self.workers} threads could not run side by side here; use --threads 1")
             self.seconds, begin = wall / (end - begin), end
-            if self.workers == self.size > 1 and wall >= SHORT:
+            if self.workers == self.size > 1 and wall >= SHORT_SECONDS:
                 self._judge(processor / wall)
 
     def _judge(self, processors: float) -> None:
         """Make do with as many workers as the whole team got processors, if it did not get all."""
-        if processors >= self.size - MISSED:
-            self.piece, self.rest = min(2 * self.piece, PIECE), FIRST_REST
+        if processors >= self.size - MISSED_PROCESSORS:
+            self.piece, self.rest = min(2 * self.piece, PIECE_SECONDS), FIRST_REST
             return
-        self.workers, self.piece = max(1, int(processors)), PIECE
+        self.workers, self.piece = max(1, int(processors)), PIECE_SECONDS
         self.rest_until, self.rest = time.monotonic() + self.rest, min(2 * self.rest, LONGEST_REST)
 
 
@@ -78,10 +90,10 @@ def meet(arrived: ti.template(), target):
     """Wait until there were `target` arrivals since the launch: all workers, for the target/workers-th time."""
     ti.atomic_add(arrived[0], 1)
     polls = 0
-    while polls < PATIENCE and ti.atomic_or(arrived[0], 0) < target:
+    while polls < MOST_POLLS and ti.atomic_or(arrived[0], 0) < target:
         polls += 1
-    if polls >= PATIENCE:
-        ti.atomic_max(arrived[0], PATIENCE)  # lets everyone through; launch() reports it
+    if polls >= MOST_POLLS:
+        ti.atomic_max(arrived[0], MOST_POLLS)  # lets everyone through; launch() reports it
 
 
 @lru_cache(maxsize=16)

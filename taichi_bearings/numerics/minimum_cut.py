@@ -26,10 +26,10 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from taichi_bearings.lattice import incidence
 from taichi_bearings.numerics.planar import minimum_cuts
 
-TIE = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
-LIGHTER = 2.0**-16  # weight of a cut over that of one known before, below which its rounding matters
-PRESENT = 2**40  # capacity of every contact that is there, where a cut of absent ones is known
-BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
+TIED_WEIGHTS = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
+ROUNDED_WEIGHT = 2.0**-16  # weight of a cut over that of one known before, below which its rounding matters
+PRESENT_CAPACITY = 2**40  # capacity of every contact that is there, where a cut of absent ones is known
+FLOW_BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
 
 
 @dataclass(frozen=True)
@@ -144,16 +144,16 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
         at_most = float(edges[cut].sum())
         unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
-        capacity = np.where(edges > 0, PRESENT, 0)
+        capacity = np.where(edges > 0, PRESENT_CAPACITY, 0)
         if at_most > 0:
             capacity = np.floor(np.minimum(edges, 2 * at_most) / unit).astype(np.int64)
         flow = largest_flow(ends, capacity, int(capacity[cut].sum()))
         left_over = np.stack([capacity - flow, capacity + flow])
         above = ~_reached(ends, left_over, 0)
         cut = above[ends[0]] != above[ends[1]]
-        light = bool(edges[cut].sum() >= at_most * LIGHTER)
+        light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
     units = int(capacity[cut].sum())
-    tie = int(TIE * units) + int(cut.sum())
+    tie = int(TIED_WEIGHTS * units) + int(cut.sum())
     from_bottom, from_top = _reached(ends, left_over, 0, tie), _reached(ends, left_over[::-1], node.max(), tie)
     return above[node], ~(from_bottom | from_top)[node], units * unit
 
@@ -246,7 +246,7 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
     left_over = np.tile(capacity, 2)  # of both directions
     while True:
-        shift = max(at_most.bit_length() - BITS, 0)
+        shift = max(at_most.bit_length() - FLOW_BITS, 0)
         graph = (np.minimum(left_over, 2 * at_most + 1) >> shift).astype(np.int32)
         result = maximum_flow(csr_array((graph, (row, column)), shape=(nodes, nodes)), 0, nodes - 1)
         sent = np.asarray(result.flow[row, column]).ravel().astype(np.int64)

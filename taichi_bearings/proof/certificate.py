@@ -23,11 +23,13 @@ from taichi_bearings.numerics.poisson import solve_poisson
 from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
-ROUNDING = 32 * np.finfo(np.float64).eps
-BALANCED = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
-FEW = 16_384  # numbers of which several arrays fit the second cache of a processor
-NEAR = 1e-9  # relative distance from the bound from which on it is worth knowing what forces prove with all roundings
-PROVEN, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
+SUM_ROUNDING = 32 * np.finfo(np.float64).eps
+ROUNDED_PULL = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
+CACHED_PULLS = 16_384  # numbers of which several arrays fit the second cache of a processor
+ENCLOSED_GAP = (
+    1e-9  # relative distance from the bound from which on it is worth knowing what forces prove with all roundings
+)
+CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -67,7 +69,7 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     given = force = _finite(scene, force)
     largest = np.abs(force).max(axis=(0, 2), initial=0.0)
     left_over = largest_unbalanced_torque(scene, force, spin_axes) / scene.lattice.radius
-    in_balance = left_over <= BALANCED * largest
+    in_balance = left_over <= ROUNDED_PULL * largest
     if not in_balance.all():
         force = _where(in_balance, force, balance(scene, force, spin_axes))
     if scene.law.flows:
@@ -79,11 +81,11 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
     for _ in range(MOST_PROJECTIONS):
-        near = better & (proves >= bound * (1 - NEAR))
+        near = better & (proves >= bound * (1 - ENCLOSED_GAP))
         if near.any():
             known = known or _as_a_whole(scene, best, worst_of_best, spin_axes)
             reached = np.where(near, known[1], reached)
-        done |= (reached >= bound * (1 - PROVEN)) | (worst <= 1 + PROVEN)
+        done |= (reached >= bound * (1 - CERTIFIED_ERROR)) | (worst <= 1 + CERTIFIED_ERROR)
         if done.all():
             break
         shortened = force + 1.5 * (capped(force, ratio) - force)
@@ -120,11 +122,11 @@ def _most_proving(
     scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
 ) -> Forces:
     """`best`, which prove `reached`, or what :func:`lower_bound` makes of `force` where that is needed and more."""
-    if (reached >= bound * (1 - PROVEN)).all():
+    if (reached >= bound * (1 - CERTIFIED_ERROR)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):
         value = dual_value(scene, candidate, spin_axes)
-        better = (reached < bound * (1 - PROVEN)) & (value > reached)
+        better = (reached < bound * (1 - CERTIFIED_ERROR)) & (value > reached)
         best, reached = _where(better, candidate, best), np.where(better, value, reached)
     return best
 
@@ -189,13 +191,13 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
         left_over = np.abs(half_width) * np.abs(pull[slot][..., 1:-1]).sum(axis=-1)
         left_over = left_over.reshape(scene.replicas, -1).sum(axis=1)
         work -= planes.sum(axis=1) + left_over
-        allowance += ROUNDING * (np.abs(planes).sum(axis=1) + left_over)
+        allowance += SUM_ROUNDING * (np.abs(planes).sum(axis=1) + left_over)
     total = np.abs(force).sum(axis=(0, 2))
-    allowance += ROUNDING**2 * total * scene.jump
+    allowance += SUM_ROUNDING**2 * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
         cost = scene.law.conjugate(scene.contact, vector_length(force)).sum(axis=1)
-        work, allowance = work - cost, allowance + ROUNDING * cost
+        work, allowance = work - cost, allowance + SUM_ROUNDING * cost
     return scene.law.share * (work - allowance)
 
 
@@ -219,7 +221,10 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
     """Parts of (R, n, ...) arrays that the caches of a processor hold while much is done with them."""
-    several, size = max(1, FEW // max(values[0].size, 1)), max(1, FEW * values.shape[1] // max(values[0].size, 1))
+    several, size = (
+        max(1, CACHED_PULLS // max(values[0].size, 1)),
+        max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1)),
+    )
     return [
         (slice(r, r + several), slice(first, first + size))
         for r in range(0, len(values), several)

@@ -10,7 +10,7 @@ import numpy as np
 from taichi_bearings.proof.contact_state import SATURATED, ContactState, count, critical, separate, unresolved
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.solvers.step_error import ACCURATE
+from taichi_bearings.solvers.step_error import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
 SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED
@@ -120,10 +120,10 @@ def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """A time step that is too long to follow the course."""
     error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
-    if error is not None and error.max() > ACCURATE:
+    if error is not None and error.max() > ACCURATE_ERROR:
         words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
         step = float(np.min(advised)) if advised is not None else np.nan
-        yield f"{words}; --time-step {step:.2g} keeps that below {ACCURATE:g}" if np.isfinite(step) else words
+        yield f"{words}; --time-step {step:.2g} keeps that below {ACCURATE_ERROR:g}" if np.isfinite(step) else words
 
 
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:

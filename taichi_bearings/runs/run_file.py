@@ -20,7 +20,7 @@ from taichi_bearings.quantities import CHECKS, CONTACTS, FRICTION, SPHERES
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
-from taichi_bearings.scene.solution import ROUNDING
+from taichi_bearings.scene.solution import CROSSED_BOUND
 
 SCHEMA = "taichi_bearings.run"
 SCHEMA_VERSION = 1
@@ -302,5 +302,5 @@ def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None
 
     power, bound = numbers("power"), numbers("lower_bound")
     driven = (numbers("spin_top") != numbers("spin_bottom")).all()
-    if (numbers("gap") < -ROUNDING).any() or (driven and (bound > power * (1 + ROUNDING)).any()):
+    if (numbers("gap") < -CROSSED_BOUND).any() or (driven and (bound > power * (1 + CROSSED_BOUND)).any()):
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")

@@ -22,9 +22,11 @@ from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_name
 from taichi_bearings.words import shown
 
 AXIS_NAMES = ("x", "y", "z")
-FAINT = 1e-100  # least part of a direction that counts
+LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
-WEAK = 1e-12  # of the mean coefficient: what stands for an absent contact where a method must divide by it
+ABSENT_COEFFICIENT = (
+    1e-12  # of the mean coefficient: what stands for an absent contact where a method must divide by it
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -314,10 +316,10 @@ class Scene:
 
     @cached_property
     def positive_coefficient(self) -> np.ndarray:
-        """(R, E) the coefficients, with WEAK contacts for absent ones: for methods whose arithmetic needs each sphere
-        held. Answers are judged without them."""
+        """(R, E) the coefficients, with ABSENT_COEFFICIENT for absent contacts: for methods whose arithmetic needs each
+        sphere held. Answers are judged without them."""
         mean = self.coefficient.mean(axis=1, keepdims=True)
-        return np.where(self.coefficient == 0, WEAK * np.where(mean > 0, mean, 1.0), self.coefficient)
+        return np.where(self.coefficient == 0, ABSENT_COEFFICIENT * np.where(mean > 0, mean, 1.0), self.coefficient)
 
     def _acting(self, values: np.ndarray) -> np.ndarray:
         return np.where(self.lattice.between_driven, 0.0, values)
@@ -420,8 +422,10 @@ def _direction(given: Any) -> tuple[float, float, float]:
     if len(parts) != 3 or not sizes.any():
         given = list(given) if isinstance(given, tuple) else given
         raise InputError(f"direction is {shown(given)}; it must be three finite numbers, not all zero")
-    if ((sizes > 0) & (sizes / sizes.max() < FAINT)).any():
-        raise InputError(f"direction is {list(parts)}; a part that is not 0 must be {FAINT:g} of the largest or more")
+    if ((sizes > 0) & (sizes / sizes.max() < LEAST_DIRECTION)).any():
+        raise InputError(
+            f"direction is {list(parts)}; a part that is not 0 must be {LEAST_DIRECTION:g} of the largest or more"
+        )
     return parts
 
 

@@ -11,7 +11,7 @@ from taichi_bearings.errors import BearingsError
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene.scene import Scene
 
-ROUNDING = 1e-11  # relative amount by which a lower bound may seem to lie above the power
+CROSSED_BOUND = 1e-11  # relative amount by which a lower bound may seem to lie above the power
 
 
 class Status(Enum):
@@ -194,7 +194,7 @@ class Solution:
 
     def __post_init__(self) -> None:
         for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):
-            if gap < -ROUNDING:
+            if gap < -CROSSED_BOUND:
                 raise BearingsError(
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
                     "is wrong, and this is no result; please report it with the command"

@@ -17,9 +17,9 @@ from taichi_bearings.kernels.team import Team
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import WATCH, SpringDynamics, absolute, default_inertia, replica_sum
+from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, absolute, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
-    CORRECTORS,
+    GEAR_COEFFICIENTS,
     largest_laplacian_eigenvalue,
     largest_stable_step,
     largest_weighted_eigenvalue,
@@ -33,7 +33,7 @@ DEFAULT_STEP = 0.8  # of the stability bound
 class CundallStrackMethod(SpringDynamics[CundallStrack]):
     """See the module docstring. An iteration is one time step."""
 
-    kept = WATCH
+    kept = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
@@ -67,7 +67,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
             beside = layout.at_lower_sphere(scene.viscosity_beside_friction)
             fields.load("viscosity", scene.lattice.radius * beside)
         self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
-        self.steps = cundall_strack_steps(self.spec, self.stencil, CORRECTORS[options.gear_order])
+        self.steps = cundall_strack_steps(self.spec, self.stencil, GEAR_COEFFICIENTS[options.gear_order])
         self.steps.compile(fields, self.team)
 
     def _load_gear(self, staggered: np.ndarray) -> None:

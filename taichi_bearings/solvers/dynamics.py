@@ -16,11 +16,11 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import Motion, Springs
 
-BELIEVED = 1e-4  # proven gap from which a stationary state is believed to be one
-COARSEST = 1e-6  # of the imposed jump
+REST_GAP = 1e-4  # proven gap from which a stationary state is believed to be one
+REST_SLIP = 1e-6  # of the imposed jump
 REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
-WATCH = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_checks", "last_slipping", "last_objective"))
-BOOKS = ("work", "injected", "energy_at_start")
+WATCH_NAMES = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_checks", "last_slipping", "last_objective"))
+ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 
 def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
@@ -58,7 +58,7 @@ class Saturation:
     """Contacts that bear all the friction they can, to a relative `tolerance`, and so slip; none without friction.
 
     slipping : (R,). creep : largest slip speed of a contact that holds, length/time: by less a contact is not known to
-    slip; at most COARSEST of the imposed jump, so that contacts which slip plainly are told from the first step on.
+    slip; at most REST_SLIP of the imposed jump, so that contacts which slip plainly are told from the first step on.
     """
 
     slipping: np.ndarray
@@ -67,7 +67,7 @@ class Saturation:
     @classmethod
     def of(cls, scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: float) -> "Saturation":
         """force : (C, R, E). slip : (R, E)."""
-        limit, coarsest = scene.law.holding_force(scene.contact), COARSEST * scene.lattice.radius * scene.jump
+        limit, coarsest = scene.law.holding_force(scene.contact), REST_SLIP * scene.lattice.radius * scene.jump
         if limit is None:
             return cls(np.zeros(scene.replicas, dtype=np.int64), 0.0)
         slips = vector_length(force) >= (1 - tolerance) * limit
@@ -129,7 +129,7 @@ OptionsOfSprings = TypeVar("OptionsOfSprings", bound=Springs)
 class Dynamics(Generic[OptionsOfMotion]):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
-    kept : what its further course depends on, by name, beside the clock; WATCH and BOOKS if it has them.
+    kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
     time : simulated time. aim : the next one at which a state is wanted. halted : it cannot make another step.
     """
 
@@ -248,7 +248,7 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
 
     def is_believed(self, found: Progress) -> bool:
         """Rest is believed only if the certificate agrees."""
-        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= BELIEVED).all())
+        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= REST_GAP).all())
 
     def _elastic_share(self, stretch: np.ndarray) -> dict[str, np.ndarray]:
         """Share of the distance that the driven planes have slid past each other which the longest spring takes up;

@@ -15,7 +15,7 @@ from taichi_bearings.numerics.graph_laplacian import graph_laplacian
 from taichi_bearings.scene import Scene
 
 # order -> corrector coefficients of the 0th ... order-th scaled derivative
-CORRECTORS = {
+GEAR_COEFFICIENTS = {
     2: (5 / 12, 1.0, 1 / 2),
     3: (3 / 8, 1.0, 3 / 4, 1 / 6),
     4: (251 / 720, 1.0, 11 / 12, 1 / 3, 1 / 24),
@@ -58,7 +58,7 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
         return np.inf
     steps = np.geomspace(1e-3, 20.0, 400) / max(rates)
     radius = _spectral_radius(order, decay_rate, frequency_squared, steps)
-    unstable = np.flatnonzero(radius > STABLE)
+    unstable = np.flatnonzero(radius > LARGEST_GROWTH)
     if len(unstable) == 0:
         return float(steps[-1])
     if unstable[0] == 0:
@@ -66,21 +66,23 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
     low, high = steps[unstable[0] - 1], steps[unstable[0]]
     for _ in range(40):
         middle = (low + high) / 2
-        if _spectral_radius(order, decay_rate, frequency_squared, np.array([middle]))[0] > STABLE:
+        if _spectral_radius(order, decay_rate, frequency_squared, np.array([middle]))[0] > LARGEST_GROWTH:
             high = middle
         else:
             low = middle
     return float(low)
 
 
-STABLE = 1 + 1e-9
+LARGEST_GROWTH = 1 + 1e-9
 SOFTER_MODES = np.linspace(1.0, 0.02, 25)  # eigenvalues of the softer modes relative to the stiffest
 
 
 def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, steps: np.ndarray) -> np.ndarray:
     """Largest |eigenvalue| over the modes, for each of `steps`."""
     h = steps[:, None]
-    matrices = amplification(CORRECTORS[order], h * decay_rate * SOFTER_MODES, h**2 * frequency_squared * SOFTER_MODES)
+    matrices = amplification(
+        GEAR_COEFFICIENTS[order], h * decay_rate * SOFTER_MODES, h**2 * frequency_squared * SOFTER_MODES
+    )
     return np.abs(np.linalg.eigvals(matrices)).max(axis=(1, 2))
 
 

@@ -29,10 +29,12 @@ from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import GradientDescent
 
 FIRST_EPOCH = 64
-FIRST_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
+FIRST_SPIN_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
 FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
-COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
-RESOLVED = 100  # widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
+LARGE_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
+RESOLVED_WIDTHS = (
+    100  # widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
+)
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 
@@ -76,7 +78,7 @@ class GradientDescentMethod:
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
         self.least_width = 1e2 * float(np.finfo(precision).eps) * jump
         self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
-        self.step_length = FIRST_STEP * jump
+        self.step_length = FIRST_SPIN_STEP * jump
         self.iteration = self.age = 0
         self.last_smooth = np.full(scene.replicas, np.inf)
         self._load_weights()
@@ -185,5 +187,5 @@ class GradientDescentMethod:
         """Slip speed below which this stage cannot tell slip from rest."""
         if not self.scene.law.holds:
             return 0.0
-        width = RESOLVED * (self.width if self.momentum else self.step_length)
-        return self.scene.lattice.radius * min(width, COARSEST * self.scene.jump)
+        width = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length)
+        return self.scene.lattice.radius * min(width, LARGE_SLIP * self.scene.jump)

@@ -23,14 +23,18 @@ from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Scene
-from taichi_bearings.solvers.dynamics import BOOKS, WATCH, SpringDynamics
+from taichi_bearings.solvers.dynamics import ENERGY_NAMES, WATCH_NAMES, SpringDynamics
 from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
-SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
-REJECTED = 0.5  # change of a step whose error is too large, at most: in an event it may hardly fall with the step
-RETREAT, MOST_RETREATS = 0.25, 40  # change of a step whose Newton iteration fails, and how often in a row
-SPAN = 1e6  # a free step stretches no spring by more than so many times what friction holds: rounding of the forces
+ERROR_SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
+REJECTED_CHANGE = (
+    0.5  # change of a step whose error is too large, at most: in an event it may hardly fall with the step
+)
+FAILED_CHANGE, MOST_RETREATS = 0.25, 40  # change of a step whose Newton iteration fails, and how often in a row
+MOST_STRETCH = (
+    1e6  # a free step stretches no spring by more than so many times what friction holds: rounding of the forces
+)
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
     staggered : (C, R, *N). elongation, force : (C, R, E), at the end of the last step.
     """
 
-    kept = ("time_step", "spin_scale", "staggered", "elongation", "force", *BOOKS, *WATCH)
+    kept = ("time_step", "spin_scale", "staggered", "elongation", "force", *ENERGY_NAMES, *WATCH_NAMES)
     same_force, checks = 1e-9, (1, 32, 1 / 16)
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
@@ -120,7 +124,7 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         if not self.scene.law.holds:
             return np.inf
         reach = self.options.stiffness * self.scene.lattice.radius * self.stage.spin_scale
-        return SPAN * self.stage.force_scale / reach
+        return MOST_STRETCH * self.stage.force_scale / reach
 
     def next_check(self, iteration: int) -> int:
         return iteration + 1 if np.isfinite(self.aim) else self.rest.next_check
@@ -143,13 +147,13 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
             tried = [self._tried(*sample, span) for sample in enumerate(free_spins(self.staggered))]
             found = [new for new in tried if new is not None]
             if len(found) < len(tried):
-                planned, most = RETREAT * span, 1.0
+                planned, most = FAILED_CHANGE * span, 1.0
                 continue
             error = max(new.error for new in found) / (self.options.error_tolerance * self.stage.spin_scale)
-            factor = float(np.clip(SAFETY / np.sqrt(max(error, 1e-300)), SHRINK, most))
+            factor = float(np.clip(ERROR_SAFETY / np.sqrt(max(error, 1e-300)), SHRINK, most))
             if fixed or not error > 1:
                 break
-            planned, most = min(factor, REJECTED) * span, 1.0
+            planned, most = min(factor, REJECTED_CHANGE) * span, 1.0
         else:
             self.halted = True
             return

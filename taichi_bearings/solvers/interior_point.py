@@ -46,14 +46,22 @@ from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
-CLOSEST = 1e-13  # relative gap at which double precision ends
-SETTLE, AGAIN = 1e-9, 100  # relative gap from which settling is tried, and factor to the next trial in large samples
-SOONEST, CLEAR = 1e-8, 0.55  # in small samples the gap is CLEAR / spheres^3, at most SOONEST: their slips are larger
-FAR = 1e-4  # relative gap that is far from any tolerance of this method
-AT_ONCE = 64  # steps that small samples may take from one look at where they are to the next; mostly all they need
-SMALL = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
-QUICK = 10_000  # spheres up to which what all samples of a lattice share is kept
-LAST_RESORT = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
+LEAST_GAP = 1e-13  # relative gap at which double precision ends
+SETTLING_GAP, RETRY_FACTOR = (
+    1e-9,
+    100,
+)  # relative gap from which settling is tried, and factor to the next trial in large samples
+FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = (
+    1e-8,
+    0.55,
+)  # in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
+DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
+STEPS_AT_ONCE = (
+    64  # steps that small samples may take from one look at where they are to the next; mostly all they need
+)
+BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
+KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
+LAST_SETTLING_GAP = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 
 
 @dataclass
@@ -98,7 +106,7 @@ _Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None]
 
 def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
     """What all samples of a lattice have in common: made once for small ones, of which there are many."""
-    if lattice.sites < QUICK:
+    if lattice.sites < KEPT_SITES:
         return _kept_skeleton(threading.get_ident(), lattice, spin_axes, jump)
     _kept_skeleton.cache_clear()
     return _new_skeleton(lattice, spin_axes, jump)
@@ -115,7 +123,7 @@ def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> 
     system, order = lattice_system(lattice, spin_axes, top), dissect(lattice.free_shape, spin_axes)
     if not top.any():  # nothing turns, and nothing is to be solved
         return system, order, None
-    return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < SMALL else None)
+    return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)
 
 
 class InteriorPointMethod:
@@ -171,8 +179,8 @@ class InteriorPointMethod:
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
         if self._small and self.options.settle:
-            return iteration + AT_ONCE
-        far = self.frustrated and max(sample.gap for sample in self.samples) > FAR
+            return iteration + STEPS_AT_ONCE
+        far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
         return iteration + (2 if far else 1)
 
     def advance(self, steps: int) -> None:
@@ -215,18 +223,22 @@ class InteriorPointMethod:
     def settles_at(self) -> float:
         """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
         large ones none is, and a step costs more than to follow the last decades of the path that much further."""
-        return min(CLEAR / self.scene.lattice.sites**3, SOONEST) if self._small else SETTLE
+        return (
+            min(SETTLING_GAP_FACTOR / self.scene.lattice.sites**3, FIRST_SETTLING_GAP) if self._small else SETTLING_GAP
+        )
 
     @property
     def _small(self) -> bool:
-        return self.scene.lattice.sites < SMALL
+        return self.scene.lattice.sites < BATCHED_SITES
 
     def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
         """See where a step of a sample has led, and whether to try to settle its states."""
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
-        sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > CLOSEST
-        sample.at_end = sample.gap < max(self._near(sample), LAST_RESORT if self._settles and sample.done else 0.0)
+        sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
+        sample.at_end = sample.gap < max(
+            self._near(sample), LAST_SETTLING_GAP if self._settles and sample.done else 0.0
+        )
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
         if sample.at_end:
@@ -241,7 +253,7 @@ class InteriorPointMethod:
     def _near(self, sample: _Sample) -> float:
         """Relative gap from which the states of a sample are to be settled; 0 if never. In small samples that is tried
         once, and where the path ends: the last decades are followed each time, and tell no more from closer by."""
-        again = 0.0 if self._small and np.isfinite(sample.tried) else sample.tried / AGAIN
+        again = 0.0 if self._small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
         return min(self.settles_at, again) if self._settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
@@ -249,13 +261,13 @@ class InteriorPointMethod:
         """Relative gap of a sample after a step, with the price of torques that are left. Its forces are balanced where
         nothing else keeps it from being settled. Not finite if it cannot be told."""
         gap = path.gap(place)
-        price = 0.0 if gap > FAR else path.price_of_torques(place)
-        if not price > max(gap, CLOSEST):
+        price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
+        if not price > max(gap, LEAST_GAP):
             return gap
         if self._settles and self.options.settle:
             if not gap < self._near(sample):
                 return gap + price
-            if gap > CLOSEST and price < LAST_RESORT:
+            if gap > LEAST_GAP and price < LAST_SETTLING_GAP:
                 return gap
         try:
             balanced = balance(path.iterate(place), self.matrix)
@@ -351,5 +363,5 @@ class InteriorPointMethod:
         if self.iteration == 0 and not ended.any():  # no forces yet
             return np.zeros(self.scene.replicas)
         quick = work_and_bound(self.scene, force, self.spin_axes)[1]
-        rough = ended & ~(quick >= objective * (1 - CLOSEST))
+        rough = ended & ~(quick >= objective * (1 - LEAST_GAP))
         return np.where(rough, lower_bound(self.scene, force, self.spin_axes), quick) if rough.any() else quick

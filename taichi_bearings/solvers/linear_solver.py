@@ -21,9 +21,9 @@ from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import LinearSolver
 
-BUNDLE = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
-CHECKS = 4  # looks at the progress in a run of many bundles
-MOST_REFINEMENTS = 50  # two or three do, unless the contrast is near the end of float64
+BUNDLE_SITES = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
+MOST_CHECKS = 4  # looks at the progress in a run of many bundles
+MOST_SOLUTION_REFINEMENTS = 50  # two or three do, unless the contrast is near the end of float64
 
 Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
 
@@ -48,7 +48,7 @@ class LinearSolverMethod:
         """The planes of a spin component in bundles."""
         replicas, layers, *sides = self._by_plane(self.spin[slot], slot).shape
         replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
-        step = max(1, BUNDLE // int(np.prod(sides)))
+        step = max(1, BUNDLE_SITES // int(np.prod(sides)))
         return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
 
     def _by_plane(self, values: np.ndarray, slot: int) -> np.ndarray:
@@ -58,7 +58,7 @@ class LinearSolverMethod:
         return np.moveaxis(values, 1 + self.spin_axes[slot], 1)
 
     def next_check(self, iteration: int) -> int:
-        return iteration + -(-len(self.bundles) // CHECKS)
+        return iteration + -(-len(self.bundles) // MOST_CHECKS)
 
     def advance(self, steps: int) -> None:
         with one_thread():
@@ -82,7 +82,7 @@ class LinearSolverMethod:
         spin, rest = spins[planes], rests[planes]
         load = _free_torques(first, second, spin, rest)
         size = _total(load)
-        for _ in range(MOST_REFINEMENTS):
+        for _ in range(MOST_SOLUTION_REFINEMENTS):
             new_spin, new_rest = spin.copy(), rest.copy()
             new_spin[..., 1:-1], new_rest[..., 1:-1] = _add(
                 spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load.ravel()).reshape(load.shape)

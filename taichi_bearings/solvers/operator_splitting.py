@@ -23,7 +23,7 @@ import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.splitting import OUTSIDE, contact_step
+from taichi_bearings.kernels.splitting import ABSENT_FRICTION, contact_step
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.memory import refuse_beyond
@@ -43,12 +43,14 @@ from taichi_bearings.solvers.torque_balance import TorqueBalance
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
 USUAL_STIFFNESS = 15.0  # of the force that a column of spheres transmits / imposed jump
-FORCES_LATE = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
+FORCES_BEHIND = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
 LARGEST_CHANGE, LEAST_CHANGE = 2.0, 1.2  # factor on the stiffness at one check; smaller changes are not made
-SETTLED = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
-FIRST_CHECK, CHECKS = 50, 6  # checks 50 iterations or 1/6 of the run apart, for 5 to 20 % of the time
-BYTES = 1000.0  # a sphere: 136 for fields in double precision, 220 for a check, the rest for the answer and its proof
-COARSEST = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
+STEERED_ITERATIONS = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
+FIRST_CHECK, CHECKS_A_RUN = 50, 6  # checks 50 iterations or 1/6 of the run apart, for 5 to 20 % of the time
+BYTES_A_SPHERE = (
+    1000.0  # a sphere: 136 for fields in double precision, 220 for a check, the rest for the answer and its proof
+)
+RESOLVED_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
 
 
 class OperatorSplittingMethod:
@@ -65,7 +67,7 @@ class OperatorSplittingMethod:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
-        refuse_beyond(BYTES * spheres, f"{self.options.name} of {spheres:,} spheres")
+        refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
         forces = Stencil(self.spin_axes, dimension, 1).force_components
         self.spec = (
             ("friction", dimension),
@@ -90,7 +92,7 @@ class OperatorSplittingMethod:
     def _load(self, staggered: np.ndarray) -> None:
         """Start from these spins, with the forces that springs of the first stiffness would bear."""
         scene = self.scene
-        friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), OUTSIDE)
+        friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION)
         for axis, coefficient in enumerate(scene.lattice.by_axis(scene.acting_coefficient)):
             self.layout.from_lower_sphere(friction[axis], axis)[...] = scene.strength * coefficient
         self.fields.load("friction", friction)
@@ -108,7 +110,7 @@ class OperatorSplittingMethod:
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
 
     def next_check(self, iteration: int) -> int:
-        return iteration + max(FIRST_CHECK, iteration // CHECKS)
+        return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:
         self._change_stiffness()
@@ -184,12 +186,12 @@ class OperatorSplittingMethod:
 
         Without that limit a scene whose parts shrink in proportion would drive the stiffness away without end.
         """
-        if not 0 < self.iteration < SETTLED:
+        if not 0 < self.iteration < STEERED_ITERATIONS:
             return
         least = np.maximum(1e-3 * (power - bound), np.finfo(np.float64).tiny)
         spins_late = np.maximum(power - balanced_power, least)
         forces_late = np.maximum(balanced_power - bound, least)
-        factor = np.sqrt(FORCES_LATE * spins_late / forces_late).clip(1 / LARGEST_CHANGE, LARGEST_CHANGE)
+        factor = np.sqrt(FORCES_BEHIND * spins_late / forces_late).clip(1 / LARGEST_CHANGE, LARGEST_CHANGE)
         reach = np.sqrt(max(self.iteration / FIRST_CHECK, 1.0))
         usual = self._usual_stiffness(power)
         wanted = (self.stiffness * factor).clip(usual / reach, usual * reach)
@@ -199,4 +201,4 @@ class OperatorSplittingMethod:
     def _resolution(self, slips: np.ndarray, trial: Forces, friction: Forces) -> float:
         """The fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree."""
         rests = (trial == friction).all(axis=0) & (self.scene.acting_coefficient > 0)
-        return min(float((slips * rests).max()), COARSEST * self.scene.lattice.radius * self.scene.jump)
+        return min(float((slips * rests).max()), RESOLVED_SLIP * self.scene.lattice.radius * self.scene.jump)

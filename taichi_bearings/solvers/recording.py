@@ -10,7 +10,7 @@ from taichi_bearings.errors import FileError
 from taichi_bearings.scene import Progress, Scene, Snapshots
 
 MOST_TIMES = 1_000_000
-SAME = 1e-9  # relative distance below which two simulated times are the same
+SAME_TIME = 1e-9  # relative distance below which two simulated times are the same
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Recording:
     def next_time(self, now: float) -> float:
         """The first wanted time after `now`; infinity if there is none."""
         wanted = np.concatenate([self.history, self.snapshots])
-        return float(wanted[wanted > now * (1 + SAME)].min(initial=np.inf))
+        return float(wanted[wanted > now * (1 + SAME_TIME)].min(initial=np.inf))
 
 
 _SPACING: dict[str, Callable[..., np.ndarray]] = {"linear": np.linspace, "log": np.geomspace}
@@ -87,8 +87,8 @@ class Recorder:
     def _is_due(self, progress: Progress, times: np.ndarray) -> bool:
         if progress.time is None:
             return False
-        reached = progress.time * (1 + SAME)
-        return bool(((times > self._last_time * (1 + SAME)) & (times <= reached)).any())
+        reached = progress.time * (1 + SAME_TIME)
+        return bool(((times > self._last_time * (1 + SAME_TIME)) & (times <= reached)).any())
 
     def _row(self, progress: Progress, bound: np.ndarray, seconds: float) -> dict[str, Any]:
         scene, minimises_power = self._scene, self._scene.law.minimises == "power"

@@ -23,20 +23,23 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import BOOKS, Dynamics, absolute, replica_sum
+from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, absolute, replica_sum
 from taichi_bearings.solvers.method import judged
 from taichi_bearings.solvers.table import RigidLimit
 
-FIRST_STEP = 0.1  # of the error tolerance, in relaxation times
+FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
 LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
-GROWTH, SHRINKAGE = 3.0, 0.2  # of the step from one to the next, at most
-SAFETY = 0.8
-ACCEPTED = 2.0  # error over tolerance up to which a step counts
-DEAD = 1e-7  # of the unit of spin: a component that varies by less is stopped,
-UNFELT = 1e-14  # if that changes the kinetic energy by no more than this fraction of that at the start
-RESOLVED = 1e-12  # of the unit of spin: slips at the start
-BELIEVED = 1e-9  # proven gap from which a state whose power no longer falls is believed to be at rest
-REST, STUCK = 2, 20  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
+MOST_GROWTH, MOST_SHRINKAGE = 3.0, 0.2  # of the step from one to the next, at most
+STEP_SAFETY = 0.8
+ACCEPTED_ERROR = 2.0  # error over tolerance up to which a step counts
+STOPPED_SPREAD = 1e-7  # of the unit of spin: a component that varies by less is stopped,
+STOPPED_ENERGY = 1e-14  # if that changes the kinetic energy by no more than this fraction of that at the start
+FIRST_RESOLVED_SLIP = 1e-12  # of the unit of spin: slips at the start
+STILL_GAP = 1e-9  # proven gap from which a state whose power no longer falls is believed to be at rest
+REST_STEPS, STUCK_STEPS = (
+    2,
+    20,
+)  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
 
 
 class RigidLimitMethod(Dynamics[RigidLimit]):
@@ -44,7 +47,7 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
 
     kept = (
         "length", "last_length", "unit", "largest", "creep", "staggered", "force", "moving", "slipping", "rest_time",
-        "newton_steps", "still", *BOOKS,
+        "newton_steps", "still", *ENERGY_NAMES,
     )  # fmt: skip
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
@@ -56,11 +59,11 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         self._prepare()
         self.force = self._force_at_start()
         self.newton_steps = self.still = 0
-        self.length = self.options.time_step or FIRST_STEP * self.options.error_tolerance * self.relaxation_time
+        self.length = self.options.time_step or FIRST_ERROR_SHARE * self.options.error_tolerance * self.relaxation_time
         self.last_length = self.length
         self.open_books(self.staggered)
         self.rest_time = np.zeros(scene.replicas)
-        self.creep = RESOLVED * self.unit
+        self.creep = FIRST_RESOLVED_SLIP * self.unit
         slips = scene.slips(self.staggered, self.spin_axes)
         self.slipping = (slips > scene.lattice.radius * self.creep).sum(axis=1)
 
@@ -107,13 +110,13 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
             duration = self.aim - self.time if aimed else length
             step = self._tried(duration)
             error = self._error(step, duration) / self.options.error_tolerance
-            if chosen or duration <= least or (step.solved and error <= ACCEPTED):
+            if chosen or duration <= least or (step.solved and error <= ACCEPTED_ERROR):
                 break
-            factor = SAFETY / error if step.solved else SHRINKAGE
-            length = max(least, duration * max(SHRINKAGE, min(factor, 0.5)))
+            factor = STEP_SAFETY / error if step.solved else MOST_SHRINKAGE
+            length = max(least, duration * max(MOST_SHRINKAGE, min(factor, 0.5)))
         self.length = length
         self._take(step, duration, self.aim if aimed else self.time + duration)
-        factor = min(GROWTH, SAFETY / np.sqrt(max(error, 1e-30)))
+        factor = min(MOST_GROWTH, STEP_SAFETY / np.sqrt(max(error, 1e-30)))
         if not chosen and (not aimed or factor < 1):
             self.length = min(max(duration * factor, least), most)
 
@@ -170,8 +173,8 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
                 moving.append(component)
                 continue
             energy = self.inertia / 2 * replica_sum(((free - rest) * (free + rest + 2 * bottom[slot][..., 1:-1]))[None])
-            unfelt = bool((np.abs(energy) <= UNFELT * self.energy_at_start).all())
-            if unfelt and np.abs(free - rest).max() <= DEAD * self.unit:
+            unfelt = bool((np.abs(energy) <= STOPPED_ENERGY * self.energy_at_start).all())
+            if unfelt and np.abs(free - rest).max() <= STOPPED_SPREAD * self.unit:
                 free[...] = rest
             else:
                 moving.append(component)
@@ -192,11 +195,11 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
         )
-        believed = bool((relative_gap(scene, found.objective, found.lower_bound) <= BELIEVED).all())
+        believed = bool((relative_gap(scene, found.objective, found.lower_bound) <= STILL_GAP).all())
         return replace(
             found,
-            at_rest=self.still >= REST and believed,
-            exhausted=self.still >= STUCK and not believed,
+            at_rest=self.still >= REST_STEPS and believed,
+            exhausted=self.still >= STUCK_STEPS and not believed,
             findings={
                 "rest_time": np.where(believed, self.rest_time, np.nan),
                 "newton_steps": np.full(scene.replicas, self.newton_steps),

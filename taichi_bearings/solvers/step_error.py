@@ -15,28 +15,30 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.solvers.gear import CORRECTORS, amplification
+from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, amplification
 
-MODES = 32  # that stand for all of a lattice, and wave numbers that stand for all along one of its axes
-TIMES = np.unique(np.round(np.geomspace(1, 1e12, 600)))  # in steps
-ACCURATE = 1e-2  # error up to which a step counts as accurate
-SLOWEST = 1e-9  # eigenvalue; that of a layer that turns about the height as a whole is 0
+SAMPLE_MODES = 32  # that stand for all of a lattice, and wave numbers that stand for all along one of its axes
+TIMES_IN_STEPS = np.unique(np.round(np.geomspace(1, 1e12, 600)))  # in steps
+ACCURATE_ERROR = 1e-2  # error up to which a step counts as accurate
+LEAST_EIGENVALUE = 1e-9  # eigenvalue; that of a layer that turns about the height as a whole is 0
 HALVINGS = 12  # of the step, in search of an accurate one
 
 
 def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Eigenvalues (MODES,) of the unweighted lattice Laplacian, driven planes held: the middle ones of equal shares of
-    those of all carried components."""
+    """Eigenvalues (SAMPLE_MODES,) of the unweighted lattice Laplacian, driven planes held: the middle ones of equal
+    shares of those of all carried components."""
     found = []
     for component in spin_axes:
         total = np.zeros(1)
         for axis, side in enumerate(lattice.shape):
             first, last, parts = (1, side - 2, side - 1) if axis == lattice.height_axis else (0, side - 1, side)
-            wave = np.linspace(first, last, min(last - first + 1, MODES))
+            wave = np.linspace(first, last, min(last - first + 1, SAMPLE_MODES))
             along = 2 - 2 * np.cos(np.pi * wave / parts) if axis != component else np.zeros(len(wave))
             total = np.add.outer(total, along).ravel()
         found.append(total)
-    return np.maximum(np.quantile(np.concatenate(found), (np.arange(MODES) + 0.5) / MODES), SLOWEST)
+    return np.maximum(
+        np.quantile(np.concatenate(found), (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE
+    )
 
 
 @dataclass(frozen=True)
@@ -67,16 +69,16 @@ class Modes:
         return np.minimum(1.0, self.limit / np.maximum(resistance, np.finfo(float).tiny))
 
     def errors(self, order: int, time_step: float) -> np.ndarray:
-        """Relative error of the spins within each of TIMES steps."""
-        matrices = amplification(CORRECTORS[order], time_step * self.decay, time_step**2 * self.oscillation)
+        """Relative error of the spins within each of TIMES_IN_STEPS steps."""
+        matrices = amplification(GEAR_COEFFICIENTS[order], time_step * self.decay, time_step**2 * self.oscillation)
         values, (p, q) = np.linalg.eigvals(matrices), self.roots
-        error = np.zeros((len(p), len(TIMES)), dtype=complex)
+        error = np.zeros((len(p), len(TIMES_IN_STEPS)), dtype=complex)
         for root, other in ((p, q), (q, p)):
             exact = time_step * root
             nearest = np.abs(values - np.exp(exact)[:, None]).argmin(axis=1)
             found = np.log(values[np.arange(len(values)), nearest])
             found = np.minimum(found.real, 0.0) + 1j * found.imag
-            powers = np.exp(found[:, None] * TIMES) - np.exp(exact[:, None] * TIMES)
+            powers = np.exp(found[:, None] * TIMES_IN_STEPS) - np.exp(exact[:, None] * TIMES_IN_STEPS)
             error += (root / (root - other))[:, None] * powers
         size = np.minimum(np.abs(error), 1.0) * self.amplitude[:, None]
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
@@ -92,14 +94,14 @@ class StepError:
 
     def within(self, steps: int) -> float:
         """Relative error of the spins in a course of so many steps."""
-        reached = int(np.searchsorted(TIMES, steps, side="right"))
+        reached = int(np.searchsorted(TIMES_IN_STEPS, steps, side="right"))
         return float(self._errors[reached - 1]) if reached else 0.0
 
     def accurate_step(self, steps: int) -> float:
-        """A time step, by some halvings, that keeps the error within ACCURATE for as long as so many of these steps,
-        or up to twice as long; NaN if there is none."""
+        """A time step, by some halvings, that keeps the error within ACCURATE_ERROR for as long as so many of these
+        steps, or up to twice as long; NaN if there is none."""
         doublings = max(steps, 1).bit_length()
-        if self.within(2**doublings) <= ACCURATE:
+        if self.within(2**doublings) <= ACCURATE_ERROR:
             return self.time_step
         if doublings not in self._advised:
             self._advised[doublings] = self._halved(2.0**doublings)
@@ -108,10 +110,10 @@ class StepError:
     def _halved(self, steps: float) -> float:
         for halvings in range(1, HALVINGS + 1):
             time_step = self.time_step * 0.5**halvings
-            reached = int(np.searchsorted(TIMES, steps * 2.0**halvings, side="right"))
-            if self.modes.errors(self.order, time_step)[reached - 1] <= ACCURATE:
+            reached = int(np.searchsorted(TIMES_IN_STEPS, steps * 2.0**halvings, side="right"))
+            if self.modes.errors(self.order, time_step)[reached - 1] <= ACCURATE_ERROR:
                 return time_step
         return float("nan")
 
 
-__all__ = ["ACCURATE", "Modes", "StepError", "laplacian_spectrum"]
+__all__ = ["ACCURATE_ERROR", "Modes", "StepError", "laplacian_spectrum"]

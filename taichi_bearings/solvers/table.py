@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.method import Method
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
-ROUGH = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+SPLITTING_TOLERANCE = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
@@ -156,7 +156,7 @@ class InteriorPoint(MethodOptions):
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        pays = (tolerance < ROUGH or scene.law.flows) and scene.lattice.sites <= MOST_FACTORISED
+        pays = (tolerance < SPLITTING_TOLERANCE or scene.law.flows) and scene.lattice.sites <= MOST_FACTORISED
         return pays and super().suits(scene, tolerance, on_gpu)
 
     @classmethod

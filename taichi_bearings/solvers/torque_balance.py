@@ -22,8 +22,8 @@ from taichi_bearings.numerics.blas import one_thread
 
 SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
 
-PRODUCTS = np.float32  # numbers that are multiplied on a CPU
-IN_CACHE = 65_536  # numbers that are still in the second cache when they are added to others
+PRODUCT_TYPE = np.float32  # numbers that are multiplied on a CPU
+CACHED_NUMBERS = 65_536  # numbers that are still in the second cache when they are added to others
 
 Planes = list[tuple[np.ndarray, np.ndarray]]
 
@@ -39,7 +39,7 @@ class TorqueBalance:
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
         self.fields, self.kernels, self.weight = fields, balance_kernels(spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
-        self.products = min(np.dtype(PRODUCTS), fields.dtype, key=lambda kind: kind.itemsize)
+        self.products = min(np.dtype(PRODUCT_TYPE), fields.dtype, key=lambda kind: kind.itemsize)
         modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
         held[1:-1] = weights[-1] * chain_eigenvalues(shape[-1] - 2, is_held=True)
         sides = [shape[axis] for axis in stencil.coupled_sides]
@@ -86,7 +86,7 @@ class TorqueBalance:
         shares: list[Planes] = [[] for _ in range(self.workers)]
         for parts in zip(self.fields.view(name), room, strict=True):
             field, modes = (part.reshape(planes) for part in parts)
-            few = max(1, IN_CACHE // field[0].size)
+            few = max(1, CACHED_NUMBERS // field[0].size)
             for worker, share in enumerate(shares):
                 first, last = (len(field) * n // self.workers for n in (worker, worker + 1))
                 share += [

@@ -22,7 +22,7 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, row_sum
 from taichi_bearings.verifier.motion import length, spread
 from taichi_bearings.verifier.samples import Samples
 
-ROUGHLY = 1e-12  # more than doubles are off
+DOUBLE_ERROR = 1e-12  # more than doubles are off
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _largest_share(size: Enclosure, strength: Enclosure, acts: np.ndarray) -> np
     """Largest size / strength of the contacts that take part, (R,), rounded up: of those that are about as large."""
     about = np.divide(size.high, strength.high, out=np.zeros(size.high.shape), where=acts).reshape(len(acts), -1)
     first = about.max(axis=1, initial=0.0, keepdims=True)
-    large = np.flatnonzero(acts & ~(about < first * (1 - ROUGHLY)).reshape(acts.shape))
+    large = np.flatnonzero(acts & ~(about < first * (1 - DOUBLE_ERROR)).reshape(acts.shape))
     found = np.zeros(len(about))
     np.maximum.at(found, large // about.shape[1], (size.at(large) / strength.at(large)).most)
     return found

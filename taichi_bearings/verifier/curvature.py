@@ -22,11 +22,11 @@ from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
 from taichi_bearings.verifier.motion import Motion, length
 
-TURN = 0.25  # largest share by which a slip may change
-TRIALS = 4  # each from spins that Newton's method has improved
-STIFF = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
-GUESS = 1e-7  # of the least curvature
-LEAST, STEPS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
+MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
+NEWTON_TRIALS = 4  # each from spins that Newton's method has improved
+RIGID_STIFFNESS = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
+CURVATURE_SHARE = 1e-7  # of the least curvature
+LEAST_CURVATURE, POWER_ITERATIONS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
 TINY = np.finfo(np.float64).tiny
 
 
@@ -159,7 +159,7 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
-    for _ in range(TRIALS):
+    for _ in range(NEWTON_TRIALS):
         curvature = Curvature.of(contacts)
         if curvature is None:
             return None
@@ -230,7 +230,7 @@ class Curvature:
         loss = np.zeros_like(turn)
         loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
         given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
-        return bool((turn <= TURN).all() and (given_up * UP < self.tau * self.scale / 2).all())
+        return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.scale / 2).all())
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray:
         """Change (unknowns,) that takes the slope away, roughly."""
@@ -247,7 +247,7 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     """
     driven, source = contacts.unknowns, contacts.unknowns + 1
     stiffness = contacts.stiffness.value
-    stiff = stiffness > STIFF * (np.median(stiffness) if len(stiffness) else np.inf)
+    stiff = stiffness > RIGID_STIFFNESS * (np.median(stiffness) if len(stiffness) else np.inf)
     ends = (end[:, contacts.curved[stiff]] for end in (contacts.lower, contacts.upper))
     first, second = (np.where(end < 0, driven, end).ravel() for end in ends)
     slip = np.tile(1 / stiffness[stiff], 2)
@@ -300,7 +300,7 @@ def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimin
     elimination : of A^T A. The first guess saves a factorisation where it will do."""
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
     sizes = _with(rows, np.abs(rows.data)) + doubt
-    for guess, steps in ((lambda: GUESS, 1), (lambda: _least_eigenvalue(elimination) / 2, STEPS)):
+    for guess, steps in ((lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)):
         most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
         tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
         missed = elimination.distance_from_positive(tau)
@@ -311,10 +311,13 @@ def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimin
 
 def _least_eigenvalue(elimination: Elimination) -> float:
     """A rough value of the least eigenvalue, by inverse iteration."""
-    factor, vector = elimination.factorised(-LEAST), np.random.default_rng(0).standard_normal(elimination.size)
+    factor, vector = (
+        elimination.factorised(-LEAST_CURVATURE),
+        np.random.default_rng(0).standard_normal(elimination.size),
+    )
     if factor is None:
         return 0.0
-    for _ in range(STEPS):
+    for _ in range(POWER_ITERATIONS):
         vector = factor.solve(vector / np.linalg.norm(vector))
         if not np.isfinite(vector).all():
             return 0.0

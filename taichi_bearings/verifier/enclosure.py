@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-ROUNDING = 2.0**-100  # relative error of one operation on pairs
+PAIR_ROUNDING = 2.0**-100  # relative error of one operation on pairs
 UP = 1 + 2.0**-30  # factor that makes up for the rounding of a bound itself, of up to some million operations
 SLIGHTLY_UP = 1 + 2.0**-51  # the same for two operations
 SPLIT = 2.0**27 + 1
-SMALL, LOST = 1e-250, 1e-290  # size of a product from which parts of it may underflow, and more than they can be
+UNDERFLOWING_PRODUCT, UNDERFLOW_ERROR = (
+    1e-250,
+    1e-290,
+)  # size of a product from which parts of it may underflow, and more than they can be
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Enclosure:
         high = [float(v) for v in values]
         low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
         pair = cls.exact(high, low)
-        return cls(pair.high, pair.low, ROUNDING * np.abs(pair.high))
+        return cls(pair.high, pair.low, PAIR_ROUNDING * np.abs(pair.high))
 
     def __neg__(self) -> Enclosure:
         return Enclosure(-self.high, -self.low, self.error)
@@ -56,7 +59,7 @@ class Enclosure:
         low, more = _two_sum(self.low, other.low)
         high, rest = _fast_two_sum(high, rest + low)
         high, rest = _fast_two_sum(high, rest + more)
-        return Enclosure(high, rest, (self.error + other.error + ROUNDING * np.abs(high)) * UP)
+        return Enclosure(high, rest, (self.error + other.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
     def __sub__(self, other: Enclosure) -> Enclosure:
         return self + (-other)
@@ -65,7 +68,7 @@ class Enclosure:
         """Sum with doubles that are exact."""
         high, rest = _two_sum(self.high, other)
         high, rest = _fast_two_sum(high, rest + self.low)
-        return Enclosure(high, rest, (self.error + ROUNDING * np.abs(high)) * UP)
+        return Enclosure(high, rest, (self.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
     def __mul__(self, other: Enclosure) -> Enclosure:
         product, rest = _two_product(self.high, other.high)
@@ -204,10 +207,10 @@ def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: C
     """A product. error : what those of its factors make of it. counts : mask of those that have no factor of 0."""
     high, low = _fast_two_sum(product, rest)
     size = np.abs(high)
-    error = error + ROUNDING * size
-    small = size < SMALL
+    error = error + PAIR_ROUNDING * size
+    small = size < UNDERFLOWING_PRODUCT
     if small.any():
-        error += np.where(small & counts(), LOST, 0.0)
+        error += np.where(small & counts(), UNDERFLOW_ERROR, 0.0)
     error *= UP
     return Enclosure(high, low, error)
 

@@ -14,8 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined
 from taichi_bearings.verifier.samples import DIGITS, Samples
 
-FAINT = 2.0**-400  # length below which squares lose digits
-LEAST = 2.0**-1072  # twice what scaling back into the smallest doubles can round
+LEAST_LENGTH = 2.0**-400  # length below which squares lose digits
+LEAST_ROUNDING = 2.0**-1072  # twice what scaling back into the smallest doubles can round
 
 
 @dataclass(frozen=True)
@@ -210,10 +210,10 @@ def length(parts: list[Enclosure]) -> Enclosure:
         return abs(parts[0])
     # the squares of faint ones would be lost
     sizes = np.maximum(*(part.most for part in parts))
-    scale = np.ldexp(1.0, -np.where(sizes < FAINT, np.maximum(np.frexp(sizes)[1], -1000), 0))
+    scale = np.ldexp(1.0, -np.where(sizes < LEAST_LENGTH, np.maximum(np.frexp(sizes)[1], -1000), 0))
     scaled = [part.signed(scale) for part in parts]
     root = (scaled[0].squared() + scaled[1].squared()).sqrt().signed(1 / scale)
-    root.error[scale > 1] += LEAST
+    root.error[scale > 1] += LEAST_ROUNDING
     # along an axis the length is exactly the size of the other part, whose square may be too small a number
     for part, other in ((parts[0], parts[1]), (parts[1], parts[0])):
         nothing = np.flatnonzero((other.high == 0) & (other.error == 0))

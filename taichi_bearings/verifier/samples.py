@@ -21,8 +21,8 @@ import numpy as np
 from taichi_bearings.verifier.enclosure import Enclosure
 
 DIGITS = 300
-LEAST, MOST = 1e-60, 1e60  # scales of a sample
-SMALLEST = 1e-140  # component of the jump, of the whole
+LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
+LEAST_JUMP = 1e-140  # component of the jump, of the whole
 SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
 Slices = tuple[slice, ...]
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
@@ -88,11 +88,11 @@ class Samples:
         arrays = (self.spin, self.spin_rounding, *self.friction, *strengths)
         sizes = [float(np.abs(values).max(initial=0.0)) for values in arrays]
         return (
-            all(LEAST < scale < MOST for scale in scales)
-            and all(size < MOST for size in sizes)  # False for what is no number
-            and all(bool(((values > LEAST) | (values == 0)).all()) for values in strengths)
+            all(LEAST_SCALE < scale < MOST_SCALE for scale in scales)
+            and all(size < MOST_SCALE for size in sizes)  # False for what is no number
+            and all(bool(((values > LEAST_SCALE) | (values == 0)).all()) for values in strengths)
             and all(((c == 0) == (v == 0)).all() for c, v in zip(self.coefficient, self.viscosity, strict=False))
-            and all(value == 0 or abs(value) > SMALLEST for jump in self.exact_jump.values() for value in jump)
+            and all(value == 0 or abs(value) > LEAST_JUMP for jump in self.exact_jump.values() for value in jump)
         )
 
     @property

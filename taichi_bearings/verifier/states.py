@@ -31,7 +31,7 @@ from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.motion import Motion, whole_planes
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
-from taichi_bearings.verifier.ties import SATURATED, tied_states
+from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 
 TOGETHER = 200_000  # spheres of the samples that are proven at once, at most
 
@@ -211,6 +211,6 @@ def _saturated(motion: Motion) -> bool:
     """True if the friction of all slipping contacts is about at its limit, as it is near a minimum."""
     for turning, slips, strength in zip(motion.samples.turning, motion.slips, motion.strength, strict=True):
         size = np.sqrt(sum(part.take(slips.own) ** 2 for part in turning.values()))
-        if not (size >= (1 - SATURATED) * strength.value).all():
+        if not (size >= (1 - MISSED_LIMIT) * strength.value).all():
             return False
     return True

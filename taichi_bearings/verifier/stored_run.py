@@ -18,7 +18,7 @@ from taichi_bearings.verifier.samples import LAWS, Samples
 
 AXES = "xyz"
 LAYOUT = 1  # version that is read
-NEEDED = (
+NEEDED_ATTRIBUTES = (
     "law",
     "shape",
     "spin_top",
@@ -30,11 +30,21 @@ NEEDED = (
     "lower_bound",
     "status",
 )
-TEXTS = ("status", "coefficients", "method", "arch", "precision")  # attributes that are no numbers
-WHOLE = ("seed", "contacts", "slipping", "slipless", "undecided", "critical", "unproven", "iterations", "tied_contacts")
+TEXT_ATTRIBUTES = ("status", "coefficients", "method", "arch", "precision")  # attributes that are no numbers
+WHOLE_ATTRIBUTES = (
+    "seed",
+    "contacts",
+    "slipping",
+    "slipless",
+    "undecided",
+    "critical",
+    "unproven",
+    "iterations",
+    "tied_contacts",
+)
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique")  # in a list with gaps they are numbers
-REPORTED = ("slip", "power", "force", "state")
-MOST_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
+REPORTED_SETS = ("slip", "power", "force", "state")
+MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z)|#|\Z)""")
 """A key without dots and its value, which is no table: keys of many dots take memory like their length squared."""
 
@@ -66,9 +76,9 @@ class StoredRun:
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
         found = [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
         words, kinds = "a number", {int, float}
-        if name in TEXTS:
+        if name in TEXT_ATTRIBUTES:
             words, kinds = "a text", {str}
-        elif name in WHOLE:
+        elif name in WHOLE_ATTRIBUTES:
             words, kinds = "a whole number", {int}
         elif name in TRUTHS:
             words, kinds = "true or false", {bool}
@@ -107,7 +117,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     version = attributes.get("schema_version", LAYOUT)
     if type(version) is not int or version != LAYOUT:
         raise FileError(f"{path} has layout version {version!r}; this program reads version {LAYOUT}")
-    for name in NEEDED:
+    for name in NEEDED_ATTRIBUTES:
         if name not in attributes:
             raise FileError(f"{path} lacks the attribute {name!r}; it is damaged or was changed")
     shape = _shape(path, attributes["shape"])
@@ -146,7 +156,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         bottom=_state(path, settings, "bottom", len(shape)),
     )
     last = f"contact/{axes[-1]}"
-    names = [*REPORTED, *(name for name in ("slip_bound", "proven") if f"{last}/{name}" in file)]
+    names = [*REPORTED_SETS, *(name for name in ("slip_bound", "proven") if f"{last}/{name}" in file)]
     reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
     history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
     known = {"coefficient", "contact", "spin", *(["viscosity"] if samples.viscosity else [])}
@@ -217,7 +227,9 @@ def _changed(path: Path, file: h5py.File) -> tuple[str, ...] | None:
     if "sha256" not in file.attrs:
         return None
     text = str(file.attrs["sha256"])
-    digests = json.loads(text) if len(text) <= MOST_TEXT and text.count("[") + text.count("{") <= MOST_SUMS else None
+    digests = (
+        json.loads(text) if len(text) <= MOST_SCENE_TEXT and text.count("[") + text.count("{") <= MOST_SUMS else None
+    )
     if not isinstance(digests, dict):
         raise FileError(f"{path} has checksums that are no table of names and sums")
     return tuple(name for name, digest in digests.items() if _differs(file, name, digest))
@@ -245,9 +257,9 @@ def _settings(path: Path, text: str) -> dict[str, Any]:
         import tomllib
     else:
         import tomli as tomllib
-    if len(text) > MOST_TEXT or not all(map(A_LINE.match, text.split("\n"))):
+    if len(text) > MOST_SCENE_TEXT or not all(map(A_LINE.match, text.split("\n"))):
         raise FileError(
-            f"the scene in {path} is longer than {MOST_TEXT:,} letters, or not a key and a value on each line"
+            f"the scene in {path} is longer than {MOST_SCENE_TEXT:,} letters, or not a key and a value on each line"
         )
     try:
         return tomllib.loads(text)

@@ -38,9 +38,11 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure
 from taichi_bearings.verifier.motion import Motion, numbers_of
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 
-SATURATED = 1e-6  # share of the friction by which a contact at its limit may miss it
-ALONG = 2e-3  # share of the friction across a component that may be none, where a limit is missed by that much
-SURELY = 1 + 1e-12  # factor that makes up for the rounding of sums along a path
+MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
+MISSED_DIRECTION = (
+    2e-3  # share of the friction across a component that may be none, where a limit is missed by that much
+)
+PATH_ROUNDING = 1 + 1e-12  # factor that makes up for the rounding of sums along a path
 
 
 @dataclass(frozen=True)
@@ -141,14 +143,14 @@ class Line:
         np.minimum.at(high, twins, most)
         low, high = low[twins], high[twins]
         shortest, longest = dijkstra(_edges(tail, head, low)), dijkstra(_edges(tail, head, high))
-        always = longest[tail, head] * SURELY < low
+        always = longest[tail, head] * PATH_ROUNDING < low
         some = (low > 0) | (shortest[head, tail] > 0)
         rests = high == 0
         for one in np.unique(twins[~always & ~rests]):
             own = np.flatnonzero(twins == one)  # a path that slips by one of these is no shorter than the one alone
             left, starts = twins != one, np.unique(tail[own])
             around = dijkstra(_edges(tail[left], head[left], low[left], len(shortest)), indices=starts)
-            rests[own] = high[own] * SURELY <= around[np.searchsorted(starts, tail[own]), head[own]]
+            rests[own] = high[own] * PATH_ROUNDING <= around[np.searchsorted(starts, tail[own]), head[own]]
         return rests, always, some
 
 
@@ -279,8 +281,8 @@ class Limit:
         for axis, still in enumerate(motion.still):
             parts = np.array([np.abs(samples.turning[axis].get(k, np.zeros(still.shape))) for k in samples.needed])
             strength = samples.strength[axis].value
-            full = still & (np.hypot(*parts) >= (1 - SATURATED) * strength) & ~samples.idle(axis)
-            if (parts.min(axis=0)[full] > ALONG * strength[full]).any():
+            full = still & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & ~samples.idle(axis)
+            if (parts.min(axis=0)[full] > MISSED_DIRECTION * strength[full]).any():
                 return None
             masks.append(full)
             components.append(np.argmax(parts, axis=0))
@@ -426,8 +428,8 @@ def _named(
 ) -> tuple[tuple[np.ndarray, ...], bool | None]:
     """Step 4."""
     rest = len(pulls.slips) - len(turn)
-    least = np.append(contacts.size.least * (1 - turn) / SURELY, np.zeros(rest))
-    most = np.append(contacts.size.most * (1 + turn) * SURELY, np.zeros(rest))
+    least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
+    most = np.append(contacts.size.most * (1 + turn) * PATH_ROUNDING, np.zeros(rest))
     state = np.where(pulls.slips, SLIPPING, CRITICAL)
     state[between.coupled | between.ends.any(axis=0)] = UNPROVEN
     for line in _lines(pulls, between, contacts, turn):

@@ -13,7 +13,7 @@ from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN, Samples
 from taichi_bearings.verifier.states import States
 from taichi_bearings.verifier.stored_run import StoredRun
-from taichi_bearings.verifier.ties import SATURATED
+from taichi_bearings.verifier.ties import MISSED_LIMIT
 
 ARITHMETIC = (
     "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
@@ -197,7 +197,7 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     viscous contacts they follow from the slips, of Coulomb's they are within the static friction, and at the kinetic
     one where a contact is said to slip."""
     samples, is_dynamics = run.samples, "time" in run.history
-    most = max(run.setting("static_ratio", 1.0), 1.0) * (1 + SATURATED)
+    most = max(run.setting("static_ratio", 1.0), 1.0) * (1 + MISSED_LIMIT)
     for axis, name in enumerate("xyz"[: samples.dimension]):
         force, slip, state = (run.reported[key][axis] for key in ("force", "slip", "state"))
         acts, strength = ~samples.idle(axis), _strength(samples, axis)
@@ -216,7 +216,7 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         if not samples.flows and (force > most * strength).any():
             yield f"forces of contacts along {name} exceed their friction"
         slips = (state == SLIPPING) & is_dynamics & (not samples.flows)
-        if (force[slips] < (1 - SATURATED) * (1 - ROUNDED) * strength[slips]).any():
+        if (force[slips] < (1 - MISSED_LIMIT) * (1 - ROUNDED) * strength[slips]).any():
             yield f"contacts along {name} that are said to slip do not bear all their friction"
         if (
             "slip_bound" in run.reported
@@ -346,7 +346,7 @@ def _at_limit(run: StoredRun, judgement: Judgement, number: int) -> int:
     for axis in range(samples.dimension if samples.holds else 0):
         force, slip, state = (run.reported[name][axis][number] for name in ("force", "slip", "state"))
         friction = samples.normal_force * samples.coefficient[axis][number]
-        faint = (state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - SATURATED) * friction)
+        faint = (state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - MISSED_LIMIT) * friction)
         found += int(
             (faint & (run.reported["proven"][axis][number] != TIED if "proven" in run.reported else True)).sum()
         )

@@ -36,7 +36,7 @@ def course(method: str, law: str, shape: tuple[int, ...]) -> list[float]:
     scene = make_scene(shape, law, seeds=(1, 2))
     spin, solver = initial_spin(scene, "random"), METHODS[method].build()
     fields = Fields(make_layout(scene.replicas, shape), solver.plan(scene, spin))
-    with patch.object(torque_balance, "PRODUCTS", np.float64):  # as on a GPU
+    with patch.object(torque_balance, "PRODUCT_TYPE", np.float64):  # as on a GPU
         solver.begin(scene, spin, fields)
     for _ in range(2):  # some change their course at a check
         solver.advance(ITERATIONS // 2)

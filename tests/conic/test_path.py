@@ -14,8 +14,8 @@ from tests.scenes import make_scene
 
 @pytest.mark.parametrize("seed", [4, 6])
 def test_refining_a_step_whose_last_corrector_was_rejected_leaves_no_torques(monkeypatch, seed):
-    monkeypatch.setattr(central_path, "BALANCED", 0.0)  # always refined
-    monkeypatch.setattr(central_path, "WORTHWHILE", 0.3)  # and correctors seldom good enough
+    monkeypatch.setattr(central_path, "STEP_TORQUE", 0.0)  # always refined
+    monkeypatch.setattr(central_path, "LEAST_GAIN", 0.3)  # and correctors seldom good enough
     scene = make_scene((7, 8, 9), seeds=(seed,))
     system = lattice_system(scene.lattice, (0, 1), np.ones(2))
     path = Path(NewtonMatrix(system, dissect(scene.lattice.free_shape, (0, 1))))

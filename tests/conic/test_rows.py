@@ -48,7 +48,7 @@ class Contacts:
             friction, dual = Grouped(q[0] for _, q in points), Grouped(q[1] for _, q in points)
             smooth = Grouped(rng.random(n) < 1 / 3 for _, n in SIZES)
             for row, values in (
-                (kernels.FRICTION, friction), (kernels.BOUND, bound), (kernels.SLIP, slip), (kernels.DUAL, dual),
+                (kernels.FRICTION_ROW, friction), (kernels.BOUND, bound), (kernels.SLIP, slip), (kernels.DUAL, dual),
                 (kernels.SMOOTH, smooth),
             ):  # fmt: skip
                 self.rows.put(row, sample, values)
@@ -244,7 +244,7 @@ def test_a_step_is_taken_and_contacts_in_no_cone_obey_the_law(contacts):
             assert new.parts[g] == pytest.approx(expected, rel=1e-13)
         power += (contacts.friction.parts[g] * length(slip)).sum()
         excess += (contacts.friction.parts[g] * length(slip) + inner(slip, dual)).sum()
-    assert (found[kernels.POWER], found[kernels.EXCESS]) == pytest.approx((power, excess), rel=1e-12)
+    assert (found[kernels.POWER_FOUND], found[kernels.EXCESS]) == pytest.approx((power, excess), rel=1e-12)
 
 
 def test_torques_are_the_transpose_of_the_slips(contacts):
@@ -261,7 +261,7 @@ def test_torques_are_the_transpose_of_the_slips(contacts):
 
 def test_numbers_of_a_sample_do_not_depend_on_those_beside_it():
     together, alone = Contacts(8, 3), Contacts(1, 4)
-    for row in (kernels.FRICTION, kernels.BOUND, kernels.SMOOTH):
+    for row in (kernels.FRICTION_ROW, kernels.BOUND, kernels.SMOOTH):
         alone.rows.put(row, 0, together.rows.numbers(row, together.sample))
     for row in (kernels.SLIP, kernels.DUAL):
         alone.rows.put(row, 0, together.rows.vectors(row, together.sample))

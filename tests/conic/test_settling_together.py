@@ -60,7 +60,7 @@ def test_sets_of_tied_spins_are_those_of_each_sample_alone(system, order, tied, 
 
 
 def test_large_samples_are_dissected_anew_alone_as_together(system, order, tied, contraction, monkeypatch):
-    monkeypatch.setattr("taichi_bearings.conic.contraction.MANY", 1)
+    monkeypatch.setattr("taichi_bearings.conic.contraction.OWN_ORDER_UNKNOWNS", 1)
     for number, mask in enumerate(tied[:-1]):
         alone = Contraction(system, order, mask)
         assert contraction.order(number).tolist() == alone.order(0).tolist()
@@ -74,7 +74,7 @@ def test_sets_dissected_anew_take_fewer_operations(monkeypatch):
     tied = whole.gather(minimum_of(scene).state == ContactState.SLIPLESS, 0)
     contraction, operations = Contraction(whole, dissect(scene.lattice.free_shape, AXES), tied), []
     for many in (np.inf, 1):
-        monkeypatch.setattr("taichi_bearings.conic.contraction.MANY", many)
+        monkeypatch.setattr("taichi_bearings.conic.contraction.OWN_ORDER_UNKNOWNS", many)
         pattern = analyse(contraction.order(0), *contraction.system.couplings(), tuning.CALLS_PRICE)
         operations.append(pattern.operations)
     assert operations[1] < 0.75 * operations[0]

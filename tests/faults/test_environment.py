@@ -139,7 +139,7 @@ def test_too_little_memory_is_one_sentence(tmp_path, words, sentence):
 
 def test_a_factorisation_that_does_not_fit_is_refused_before_it_is_allocated(monkeypatch):
     scene = tb.Scene.random((6, 6, 6))
-    monkeypatch.setattr(memory, "LITTLE", 0.0)
+    monkeypatch.setattr(memory, "LITTLE_BYTES", 0.0)
     monkeypatch.setattr(memory, "free_bytes", lambda: 1e4)
     with pytest.raises(MemoryError, match=r"the factorisation of 288 unknowns needs 0\.0 GB"):
         solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"))

@@ -107,7 +107,7 @@ def test_settling_is_given_up_where_it_factorises_and_the_minimum_stays(monkeypa
     monkeypatch.setattr(interior_point, "resolve", lambda *given: (strike(), settle(*given))[1])
     found = minimum()
     assert found.interrupted
-    assert found.gap.max() < interior_point.SOONEST  # from which small samples are settled
+    assert found.gap.max() < interior_point.FIRST_SETTLING_GAP  # from which small samples are settled
     assert undisturbed.states_proven.all()
     assert not found.states_proven.any()
     assert (abs(found.power - undisturbed.power) <= found.gap * found.power).all()

@@ -6,13 +6,13 @@ import pytest
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
-from taichi_bearings.solvers.gear import CORRECTORS
+from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS
 from tests.kernels.test_descent import three_components
 from tests.kernels.twins import cundall_strack_step, neighbours
 from tests.scenes import make_scene
 
 
-@pytest.mark.parametrize("order", sorted(CORRECTORS))
+@pytest.mark.parametrize("order", sorted(GEAR_COEFFICIENTS))
 @pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
 @pytest.mark.parametrize("start", ["random", "linear"])
 @pytest.mark.parametrize("shape", [(4, 5), (3, 2, 5)])
@@ -49,7 +49,7 @@ def test_steps_equal_plain_loops(shape, start, law, order, precision):
     slipped = 0
     for _ in range(60):
         forces = cundall_strack_step(
-            gear, elongation, last_error, coefficient, law, constants, CORRECTORS[order], viscosity
+            gear, elongation, last_error, coefficient, law, constants, GEAR_COEFFICIENTS[order], viscosity
         )
         slipped += sum(
             np.linalg.norm(f) >= (1 - 1e-9) * scene.normal_force * coefficient[axis][site]

@@ -126,7 +126,7 @@ def test_rounds_of_few_bits_end_at_the_same_cut(bits, monkeypatch):
     weight = random_weights((5, 6, 7), 4, decades=2.0)
     monkeypatch.setattr(module, "flow_finder", lambda: module.flow_by_scipy)
     whole = minimum_cut(weight)
-    monkeypatch.setattr(module, "BITS", bits)
+    monkeypatch.setattr(module, "FLOW_BITS", bits)
     parts = minimum_cut(weight)
     assert (parts.above == whole.above).all()
     assert (parts.lower_bound == whole.lower_bound).all()

@@ -224,7 +224,7 @@ def test_flows_balance_and_are_admissible_without_any_rounding(columns, rows, de
 def test_bundles_change_nothing(monkeypatch):
     sideways, upward = random_weights(6, 7, 8, batch=10, decades=3.0)
     whole = cuts_of(sideways, upward)
-    monkeypatch.setattr(module, "BUNDLE", 80)
+    monkeypatch.setattr(module, "BUNDLE_FACES", 80)
     assert len(list(minimum_cuts(sideways, upward))) == 5
     parts = cuts_of(sideways, upward)
     for name in MinimumCuts.__dataclass_fields__:

@@ -132,7 +132,7 @@ import hashlib, pickle, sys
 from taichi_bearings import runtime
 runtime.start("cpu", "f64", int(sys.argv[1]))
 import taichi_bearings.fields.fields as fields
-fields.LEAST_SHARE = 1  # as many workers as there are threads, however small the scene
+fields.LEAST_WORKER_NUMBERS = 1  # as many workers as there are threads, however small the scene
 from tests.properties.answers import answer_of, methods_of
 for scene in pickle.loads(sys.stdin.buffer.read()):
     for method in methods_of(scene):

@@ -11,7 +11,7 @@ from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import choose_time_step, stability_bound
-from taichi_bearings.solvers.gear import CORRECTORS, largest_laplacian_eigenvalue, largest_weighted_eigenvalue
+from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene
 
@@ -55,7 +55,7 @@ def exact_spins(scene, start, axes, options, duration):
 
 
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("order", sorted(CORRECTORS))
+@pytest.mark.parametrize("order", sorted(GEAR_COEFFICIENTS))
 @pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
 @pytest.mark.parametrize("law", ["viscous", "coulomb"])
 def test_the_error_falls_with_the_number_of_values_kept(law, shape, order):

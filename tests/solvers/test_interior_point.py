@@ -212,7 +212,7 @@ def test_small_lattices_keep_what_their_samples_share(monkeypatch):
     assert len(made) == 1
     assert (first.spin == again.spin).all()
     assert (first.spin != other.spin).any()
-    monkeypatch.setattr(interior_point, "QUICK", 0)  # a large lattice leaves nothing behind
+    monkeypatch.setattr(interior_point, "KEPT_SITES", 0)  # a large lattice leaves nothing behind
     minimum_of(make_scene((5, 6, 7), seeds=(1,)), 1e-4, settle=False)
     assert len(made) == 2
     assert interior_point._kept_skeleton.cache_info().currsize == 0

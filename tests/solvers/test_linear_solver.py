@@ -151,7 +151,7 @@ def test_replicas_together_equal_replicas_alone(shape):
 def test_bundles_lower_the_power_one_after_another(monkeypatch):
     scene = make_scene((6, 5, 7), "viscous", seeds=(8, 9))
     whole = solved(scene)
-    monkeypatch.setattr(linear_solver, "BUNDLE", 2 * 6 * 7)
+    monkeypatch.setattr(linear_solver, "BUNDLE_SITES", 2 * 6 * 7)
     parts = solved(scene)
     assert whole.iterations == 2
     assert parts.iterations == 6 + 5  # 12 planes x = const of 35 spheres, 10 planes y = const of 42: two by one

@@ -34,7 +34,7 @@ _dgemm = _routine(cython_blas, "dgemm")
 _LEFT_OUT, _LOWER, _RIGHT, _TRANSPOSED = (ctypes.byref(ctypes.c_char(letter)) for letter in (b"N", b"L", b"R", b"T"))
 _ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (1.0, -1.0))
 _address = ctypes.c_void_p
-REAL = 8  # bytes
+DOUBLE_BYTES = 8  # bytes
 
 
 @cache
@@ -69,7 +69,7 @@ class DenseFront:
         self._own = [_of_own(first, own, own + border - first, height, columns, self._fault) for first in firsts]
         self._below = []
         for first in range(0, border, tuning.SHEET_COLUMNS):
-            left, place = columns + REAL * (own + first), update + REAL * update_size(first, pitch)
+            left, place = columns + DOUBLE_BYTES * (own + first), update + DOUBLE_BYTES * update_size(first, pitch)
             self._below.append(_of_update(own, border - first, height, left, pitch - first, place))
         self._done = [Event() for _ in self._own] if self._shared else []
 
@@ -149,15 +149,15 @@ def _of_own(first: int, own: int, rows: int, height: int, columns: int, fault: c
 
     height : numbers from one column to the next. fault : what becomes of a pivot that is not positive."""
     width = min(tuning.PANEL_COLUMNS, own - first)
-    corner = columns + REAL * first * (height + 1)
+    corner = columns + DOUBLE_BYTES * first * (height + 1)
     ld, at = _count(height), _address(corner)
     products = []
     for before in range(0, first, tuning.PANEL_COLUMNS):
-        left = _address(columns + REAL * (before * height + first))
+        left = _address(columns + DOUBLE_BYTES * (before * height + first))
         products.append(_product(rows, width, tuning.PANEL_COLUMNS, left, left, ld, at, ld))
     divide = (
         _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
-        at, ld, _address(corner + REAL * width), ld,
+        at, ld, _address(corner + DOUBLE_BYTES * width), ld,
     )  # fmt: skip
     factor = (_LOWER, _count(width), at, ld, ctypes.byref(fault))
     return _OwnPanel(products, factor, divide if rows > width else None)
@@ -174,8 +174,8 @@ def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: 
     if rows == width:
         return [(_dsyrk, square)]
     below = _product(
-        rows - width, width, own, _address(left + REAL * width), _address(left), ld,
-        _address(target + REAL * width), _count(pitch),
+        rows - width, width, own, _address(left + DOUBLE_BYTES * width), _address(left), ld,
+        _address(target + DOUBLE_BYTES * width), _count(pitch),
     )  # fmt: skip
     return [(_dsyrk, square), (_dgemm, below)]
 

@@ -15,7 +15,7 @@ from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros, refuse_beyond
 from taichi_bearings.numerics.cholesky import tuning
-from taichi_bearings.numerics.cholesky.dense import REAL, DenseFront
+from taichi_bearings.numerics.cholesky.dense import DOUBLE_BYTES, DenseFront
 from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, analyse
 from taichi_bearings.numerics.cholesky.layout import Batch, Layout
 
@@ -220,7 +220,7 @@ class CalledFactor(Factor):
         if numbers is self._numbers:
             return
         self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers)
-        places = (numbers.ctypes.data + REAL * of for of in (layout.columns, layout.update))
+        places = (numbers.ctypes.data + DOUBLE_BYTES * of for of in (layout.columns, layout.update))
         of_fronts = layout.own, layout.border, layout.height, layout.update_height, *places
         fronts = [DenseFront(*front) for front in zip(*(of.tolist() for of in of_fronts), strict=True)]
         prepared(elimination.assemble, *arrays, 0, 0)  # compiles it, before large batches want it

@@ -48,9 +48,9 @@ class Layout:
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1)
         places, peak = _places(pattern.parent, updates, batches)
         self.update, self.size = ends[-1] + places, int(ends[-1]) + peak
-        if self.size > tuning.MOST_NUMBERS:
+        if self.size > tuning.MOST_FACTOR_NUMBERS:
             raise MemoryError(
-                f"the factorisation needs {self.size} numbers; at most {tuning.MOST_NUMBERS} can be indexed"
+                f"the factorisation needs {self.size} numbers; at most {tuning.MOST_FACTOR_NUMBERS} can be indexed"
             )
         self.vector = pattern.size + int(self.border.sum())
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown

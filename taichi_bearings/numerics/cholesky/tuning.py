@@ -23,7 +23,7 @@ LAUNCH_UNKNOWNS = 8_000  # below which calls of libraries and threads are not wo
 LAUNCH_PRICE = Price(part=4000, column=20, update=20)
 CALLS_PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
 # Memory
-MOST_NUMBERS = 2**31 - 1  # of a factorisation: kernels count in 32 bits
+MOST_FACTOR_NUMBERS = 2**31 - 1  # of a factorisation: kernels count in 32 bits
 GROVE_NUMBERS = 40_000_000  # in all updates of a subtree that is worked on depth by depth: at 32^3 the whole lattice
 LARGE_FACTOR_NUMBERS = 10_000_000  # from which the memory of a factor that is not needed is given back
 # Fronts by BLAS

@@ -20,7 +20,7 @@ import numpy as np
 from taichi_bearings.numerics.planar.paths import ShortestPaths, grids, shortest_paths
 from taichi_bearings.numerics.planar.ties import equal_paths
 
-BUNDLE = 2_000_000  # faces that one graph holds: about 0.4 GB
+BUNDLE_FACES = 2_000_000  # faces that one graph holds: about 0.4 GB
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[sli
     yields : the grids of a bundle and their cuts.
     """
     batch, columns, rows = upward.shape
-    step = max(1, BUNDLE // ((columns - 1) * rows))
+    step = max(1, BUNDLE_FACES // ((columns - 1) * rows))
     for start in range(0, batch, step):
         part = slice(start, min(start + step, batch))
         yield part, _cuts_of(sideways[part, :, 1:-1], upward[part])

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from taichi_bearings.numerics.planar.paths import ShortestPaths, grids, through
 
-BITS = 51  # of the longest distance that counts
+DISTANCE_BITS = 51  # of the longest distance that counts
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def _lightest(steps: _Steps, left: np.ndarray, right: np.ndarray) -> tuple[_Step
 
 def _finer(steps: _Steps, tree: _Tree, spare: np.ndarray) -> _Steps:
     """The same steps by their excess, in finer units. spare : (B,), no path is longer by more."""
-    factor = np.ldexp(1.0, BITS - np.frexp(spare + 1)[1])[steps.grid]
+    factor = np.ldexp(1.0, DISTANCE_BITS - np.frexp(spare + 1)[1])[steps.grid]
     excess = tree.from_left[steps.tail] + steps.units - tree.from_left[steps.head]
     rest = factor * steps.rest
     whole = np.floor(rest)
