@@ -7,7 +7,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILES, json_option
 
-COUNTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
+REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
 """What the report begins with, by the names of columns."""
 
 
@@ -65,7 +65,7 @@ def describe(report: dict[str, Any], times: str) -> str:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
     if several:
         lines.append(f"{len(seeds)} samples, seeds {seeds[0]} ... {seeds[-1]}: mean, least, largest; or how many")
-    for title, rows in {"contacts": [COLUMNS[name] for name in COUNTED], **STRUCTURE}.items():
+    for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
         told = {row: report[row.name] for row in rows if row.name in report}
         found = [line for row, value in told.items() for line in _lines(row.text, value, several)]
         if title == "bottlenecks" and not (any(spans) if several else spans):

@@ -12,14 +12,14 @@ from taichi_bearings_cli.suggestions import Choice
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
-STRUCTURE = (
+STRUCTURE_KINDS = (
     "domains", "network", "plane_cuts", "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution",
 )  # fmt: skip
-KINDS = ("spins", "power", "history", "energy", *STRUCTURE, "scan")
+PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 
 @click.command()
-@click.argument("kind", type=Choice(KINDS), metavar="KIND")
+@click.argument("kind", type=Choice(PLOT_KINDS), metavar="KIND")
 @click.argument("run", metavar="RUN", type=FILES)
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
 @click.option(

@@ -19,7 +19,7 @@ from taichi_bearings_cli.time_left import TimeLeft
 from taichi_bearings.stages import Stage, Watch, watched
 from taichi_bearings.words import counted
 
-PATIENCE = 0.4  # seconds until the line appears: what takes no longer needs none
+QUIET_SECONDS = 0.4  # seconds until the line appears: what takes no longer needs none
 REFRESH = 8  # times a second that the line is written anew
 LEAST_TOLD = 0.05  # seconds that are worth a word in the sum of times
 
@@ -35,7 +35,7 @@ class TerminalLine:
         self.shown = sys.stderr is not None and sys.stderr.isatty()
         self._live: Any = None
         self._ended, self._lock = False, threading.Lock()
-        self._timer = threading.Timer(PATIENCE, self._start)
+        self._timer = threading.Timer(QUIET_SECONDS, self._start)
 
     def __enter__(self) -> "TerminalLine":
         if self.shown:

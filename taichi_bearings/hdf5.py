@@ -25,12 +25,12 @@ import numpy as np
 from h5py._objects import phil
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.plain_files import ALL, LEAST, opened
+from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
 """What HDF5 and NumPy raise at damaged files."""
-PACKED, SPARE = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
-ROOM, TIMES = 64 * 2**20, 4  # bytes of memory for looking through a file, and for each byte of it
+GZIP_FACTOR, UNPACKED_BYTES = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
+LOOKING_BYTES, LOOKING_FACTOR = 64 * 2**20, 4  # bytes of memory for looking through a file, and for each byte of it
 SECONDS, PACE = 5.0, 20e6  # processor time for that, and bytes that need another second of it
 FAILS = "it is damaged, HDF5 fails at it"
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
@@ -109,7 +109,7 @@ def _answer(path: str, size: int, pipe: int) -> NoReturn:
         signal.setitimer(signal.ITIMER_PROF, SECONDS + size / PACE)
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-        limit = used + ROOM + TIMES * size
+        limit = used + LOOKING_BYTES + LOOKING_FACTOR * size
         resource.setrlimit(resource.RLIMIT_AS, (limit if hard < 0 else min(limit, hard), hard))
         os.write(pipe, reason_against(path, size).encode(errors="replace")[:4000])
         failed = 0
@@ -140,7 +140,9 @@ def reason_against(path: str, size: int) -> str:
                     return f"{name} in it {reason}"
                 claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
                 declared += claimed
-                if claimed > PACKED * item.id.get_storage_size() + SPARE or declared > max(ALL * size, LEAST):
+                if claimed > GZIP_FACTOR * item.id.get_storage_size() + UNPACKED_BYTES or declared > max(
+                    CLAIMED_FACTOR * size, CLAIMED_BYTES
+                ):
                     return (
                         f"{name} in it claims to hold {claimed:,} bytes, more than is read of a file of {size:,} bytes"
                     )

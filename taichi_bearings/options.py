@@ -59,7 +59,7 @@ def real(value: Any) -> float:
 
 def _signed(value: Any) -> float:
     number = real(value)
-    if number and not LEAST <= abs(number) <= MOST:
+    if number and not LEAST_NUMBER <= abs(number) <= MOST_NUMBER:
         raise ValueError
     return number
 
@@ -111,12 +111,12 @@ class OneOf(Kind):
         return "|".join(self.known)
 
 
-LEAST, MOST = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
+LEAST_NUMBER, MOST_NUMBER = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
 TEXT = Kind(_text, "a text in UTF-8", "TEXT")
 FILE = Kind(_text, "the name of a file, in UTF-8", "FILE")
 REAL = Kind(_signed, "0 or a number of size 1e-15 to 1e15", "NUMBER")
-POSITIVE = Kind(bounded(real, LEAST, MOST), "a positive number from 1e-15 to 1e15", "NUMBER")
-NOT_NEGATIVE = Kind(bounded(real, 0, MOST), "0 or a positive number up to 1e15", "NUMBER")
+POSITIVE = Kind(bounded(real, LEAST_NUMBER, MOST_NUMBER), "a positive number from 1e-15 to 1e15", "NUMBER")
+NOT_NEGATIVE = Kind(bounded(real, 0, MOST_NUMBER), "0 or a positive number up to 1e15", "NUMBER")
 COUNT = Kind(bounded(integer, 1, 2**31), "a whole number, 1 or more", "N")
 SEED = Kind(bounded(integer, 0, 2**62), "a whole number, 0 or more and below 2^62", "N")
 TRUTH = Kind(_truth, "true or false", "")

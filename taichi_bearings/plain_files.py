@@ -17,18 +17,20 @@ from typing import IO, Any
 
 from taichi_bearings.errors import FileError, WriteError
 
-AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)  # waits for no pipe
+OPEN_FLAGS = (
+    getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+)  # waits for no pipe
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 MOST_JSON = 2**24  # bytes of a summary or report
 MOST_PARTS = 200_000  # lists and tables in it
 MOST_LINE = 2**20  # bytes of a line of a journal
-ALL, LEAST = 16, 2**25  # bytes that may be claimed for each one that is there, and in any case
+CLAIMED_FACTOR, CLAIMED_BYTES = 16, 2**25  # bytes that may be claimed for each one that is there, and in any case
 
 
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
     """A regular file, unbuffered where it is written; OSError if there is none, FileError if it is something else."""
     try:
-        descriptor = os.open(path, flags | AT_ONCE, 0o666)
+        descriptor = os.open(path, flags | OPEN_FLAGS, 0o666)
     except OSError as error:
         if error.errno in (errno.ENXIO, errno.ELOOP):  # a pipe that nobody reads, a link
             raise _no_file(path) from None
@@ -54,7 +56,7 @@ def _no_file(path: Path) -> FileError:
 def _refuse_holes(descriptor: int, path: Path) -> None:
     """FileError for a large file that is mostly holes: a few bytes on a disk read as any number of zeros."""
     size = os.fstat(descriptor).st_size
-    if size <= LEAST or not hasattr(os, "SEEK_DATA"):
+    if size <= CLAIMED_BYTES or not hasattr(os, "SEEK_DATA"):
         return
     end = stored = 0
     while end < size:
@@ -64,7 +66,7 @@ def _refuse_holes(descriptor: int, path: Path) -> None:
         except OSError:  # nothing but a hole follows
             start = end = size
         stored += end - start
-        if end > max(ALL * stored, LEAST):
+        if end > max(CLAIMED_FACTOR * stored, CLAIMED_BYTES):
             raise FileError(f"{path} claims to hold {size:,} bytes, and nearly all of them are holes")
     os.lseek(descriptor, 0, os.SEEK_SET)
 

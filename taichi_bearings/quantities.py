@@ -1,7 +1,7 @@
 """The one table of quantities: what each number of an answer is called, its unit, what it is, and how to get it.
 
 Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows:
-a new quantity is a row here and nothing else. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECKS`
+a new quantity is a row here and nothing else. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECK_ROWS`
 (columns of the history, one value a look at the solve), `SAMPLES` (one value a sample, or one for all of them) and
 `STRUCTURE` (of one sample, what its contacts form).
 """
@@ -93,9 +93,9 @@ def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
     return {row.name: row for row in rows}
 
 
-STATE = "0 slipless, 1 slipping, 2 undecided, critical or tied, 3 between driven spheres or absent"
-PROVEN = "proven: it slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 as in state"
-FRICTION = {
+STATE_CODES = "0 slipless, 1 slipping, 2 undecided, critical or tied, 3 between driven spheres or absent"
+PROVEN_CODES = "proven: it slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 as in state"
+FRICTION_QUANTITIES = {
     2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts",
     3: "friction on the upper sphere, laboratory frame",
 }
@@ -116,15 +116,15 @@ CONTACTS = _named(
         Quantity("slip", "length/time", "slip speed |v|", lambda s: s.slip),
         Quantity("power", "energy/time", "power dissipated at the contact", lambda s: s.power_per_contact),
         Quantity("force", "force", "magnitude of the tangential contact force", lambda s: s.force),
-        Quantity("state", "1", STATE, lambda s: s.state),
-        Quantity("proven", "1", PROVEN, lambda s: s.proven),
+        Quantity("state", "1", STATE_CODES, lambda s: s.state),
+        Quantity("proven", "1", PROVEN_CODES, lambda s: s.proven),
         Quantity("slip_bound", "length/time", "proven: no minimum slips faster at this contact",
                  lambda s: s.slip_bound),
     ]
 )
 """Of a Solution: (R, E)."""
 
-CHECKS = _named(
+CHECK_ROWS = _named(
     [
         Quantity("iteration", "1", "iterations done"),
         Quantity("seconds", "s", "wall time of the solve, compilation apart"),

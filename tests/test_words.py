@@ -15,7 +15,7 @@ from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.options import chosen
 from taichi_bearings.plots.page import read_width
-from taichi_bearings.runs.figures import KINDS, draw_figure
+from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.runs.settings import RunSettings, settings_table
 from taichi_bearings.scans.figure import Request, columns_of
 from taichi_bearings.scans.histogram import histogram
@@ -38,9 +38,9 @@ def test_the_examples_of_words():
     assert doctest.testmod(words).failed == 0
 
 
-@pytest.mark.parametrize("name", [*METHODS, *LAWS, *Distribution.PARAMETERS, *STARTS, *KINDS, *COMMANDS])
+@pytest.mark.parametrize("name", [*METHODS, *LAWS, *Distribution.PARAMETERS, *STARTS, *FIGURE_KINDS, *COMMANDS])
 def test_every_name_is_found_from_its_mistyping(name):
-    known = [*METHODS, *LAWS, *Distribution.PARAMETERS, *STARTS, *KINDS, *COMMANDS]
+    known = [*METHODS, *LAWS, *Distribution.PARAMETERS, *STARTS, *FIGURE_KINDS, *COMMANDS]
     assert words.meant(mistyped(name), known) == f"; did you mean {name!r}?"
     assert words.meant(name.upper().replace("-", "_"), known) == f"; did you mean {name!r}?"
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from taichi_bearings.analysis.statistics import CONFIDENCE as MEAN_CONFIDENCE
-from taichi_bearings.analysis.statistics import FEW, LEAST, MANY, mean_interval
+from taichi_bearings.analysis.statistics import FEW_SAMPLES, LEAST_SAMPLES, MANY_SAMPLES, mean_interval
 from taichi_bearings.words import counted, share, with_error
 
 VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
@@ -155,16 +155,16 @@ def interval_of(values: Any) -> str:
     if isinstance(values, Share):
         return values.interval
     number, found = len(values), mean_interval(np.asarray(values, dtype=float))
-    if number < LEAST:
+    if number < LEAST_SAMPLES:
         return f"{counted(number, 'sample')}: no interval"
-    how = "bootstrap (BCa)" if FEW <= number <= MANY else "Student's t"
+    how = "bootstrap (BCa)" if FEW_SAMPLES <= number <= MANY_SAMPLES else "Student's t"
     return f"{found.low:.4g} to {found.high:.4g}, {share(MEAN_CONFIDENCE, 0)}, {how}"
 
 
 def mean(values: Sequence[float] | np.ndarray) -> str:
     """Mean and standard error, for people; without the latter if the samples are too few for one."""
     found = np.asarray(values, dtype=float)
-    if len(found) < LEAST or np.ptp(found) <= ROUND_OFF * np.abs(found).max():
+    if len(found) < LEAST_SAMPLES or np.ptp(found) <= ROUND_OFF * np.abs(found).max():
         return with_error(found.mean(), np.nan)
     return with_error(found.mean(), found.std(ddof=1) / np.sqrt(len(found)))
 

@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import COLOURS, box_driven_rows, draw_walls, paint_plane
+from taichi_bearings.plots.lattice import SPIN_COLOURS, box_driven_rows, draw_walls, paint_plane
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, ORANGE, in_our_style, new_figure
 
 
@@ -34,11 +34,13 @@ def draw_configurations(
         (panels[0], "(a) viscous", viscous),
         (panels[1], "(b) Coulomb, minimum cut in black", coulomb),
     ):
-        paint_plane(axes, colormaps[COLOURS](speed))
+        paint_plane(axes, colormaps[SPIN_COLOURS](speed))
         box_driven_rows(axes, speed.shape)
         axes.set_title(name)
     draw_walls(panels[1], tuple(cut), colors="black", lw=1.0)
-    parts[0].colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=panels, label=r"$|\omega|\,/\,\omega_T$", shrink=0.8)
+    parts[0].colorbar(
+        ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=panels, label=r"$|\omega|\,/\,\omega_T$", shrink=0.8
+    )
     _draw_ranks(parts[1].subplots(), distance, differs)
     return figure
 

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
-from taichi_bearings.plots.lattice import COLOURS, box_edges, lit_sphere
+from taichi_bearings.plots.lattice import SPIN_COLOURS, box_edges, lit_sphere
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
 HUES = ((BLUE, "#0b2545"), (ORANGE, "#6b2d00"))  # of a start: with springs, rigid
@@ -92,7 +92,7 @@ def _draw_snapshots(figure: Any, starts: Sequence[Relaxation]) -> None:
             _draw_spheres(axes, spin)
             axes.set_title(f"{start.name}, $t {when}$", pad=2)
     grid[0, 0].text(-0.02, 1.1, "(c)", transform=grid[0, 0].transAxes, va="top")
-    scale = ScalarMappable(Normalize(0, 1), COLOURS)
+    scale = ScalarMappable(Normalize(0, 1), SPIN_COLOURS)
     bar = figure.colorbar(scale, ax=grid, location="bottom", shrink=0.6, aspect=30, pad=0.02, extend="max")
     bar.set_label(
         r"$|\omega|\,/\,\omega_T$; arrows: $(-1)^{x+y+z}\,\omega$" + "\n(without the mean of each layer about $z$)",
@@ -111,7 +111,7 @@ def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
     for order, n in enumerate(np.argsort(centre[:, 2])):
         x, y = centre[n, :2]
         r = DRAWN_RADIUS
-        colour = np.array(colormaps[COLOURS](min(length[n], 1.0)))
+        colour = np.array(colormaps[SPIN_COLOURS](min(length[n], 1.0)))
         image = np.clip(light[..., :1] * colour[:3] + light[..., 1:2], 0, 1)
         axes.imshow(
             np.concatenate([image, light[..., 2:]], axis=-1),

@@ -26,10 +26,10 @@ from taichi_bearings.analysis.betweenness import Betweenness, betweenness
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 
-ROUNDING = 1e-12  # a load that is less is none
+LEAST_LOAD = 1e-12  # a load that is less is none
 DENSE = 4.5  # links a sphere from which the factor grows too large and conjugate gradients need few steps
 ITERATION_TOLERANCE = 1e-13  # of the residual, relative to the current that flows in
-MOST_REFINEMENTS = 6  # solutions of the residual equation, each good to 1e-5
+MOST_CURRENT_REFINEMENTS = 6  # solutions of the residual equation, each good to 1e-5
 
 Loads = tuple[np.ndarray, np.ndarray]
 
@@ -136,7 +136,7 @@ class Bottlenecks:
             "is_bridge": self.weak.links,
             "parts_the_planes": self.parting.links,
         }
-        chosen = rank[share[rank] > ROUNDING][:number]
+        chosen = rank[share[rank] > LEAST_LOAD][:number]
         return [{name: values[edge].tolist() for name, values in columns.items()} for edge in chosen]
 
 
@@ -187,7 +187,7 @@ def _voltages(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
 def _iterated(laplacian: csc_array, degree: np.ndarray, right: np.ndarray) -> np.ndarray:
     jacobi = LinearOperator(laplacian.shape, matvec=lambda values: values.ravel() / degree, dtype=float)
     solution = np.zeros(len(right))
-    for _ in range(MOST_REFINEMENTS):
+    for _ in range(MOST_CURRENT_REFINEMENTS):
         residual = right - laplacian @ solution
         if np.linalg.norm(residual) <= ITERATION_TOLERANCE * np.linalg.norm(right):
             break
@@ -208,8 +208,8 @@ def concentration(load: np.ndarray) -> dict[str, float]:
     gathered = np.cumsum(falling)
     return {
         "largest": float(falling[0]),
-        "loaded": int((load > ROUNDING).sum()),
+        "loaded": int((load > LEAST_LOAD).sum()),
         "effective": float(gathered[-1] ** 2 / (load**2).sum()),
-        "half": int(np.searchsorted(gathered, gathered[-1] / 2 * (1 - ROUNDING)) + 1),
+        "half": int(np.searchsorted(gathered, gathered[-1] / 2 * (1 - LEAST_LOAD)) + 1),
         "nearly_all": int((load >= 0.9).sum()),
     }

@@ -33,10 +33,10 @@ class Lock(IntFlag):
     BOTH = 3
 
 
-KINDS = ("bottom", "top", "both", "mixed", "partly", "neither")
+LOCKS = ("bottom", "top", "both", "mixed", "partly", "neither")
 """Rigid domains locked in every component to the bottom, to the top, to both, to the one or the other; in some
 components only, in none."""
-INTERMEDIATE = KINDS.index("mixed")  # the first of the kinds that are not locked to one plane in all components
+INTERMEDIATE = LOCKS.index("mixed")  # the first of the kinds that are not locked to one plane in all components
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ class RigidDomains:
 
     @cached_property
     def kind(self) -> np.ndarray:
-        """(D,) index into KINDS: what each rigid domain is locked to in all its components."""
+        """(D,) index into LOCKS: what each rigid domain is locked to in all its components."""
         bottom, top = ((self.lock & lock > 0).all(axis=1) for lock in (Lock.BOTTOM, Lock.TOP))
         held = self.lock != Lock.NEITHER
         answers = [bottom & top, bottom, top, held.all(axis=1), held.any(axis=1)]
-        return np.select(answers, [KINDS.index(kind) for kind in ("both", "bottom", "top", "mixed", "partly")], 5)
+        return np.select(answers, [LOCKS.index(kind) for kind in ("both", "bottom", "top", "mixed", "partly")], 5)
 
     @property
     def turn(self) -> np.ndarray:
@@ -86,12 +86,12 @@ class RigidDomains:
 
     def domains_of_kind(self) -> dict[str, int]:
         """Number of rigid domains of each kind."""
-        return dict(zip(KINDS, np.bincount(self.kind, minlength=len(KINDS)).tolist(), strict=True))
+        return dict(zip(LOCKS, np.bincount(self.kind, minlength=len(LOCKS)).tolist(), strict=True))
 
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
         """Number of spheres of each kind among those where `counted` (shape N) is True."""
-        each = np.bincount(self.kind[self.domain[counted]], minlength=len(KINDS))
-        return dict(zip(KINDS, each.tolist(), strict=True))
+        each = np.bincount(self.kind[self.domain[counted]], minlength=len(LOCKS))
+        return dict(zip(LOCKS, each.tolist(), strict=True))
 
 
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:

@@ -10,7 +10,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.words import meant
 
 LEAST_POINTS = 3
-POWER = "power"
+POWER_LAW = "power"
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ def read_fit(text: str) -> float | None:
     name, colon, number = text.partition(":")
     try:
         slope = float(number) if colon else None
-        if name != POWER or (slope is not None and not math.isfinite(slope)):
+        if name != POWER_LAW or (slope is not None and not math.isfinite(slope)):
             raise ValueError
     except ValueError:
         raise InputError(
             f"fit is {text!r}; it must be power, or power with a slope for a guide, as in power:1.5"
-            + meant(name, [POWER])
+            + meant(name, [POWER_LAW])
         ) from None
     return slope
 

@@ -97,7 +97,7 @@ def count_powers(
     return SampleCounts(first, bins_per_decade, anchor, count, *outside)
 
 
-MOST_BINS = 100_000  # more than numbers of any size need
+MOST_POWER_BINS = 100_000  # more than numbers of any size need
 
 
 def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor: float = 1.0) -> SampleCounts:
@@ -115,7 +115,7 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor:
         )
     used = number[fine.count > 0]
     first, bins = int(used.min()), int(np.ptp(used)) + 1
-    if bins > MOST_BINS:
+    if bins > MOST_POWER_BINS:
         raise InputError(f"the powers are {bins / bins_per_decade:.3g} decades apart; no scan has such units")
     count = np.zeros((len(fine.count), bins), dtype=int)
     sample, column = np.nonzero(fine.count)

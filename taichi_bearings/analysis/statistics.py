@@ -1,10 +1,10 @@
 """Statistics over the samples of a parameter point: means with errors, quantiles, bootstrap intervals, and the grouping
 of a table of samples by its parameters.
 
-Samples are independent draws. Fewer than LEAST have no interval. From FEW to MANY it is the bias-corrected and
-accelerated (BCa) bootstrap interval (B. Efron, J. Am. Stat. Assoc. 82, 171, 1987) of a mean or a ratio of means, with a
-fixed seed: the same samples give the same bits. Fewer or more have that of normally distributed numbers: with few the
-bootstrap covers too little, with many the two agree. Measured in docs/histograms.md.
+Samples are independent draws. Fewer than LEAST_SAMPLES have no interval. From FEW_SAMPLES to MANY_SAMPLES it is the
+bias-corrected and accelerated (BCa) bootstrap interval (B. Efron, J. Am. Stat. Assoc. 82, 171, 1987) of a mean or a
+ratio of means, with a fixed seed: the same samples give the same bits. Fewer or more have that of normally distributed
+numbers: with few the bootstrap covers too little, with many the two agree. Measured in docs/histograms.md.
 """
 
 import re
@@ -18,7 +18,7 @@ import numpy as np
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-LEAST, FEW, MANY = 3, 20, 10_000  # samples
+LEAST_SAMPLES, FEW_SAMPLES, MANY_SAMPLES = 3, 20, 10_000  # samples
 MOST_AT_ONCE = 2**22  # random numbers held at a time
 
 
@@ -90,11 +90,11 @@ def ratio_interval(
         return Estimate(np.nan, np.nan, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(above.mean() / below.mean())
-    if number < LEAST or not np.isfinite(value):
+    if number < LEAST_SAMPLES or not np.isfinite(value):
         return Estimate(value, np.nan, np.nan)
     if np.abs(above - value * below).max() <= 8 * np.finfo(float).eps * np.abs(above).max():
         return Estimate(value, value, value)
-    if not FEW <= number <= MANY:
+    if not FEW_SAMPLES <= number <= MANY_SAMPLES:
         return Estimate(value, *_student(above, below, confidence))
     return Estimate(value, *_bootstrap(above, below, confidence, resamples, seed))
 

@@ -41,24 +41,33 @@ from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-SAME, NEAR = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
-MOVES, WITH_IT = 1e-3, 7  # of the largest slip of a motion, from which a contact takes part; what is so near is freed
-APART = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
-TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
-FEW = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
-FEWEST, HANDFUL = 30, 300  # and their number, at least and at most
-STIFF = 1e-18  # product at which contacts in doubt that stick are so stiff that rounding hides softer motions
-TRIALS = 3  # of Newton's method and proof along the last decades of the path
-STEPS, BALANCED = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
-ROUGHLY = 1e-4  # torques that will do if double precision ends before
-REPAIRS = 3  # of the contacts that slip, where some lose their slip or have to bear more than their friction
+POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
+MOVING_SHARE, FREED_DISTANCE = (
+    1e-3,
+    7,
+)  # of the largest slip of a motion: contacts that take part; contacts so near are freed
+DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
+STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
+DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
+LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
+STIFF_PRODUCT = 1e-18  # product at which contacts in doubt that stick are so stiff that rounding hides softer motions
+PROOF_TRIALS = 3  # of Newton's method and proof along the last decades of the path
+MOST_NEWTON_STEPS, NEWTON_TORQUE = 60, 1e-12  # steps of Newton's method, and torques, of the mean friction, that end it
+ROUNDED_TORQUE = 1e-4  # torques that will do if double precision ends before
+MOST_REPAIRS = 3  # of the contacts that slip, where some lose their slip or have to bear more than their friction
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
-HALF, NEARLY_ALL = 0.5, 0.95  # of a slip, by which a step may change it; if the whole step would turn it round
-COLLAPSED = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
-LOST = 1e-25  # slip that double precision cannot follow
-NEGLIGIBLE = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
-FAINTEST, ROUGH = 1e-22, 1e-9  # smallest slip that needs no second look, known in twice the precision, and in one
-HARDLY = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
+TURNED_SLIP_STEP, SLIP_STEP = (
+    0.5,
+    0.95,
+)  # of a slip, by which a step may change it; if the whole step would turn it round
+RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
+LOST_SLIP = 1e-25  # slip that double precision cannot follow
+SETTLED_SLIP = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
+LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = (
+    1e-22,
+    1e-9,
+)  # smallest slip that needs no second look, known in twice the precision, and in one
+LEAST_STIFFNESS = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
 TINY = np.finfo(np.float64).tiny
 
 
@@ -92,7 +101,7 @@ class Resolved:
     @property
     def sure(self) -> bool:
         """Can the states be proven? Slips at the level of rounding may be none, which is told from closer by."""
-        faintest = ROUGH if self.rest is None else FAINTEST
+        faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and min(z.min(initial=np.inf) for z in self.difference.length()[self.slipping]) > faintest
 
     @property
@@ -153,14 +162,14 @@ def _with_ties(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Re
 
 def _is_least(iterate: Iterate, settled: Resolved) -> bool:
     """Is the power that of the path?"""
-    return -NEAR < power(iterate.friction, settled.difference) / iterate.power - 1 < SAME
+    return -POWER_ABOVE < power(iterate.friction, settled.difference) / iterate.power - 1 < POWER_BELOW
 
 
 def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
     """Masks (n,) a group, contacts that seem to stick: along the path their slips vanish, their margins do not."""
     slip, slip_before = iterate.difference.length(), before.difference.length()
-    apart = iterate.margin > APART * slip
-    return apart & (slip < TREND * slip_before) & (iterate.margin > TREND * before.margin)
+    apart = iterate.margin > DECIDED_RATIO * slip
+    return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings, small: bool) -> Resolved | None:
@@ -191,14 +200,14 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings, s
 def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
     """The same with contacts tied that surely stick as soon as few others are in doubt. Where they cannot bear what is
     left to them, what moves is freed once more with its surroundings. None if that does not help."""
-    if path.decide(int(min(max(FEW * iterate.in_cones, FEWEST), HANDFUL))) is None:
+    if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     sticking, none, settled = path.sticking, each(np.zeros_like, path.sticking), None
-    for trial in range(TRIALS):
+    for trial in range(PROOF_TRIALS):
         tied = Contraction(lattice.system, lattice.order, sticking)
         rest = path.over(tied)
-        left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0, until=STIFF)
-        if left is not None and rest.product < STIFF:
+        left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0, until=STIFF_PRODUCT)
+        if left is not None and rest.product < STIFF_PRODUCT:
             if rest.sticking.any():
                 further = path.further(tied, rest)
                 tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
@@ -216,7 +225,7 @@ def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings
                 return settled
         if motion is not None:
             moved = iterate.system.change(motion).length()
-            sticking = sticking & ~iterate.system.around(moved > MOVES * moved.max(), WITH_IT, sticking)
+            sticking = sticking & ~iterate.system.around(moved > MOVING_SHARE * moved.max(), FREED_DISTANCE, sticking)
     return settled
 
 
@@ -229,10 +238,10 @@ def _tried(
     tied ones without room are critical, too.
     """
     settled, motion = None, None
-    for _ in range(REPAIRS):
+    for _ in range(MOST_REPAIRS):
         (found,) = _minima([iterate], [spins], [slipping], lattice)
         if found is not None and found.rest is None:  # slips that Newton's method loses are none
-            lost = found.slipping & (found.difference.length() < ROUGH)
+            lost = found.slipping & (found.difference.length() < LEAST_SLIP_IN_DOUBLES)
             if lost.any():
                 slipping, critical = slipping & ~lost, critical | lost
                 continue
@@ -250,9 +259,9 @@ def _tried(
 
 
 def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
-    """Does the power still fall where the motion, (unknowns,), has led to slips of NEGLIGIBLE?"""
+    """Does the power still fall where the motion, (unknowns,), has led to slips of SETTLED_SLIP?"""
     change = iterate.system.change(motion)
-    change = change * (NEGLIGIBLE / max(change.length().max(), TINY))
+    change = change * (SETTLED_SLIP / max(change.length().max(), TINY))
     there = found.difference + change
     return (iterate.friction * each(inner, there, change) / each(np.maximum, there.length(), TINY)).sum() < 0
 
@@ -339,23 +348,25 @@ class _Slipping:
         first = self.difference.length()
         at_rest = (first == 0) & owners.at_contacts(~self.tied.contradicts)
         going = ~self.tied.contradicts & ~owners.any(at_rest)
-        for count in range(STEPS):
+        for count in range(MOST_NEWTON_STEPS):
             torques = system.torques(self.dual)
             left = owners.largest_of_spins(np.abs(torques))
-            self.balanced |= going & (left < (BALANCED if count < STEPS - 1 else ROUGHLY))
+            self.balanced |= going & (left < (NEWTON_TORQUE if count < MOST_NEWTON_STEPS - 1 else ROUNDED_TORQUE))
             going = going & ~self.balanced
             if not going.any():
                 return at_rest
-            going = self.matrix.factorise_each(each(friction_stiffness, self.friction, self.difference, HARDLY), going)
+            going = self.matrix.factorise_each(
+                each(friction_stiffness, self.friction, self.difference, LEAST_STIFFNESS), going
+            )
             step = self.matrix.solve(torques, going)
             change, slip = system.change(step), self.difference.length()
             turned = each(inner, self.difference + change, self.difference) <= 0
-            resting = turned & (slip < COLLAPSED * first) & owners.at_contacts(going)
+            resting = turned & (slip < RESTING_SHARE * first) & owners.at_contacts(going)
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
-            reach = owners.largest(change.length() / (where(turned, NEARLY_ALL, HALF) * slip))
+            reach = owners.largest(change.length() / (where(turned, SLIP_STEP, TURNED_SLIP_STEP) * slip))
             along = np.minimum(1.0, 1 / np.maximum(reach, TINY))
             self._take(along, step, change, going)
-        return at_rest | (owners.at_contacts(going) & (self.difference.length() < LOST))
+        return at_rest | (owners.at_contacts(going) & (self.difference.length() < LOST_SLIP))
 
     def _take(self, along: np.ndarray, step: np.ndarray, change: Arrays, going: np.ndarray) -> None:
         """Take this part (samples,) of a step of the spins, and of the differences, in samples where it is `going`."""

@@ -18,8 +18,8 @@ from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, opened_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 
-NAME = "run.vtkhdf"
-VERSION = (2, 2)
+VTK_NAME = "run.vtkhdf"
+VTK_VERSION = (2, 2)
 TOPOLOGIES = ("Vertices", "Lines", "Polygons", "Strips")
 TOLD = ("command", "method", "status", "law", "power", "lower_bound", "seed", "version")  # attributes of the run
 
@@ -34,7 +34,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
-    with opened_to_draw(run, out, NAME, force) as (stored, path):
+    with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
         drawn = points_and_lines(stored, replica)
         told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
         if drawn.moments is not None:
@@ -51,7 +51,7 @@ def write_vtkhdf(path: Path, drawn: PointsAndLines, attributes: Mapping[str, Any
 
     def fill(file: h5py.File) -> None:
         root = file.create_group("VTKHDF")
-        root.attrs["Version"], root.attrs["Type"] = VERSION, np.bytes_("PolyData")
+        root.attrs["Version"], root.attrs["Type"] = VTK_VERSION, np.bytes_("PolyData")
         for key, value in attributes.items():
             root.attrs[key] = storable(value)
         _write_geometry(root, drawn)

@@ -10,9 +10,9 @@ import numpy as np
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import read_hdf5, write_hdf5
 
-SCHEMA = "taichi_bearings.checkpoint"
-SCHEMA_VERSION = 1
-NAME = "checkpoint.h5"
+CHECKPOINT_SCHEMA = "taichi_bearings.checkpoint"
+CHECKPOINT_VERSION = 1
+CHECKPOINT_NAME = "checkpoint.h5"
 
 
 def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> None:
@@ -22,14 +22,14 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
     """
 
     def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["schema"], file.attrs["schema_version"] = CHECKPOINT_SCHEMA, CHECKPOINT_VERSION
         file.attrs["scene"] = scene
         for name, text in versions.items():
             file.attrs[name] = text
         for name, values in arrays.items():
             file.create_dataset(name, data=values)
 
-    write_hdf5(folder / NAME, fill)
+    write_hdf5(folder / CHECKPOINT_NAME, fill)
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class StoredCheckpoint:
 
 def checkpoint_of(folder: Path) -> Path:
     """The checkpoint of a run directory; FileError if there is none."""
-    path = folder / NAME
+    path = folder / CHECKPOINT_NAME
     if not path.is_file():
         raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
     return path
@@ -51,7 +51,7 @@ def checkpoint_of(folder: Path) -> Path:
 def read_checkpoint(folder: Path) -> StoredCheckpoint:
     """What the checkpoint of a run directory holds; FileError if there is none, or one damaged, changed or unknown."""
     path = checkpoint_of(folder)
-    with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a checkpoint") as file:
+    with read_hdf5(path, CHECKPOINT_SCHEMA, CHECKPOINT_VERSION, "a checkpoint") as file:
         arrays: dict[str, np.ndarray] = {}
         file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
         return StoredCheckpoint(str(file.attrs["scene"]), arrays or None)

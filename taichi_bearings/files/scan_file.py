@@ -28,8 +28,8 @@ from taichi_bearings.files.whole_file import read_hdf5, storable, write_csv, wri
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import CROSSED_BOUND
 
-SCHEMA = "taichi_bearings.scan"
-SCHEMA_VERSION = 1
+SCAN_SCHEMA = "taichi_bearings.scan"
+SCAN_VERSION = 1
 BINS_PER_DECADE = 20
 FAILED = "failed"  # the status of a sample without a result
 MISSING = "missing"  # the status of a sample that is not computed yet
@@ -107,7 +107,7 @@ def write_scan(
     """Write scan.h5 in full or not at all. attributes : `scan`, `scanned`, versions and whatever else."""
 
     def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["schema"], file.attrs["schema_version"] = SCAN_SCHEMA, SCAN_VERSION
         file.attrs["samples"] = len(histograms.count)
         for key, value in attributes.items():
             file.attrs[key] = storable(value)
@@ -223,7 +223,7 @@ def read_scan(scan: Path) -> StoredScan:
     path = scan / "scan.h5" if scan.is_dir() else scan
     if not path.is_file():
         raise FileError(f"{scan} is not a scan: there is no {path}")
-    with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a scan") as file:
+    with read_hdf5(path, SCAN_SCHEMA, SCAN_VERSION, "a scan") as file:
         found = _read(path, file)
     gap = found.table.get("gap", np.zeros(0))
     if gap.dtype.kind == "f" and (gap < -CROSSED_BOUND).any():

@@ -21,23 +21,23 @@ from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 from taichi_bearings.plain_files import opened, read_lines, write_all
 from taichi_bearings.scene.solution import CROSSED_BOUND
 
-NAME = "samples.jsonl"
-HEAD = '{"crc32": "%08x", "sample": '
-HEAD_LENGTH = len(HEAD % 0)
-TEXTS = {"status", "method", "law", "shape", "version", "warnings", "error"}  # scalars that are no numbers
-COLUMNS = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
-MOST_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
+JOURNAL_NAME = "samples.jsonl"
+RECORD_HEAD = '{"crc32": "%08x", "sample": '
+RECORD_HEAD_LENGTH = len(RECORD_HEAD % 0)
+TEXT_SCALARS = {"status", "method", "law", "shape", "version", "warnings", "error"}  # scalars that are no numbers
+OWN_COLUMN_NAMES = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
+MOST_JOURNAL_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
 MOST_SCALARS = 300  # of a sample; a solve with its structure leaves some 80
 
 
 def _line(sample: Mapping[str, Any]) -> bytes:
     text = json.dumps(sample, allow_nan=False).encode()
-    return (HEAD % zlib.crc32(text)).encode() + text + b"}\n"
+    return (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
 def _is_whole(line: bytes) -> bool:
-    text = line[HEAD_LENGTH:-2]
-    return line == (HEAD % zlib.crc32(text)).encode() + text + b"}\n"
+    text = line[RECORD_HEAD_LENGTH:-2]
+    return line == (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
 def _has_key(record: Any) -> bool:
@@ -46,12 +46,12 @@ def _has_key(record: Any) -> bool:
 
 @lru_cache(maxsize=4096)
 def _names_a_column(name: str) -> bool:
-    return name not in COLUMNS and re.fullmatch(r"[A-Za-z]\w{0,99}", name, re.ASCII) is not None
+    return name not in OWN_COLUMN_NAMES and re.fullmatch(r"[A-Za-z]\w{0,99}", name, re.ASCII) is not None
 
 
 def _is_scalar(name: str, value: Any) -> bool:
     """A text where texts belong, elsewhere a number, or None. ValueError for a text that is no Unicode."""
-    if name not in TEXTS:
+    if name not in TEXT_SCALARS:
         return isinstance(value, bool | int | float | None) and _names_a_column(name)
     return value is None or (isinstance(value, str) and b"\0" not in value.encode())
 
@@ -71,7 +71,9 @@ def is_sample(sample: Any) -> bool:
         return False
     if not all(abs(value) < 2**62 for value in scalars.values() if type(value) is int):
         return False
-    return all(abs(int(name)) < MOST_BINS and type(many) is int and 0 <= many < 2**31 for name, many in bins.items())
+    return all(
+        abs(int(name)) < MOST_JOURNAL_BINS and type(many) is int and 0 <= many < 2**31 for name, many in bins.items()
+    )
 
 
 def _has_bound_above_power(scalars: Mapping[str, Any]) -> bool:
@@ -85,7 +87,7 @@ def _has_bound_above_power(scalars: Mapping[str, Any]) -> bool:
 def _record(line: bytes, fits: Callable[[Any], bool]) -> dict[str, Any] | None:
     """What a line holds, None if it is not whole or does not fit."""
     try:
-        record = json.loads(line[HEAD_LENGTH:-2]) if _is_whole(line) else None
+        record = json.loads(line[RECORD_HEAD_LENGTH:-2]) if _is_whole(line) else None
         return record if fits(record) else None
     except (ValueError, RecursionError):
         return None

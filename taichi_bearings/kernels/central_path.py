@@ -296,7 +296,7 @@ TAKEN = _numbered(
     (BOUND, SCALAR), (SLIP, VECTOR), (DUAL, VECTOR),
     (BOUND_BEFORE, SCALAR), (SLIP_BEFORE, VECTOR), (DUAL_BEFORE, VECTOR),
 )  # fmt: skip
-NOTHING = ((), ())
+NO_NUMBERS = ((), ())
 
 
 @ti.func
@@ -328,7 +328,7 @@ def walk(
             found[at] = found[at] + more
 
 
-def _pass(law: Callable, iterate: tuple = NOTHING, step: tuple = NOTHING, finds: tuple = ()) -> Callable:
+def _pass(law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()) -> Callable:
     """Kernel that walks a law over all contacts. iterate, step : rows that it writes, of one component and of two."""
 
     @ti.kernel

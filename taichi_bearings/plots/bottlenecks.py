@@ -13,8 +13,8 @@ from taichi_bearings.plots.lattice import frame_block, line_on_site, site_on_pap
 from taichi_bearings.plots.page import PAGE, Page, View, columns_on
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
-COLOURS = "viridis_r"
-LEAST_SHARE = 1e-3  # of the pairs, that a link must carry to get a colour
+LOAD_COLOURS = "viridis_r"
+LEAST_PAIR_SHARE = 1e-3  # of the pairs, that a link must carry to get a colour
 SIDEWAYS = View(14.0, -62.0)
 MOST_IDLE = 4000  # links without a colour are drawn, in grey, up to this number
 
@@ -52,18 +52,23 @@ def _draw_planes(place: Any, lattice: Lattice, view: View) -> None:
 
 def _draw_links(figure: Figure, place: Any, found: Bottlenecks, placed: np.ndarray, site: float) -> None:
     """Links coloured and thickened by their share; the others in grey, if they are not too many to be seen through."""
-    loaded = np.flatnonzero(found.share >= LEAST_SHARE)
+    loaded = np.flatnonzero(found.share >= LEAST_PAIR_SHARE)
     loaded = loaded[np.argsort(found.share[loaded])]  # the heaviest on top
-    idle = np.flatnonzero(found.share < LEAST_SHARE)
+    idle = np.flatnonzero(found.share < LEAST_PAIR_SHARE)
     if len(idle) <= MOST_IDLE:
         place.add_collection(LineCollection(list(placed[idle]), colors=GREY, lw=0.4, alpha=0.35, zorder=1.5))
     share = found.share[loaded]
-    weight = 1 + np.log10(np.maximum(share, LEAST_SHARE)) / -np.log10(LEAST_SHARE)
+    weight = 1 + np.log10(np.maximum(share, LEAST_PAIR_SHARE)) / -np.log10(LEAST_PAIR_SHARE)
     width = 0.3 + line_on_site(site, 0.35, 1.0, 2.5) * weight**2
-    look: dict[str, Any] = {"cmap": COLOURS, "norm": LogNorm(LEAST_SHARE, 1), "linewidths": width, "zorder": 2}
+    look: dict[str, Any] = {
+        "cmap": LOAD_COLOURS,
+        "norm": LogNorm(LEAST_PAIR_SHARE, 1),
+        "linewidths": width,
+        "zorder": 2,
+    }
     lines = place.add_collection(LineCollection(list(placed[loaded]), **look))
     lines.set_array(share)
-    kept = f"{len(loaded):,} of {len(placed):,} links carry more than {LEAST_SHARE:g}"
+    kept = f"{len(loaded):,} of {len(placed):,} links carry more than {LEAST_PAIR_SHARE:g}"
     place.set_title("No path joins the planes" if not found.betweenness.pairs else kept)
     figure.colorbar(lines, ax=place, label="share $s$ of the shortest paths", shrink=0.7, pad=0.04, location="left")
 

@@ -11,10 +11,10 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.domains import KINDS, RigidDomains
+from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.plots.lattice import (
-    COLOURS,
     MOST_LINES,
+    SPIN_COLOURS,
     box_driven_rows,
     draw_walls,
     line_on_site,
@@ -28,9 +28,9 @@ from taichi_bearings.plots.page import AXES, NARROW, PAGE, VIEW, Page, columns_o
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
-ENDS = {"bottom": colormaps[COLOURS](0.0), "top": colormaps[COLOURS](1.0)}
-MARKS = dict(zip(KINDS, "v^Dsdo", strict=True))
-LETTERS = "bcdefghijklmnopqrstuvwxyz"
+LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
+MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))
+DOMAIN_LETTERS = "bcdefghijklmnopqrstuvwxyz"
 
 
 @in_our_style
@@ -60,15 +60,15 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
         block, *cuts = grid(above, page, maps, NARROW)
         paint_block(block, colour, page.view or VIEW)
         block.set_title("(a) rigid domains")
-        for letter, axes, (axis, index) in zip(LETTERS, cuts, planes, strict=False):
+        for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
             plane, labels = (np.take(values, index, axis) for values in (colour, domains.domain))
             _paint(axes, plane, labels, domains, site_on_paper(0.85 * width, labels.shape))
             name_cut(axes, axis, index, f"({letter}) ")
     sizes, values = below.subplots(1, 2) if wide > 1 else below.subplots(2, 1)
     _draw_sizes(sizes, domains)
-    sizes.set_title(f"({LETTERS[maps - 1]}) sizes")
+    sizes.set_title(f"({DOMAIN_LETTERS[maps - 1]}) sizes")
     _draw_values(values, domains, wide > 1)
-    values.set_title(f"({LETTERS[maps]}) how they turn: the key to the colours")
+    values.set_title(f"({DOMAIN_LETTERS[maps]}) how they turn: the key to the colours")
     return figure
 
 
@@ -76,7 +76,7 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     """Colour (..., 4) of turn (..., C): blue with the bottom, red with the top; yellow or green as the first or the
     second component is nearer to the top than the other."""
     turn = np.clip(turn, 0.0, 1.0)
-    colour: np.ndarray = colormaps[COLOURS](turn.mean(axis=-1))
+    colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))
     ahead = turn[..., 0] - turn[..., -1]
     for share, target in ((ahead, FIRST_AHEAD), (-ahead, SECOND_AHEAD)):
         part = np.clip(share, 0.0, None)[..., None]
@@ -87,7 +87,7 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 def _paint(axes: Any, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains, site: float) -> None:
     paint_plane(axes, colour)
     draw_walls(axes, walls_between(domain), colors="black", lw=line_on_site(site, 0.1, 0.25, 1.0))
-    partly = np.argwhere(domains.kind[domain] == KINDS.index("partly"))
+    partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
     axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
 
@@ -102,7 +102,7 @@ def _draw_sizes(axes: Any, domains: RigidDomains) -> None:
     axes.plot(rank, domains.spheres, color="black", lw=1.2, label=f"rigid domains: {domains.number:,}")
     for sphere, kind in ((0, "bottom"), (-1, "top")):
         n = domains.domain.flat[sphere]
-        axes.plot(rank[n], domains.spheres[n], MARKS[kind], ms=6, color=ENDS[kind])
+        axes.plot(rank[n], domains.spheres[n], MARKS[kind], ms=6, color=LOCK_COLOURS[kind])
     if domains.number > 10:
         axes.set(xscale="log", yscale="log")
     else:
@@ -129,10 +129,16 @@ def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
     axes.imshow(image, extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
     sphere = 4.0 if domains.number < 2000 else 0.5  # area of one, points squared
     spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
-    for kind, name in reversed(list(enumerate(KINDS))):
+    for kind, name in reversed(list(enumerate(LOCKS))):
         chosen = domains.kind == kind
-        if name in ENDS:
-            look: dict[str, Any] = {"s": 45, "color": ENDS[name], "edgecolors": "white", "clip_on": False, "zorder": 3}
+        if name in LOCK_COLOURS:
+            look: dict[str, Any] = {
+                "s": 45,
+                "color": LOCK_COLOURS[name],
+                "edgecolors": "white",
+                "clip_on": False,
+                "zorder": 3,
+            }
         else:
             look = {
                 "s": sphere * domains.spheres[chosen],

@@ -18,7 +18,7 @@ from taichi_bearings.plots.style import (
 )
 from taichi_bearings.plots.symbols import as_text, over
 
-POWER = "P_{ij}"
+POWER_SYMBOL = "P_{ij}"
 MATHEMATICS = {
     "F_n R omega_T": r"F_n R\,\omega_T",
     "the mean power of a contact of the sample": r"\langle P_{ij} \rangle",
@@ -87,8 +87,8 @@ def _centre(histogram: PowerHistogram) -> np.ndarray:
 
 def _label(histogram: PowerHistogram) -> str:
     if histogram.units == ENERGY_PER_TIME:
-        return f"power of a contact, ${POWER}$ (energy / time)"
-    return "power of a contact, " + over(POWER, MATHEMATICS[histogram.units], "")
+        return f"power of a contact, ${POWER_SYMBOL}$ (energy / time)"
+    return "power of a contact, " + over(POWER_SYMBOL, MATHEMATICS[histogram.units], "")
 
 
 def _outside(histogram: PowerHistogram) -> str:

@@ -16,7 +16,7 @@ from taichi_bearings.plots.page import AXES, VIEW, View
 from taichi_bearings.plots.style import GREEN
 from taichi_bearings.plots.symbols import larger_spin
 
-COLOURS = "coolwarm"
+SPIN_COLOURS = "coolwarm"
 MOST_DISCS = 2_500  # beyond, a plane is an image
 MOST_LINES = 5_000  # beyond, lines are dots in files of vectors too
 
@@ -41,7 +41,7 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
 def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
     """The colour bar of spheres coloured by :func:`speed_of`."""
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
-    figure.colorbar(ScalarMappable(Normalize(0, 1), COLOURS), ax=axes, label=label, **look)
+    figure.colorbar(ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=axes, label=label, **look)
 
 
 def seen(points: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.plots.lattice import (
-    COLOURS,
     MOST_LINES,
+    SPIN_COLOURS,
     box_driven_rows,
     draw_path,
     draw_speed_bar,
@@ -28,7 +28,7 @@ from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, grid
 from taichi_bearings.plots.style import GREEN, GREY, in_our_style, new_figure
 
 NO_PATH = "they do not join the planes"
-REACHED = {"bottom": colormaps[COLOURS](0.05), "top": colormaps[COLOURS](0.95)}
+REACHED_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.05), "top": colormaps[SPIN_COLOURS](0.95)}
 
 
 @in_our_style
@@ -52,7 +52,7 @@ def draw_network(
     for number, (panel, axes) in enumerate(zip(drawn, panels, strict=True)):
         letter = f"({'abc'[number]}) " if len(drawn) > 1 else ""
         if panel == "spheres":
-            paint_block(axes, colormaps[COLOURS](speed), view)
+            paint_block(axes, colormaps[SPIN_COLOURS](speed), view)
             axes.set_title(letter + "from outside")
         elif panel == "contacts":
             shown = _draw_contacts(axes, network, view, 0.85 * width)
@@ -73,8 +73,8 @@ def contact_colours(network: SliplessNetwork) -> np.ndarray:
     if not network.spans:
         piece = network.component.ravel()
         of_edge = piece[network.ends[0]]
-        colour[of_edge == piece[0]] = REACHED["bottom"]
-        colour[of_edge == piece[-1]] = REACHED["top"]
+        colour[of_edge == piece[0]] = REACHED_COLOURS["bottom"]
+        colour[of_edge == piece[-1]] = REACHED_COLOURS["top"]
     return colour
 
 
@@ -118,7 +118,7 @@ def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: 
     on the bottom."""
     path, shape = network.shortest_path, network.lattice.shape
     on_path = tuple(path.T)
-    colour = colormaps[COLOURS](speed[on_path])
+    colour = colormaps[SPIN_COLOURS](speed[on_path])
     if len(shape) == 2:
         every = np.ones((*shape, 4))
         every[on_path] = colour

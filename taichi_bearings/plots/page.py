@@ -9,10 +9,10 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.words import meant
 
-COLUMNS = {"single": 8.6, "double": 17.8}  # widths of a journal's columns, cm
+JOURNAL_WIDTHS = {"single": 8.6, "double": 17.8}  # widths of a journal's columns, cm
 INCH = 2.54  # cm
-NARROWEST, WIDEST = 4.0, 60.0  # cm
-COARSEST, FINEST = 30, 2400  # dots an inch
+NARROWEST_PAGE, WIDEST_PAGE = 4.0, 60.0  # cm
+COARSEST_DOTS, FINEST_DOTS = 30, 2400  # dots an inch
 AXES = "xyz"
 MOST_PLANES = 12
 BROAD, NARROW = 1.9, 1.6  # inches of a panel with a long title, and of one with a short
@@ -65,7 +65,7 @@ class Page:
 
     def inches(self, column: str) -> float:
         """Width of the figure, of the column of this name unless another is asked for."""
-        return (COLUMNS[column] if self.width is None else self.width) / INCH
+        return (JOURNAL_WIDTHS[column] if self.width is None else self.width) / INCH
 
 
 PAGE = Page()
@@ -73,24 +73,24 @@ PAGE = Page()
 
 def read_width(text: str) -> float:
     """Centimetres, or the name of a column; InputError for what is neither."""
-    if text in COLUMNS:
-        return COLUMNS[text]
+    if text in JOURNAL_WIDTHS:
+        return JOURNAL_WIDTHS[text]
     try:
-        return _within(text, NARROWEST, WIDEST)
+        return _within(text, NARROWEST_PAGE, WIDEST_PAGE)
     except ValueError:
-        names = ", ".join(f"{name} ({width:g})" for name, width in COLUMNS.items())
+        names = ", ".join(f"{name} ({width:g})" for name, width in JOURNAL_WIDTHS.items())
         raise InputError(
-            f"width is {text!r}; it must be {names} or a number of cm from {NARROWEST:g} to {WIDEST:g}"
-            + meant(text, COLUMNS)
+            f"width is {text!r}; it must be {names} or a number of cm from {NARROWEST_PAGE:g} to {WIDEST_PAGE:g}"
+            + meant(text, JOURNAL_WIDTHS)
         ) from None
 
 
 def read_dpi(text: str) -> int:
     """Dots an inch; InputError."""
     try:
-        return int(_within(str(int(text)), COARSEST, FINEST))
+        return int(_within(str(int(text)), COARSEST_DOTS, FINEST_DOTS))
     except ValueError:
-        raise InputError(f"dpi is {text!r}; it must be a whole number from {COARSEST} to {FINEST}") from None
+        raise InputError(f"dpi is {text!r}; it must be a whole number from {COARSEST_DOTS} to {FINEST_DOTS}") from None
 
 
 def read_plane(text: str) -> tuple[int, int]:

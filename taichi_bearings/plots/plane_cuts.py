@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.plots.lattice import (
-    COLOURS,
+    SPIN_COLOURS,
     box_driven_rows,
     contacts_in_plane,
     draw_contacts,
@@ -119,7 +119,7 @@ def _draw_plane(
     upright: bool = True,
 ) -> None:
     site = site_on_paper(width, speed.shape)
-    paint_plane(axes, colormaps[COLOURS](speed))
+    paint_plane(axes, colormaps[SPIN_COLOURS](speed))
     draw_contacts(axes, slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
     for colour, share in (("white", 0.5), (GREEN, 0.3)):
         line = line_on_site(site, share, 4 * share, 12 * share)

@@ -23,9 +23,9 @@ from taichi_bearings.plots.symbols import describe, over, power_unit
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
 
-COLOURS = "viridis_r"  # what dissipates most stands out on paper
-IDLE = "0.75"
-FAINTEST = 0.02  # share of the contacts that are below the range of the colours
+POWER_COLOURS = "viridis_r"  # what dissipates most stands out on paper
+IDLE_GREY = "0.75"
+FAINT_SHARE = 0.02  # share of the contacts that are below the range of the colours
 Arrays = Sequence[np.ndarray]
 
 
@@ -56,12 +56,12 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
             axes.imshow(
                 np.where(shown[0] > 0, shown[0], np.nan).T,
                 origin="lower",
-                cmap=COLOURS,
+                cmap=POWER_COLOURS,
                 norm=norm,
                 interpolation="nearest",
             )
             frame_plane(axes, shape)
-        figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, label=label, shrink=0.9, pad=0.02, extend="min")
+        figure.colorbar(ScalarMappable(norm, POWER_COLOURS), ax=axes, label=label, shrink=0.9, pad=0.02, extend="min")
         return figure
     figure = _draw_cuts(power, shape, _norm(power), label, page)
     figure.axes[len(page.planes) or 2].set_xlabel(over("P_z", symbol, "energy / time"))
@@ -74,7 +74,7 @@ def _norm(powers: Arrays) -> LogNorm:
     slipping = every[every > 0]
     if not len(slipping):
         return LogNorm(1e-1, 1)
-    return LogNorm(float(np.quantile(slipping, FAINTEST)), float(slipping.max()))
+    return LogNorm(float(np.quantile(slipping, FAINT_SHARE)), float(slipping.max()))
 
 
 def _at_spheres(power: Arrays, shape: tuple[int, ...]) -> np.ndarray:
@@ -99,7 +99,9 @@ def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str,
         _draw_plane(cut, contacts_in_plane(power, axis, index), size, norm, site_on_paper(0.8 * width, size))
         name_cut(cut, axis, index)
     look = {"location": "left"} if columns > 1 else {"location": "bottom", "aspect": 30}
-    figure.colorbar(ScalarMappable(norm, COLOURS), ax=cuts, label=label, shrink=0.8, pad=0.02, extend="min", **look)
+    figure.colorbar(
+        ScalarMappable(norm, POWER_COLOURS), ax=cuts, label=label, shrink=0.8, pad=0.02, extend="min", **look
+    )
     inside = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
     layers.step(inside, np.arange(nz), where="mid", color=BLUE, label="within a layer")
     layers.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", color=ORANGE, label="to the next")
@@ -111,9 +113,9 @@ def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str,
 def _draw_plane(axes: Any, power: Arrays, shape: tuple[int, ...], norm: LogNorm, site: float) -> None:
     """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey if there is room."""
     if site > 3:
-        draw_contacts(axes, [values == 0 for values in power], colors=IDLE, lw=line_on_site(site, 0.06, 0.25))
+        draw_contacts(axes, [values == 0 for values in power], colors=IDLE_GREY, lw=line_on_site(site, 0.06, 0.25))
     drawn = draw_contacts(
-        axes, [values > 0 for values in power], cmap=COLOURS, norm=norm, lw=line_on_site(site, 0.3, 0.8, 3.0)
+        axes, [values > 0 for values in power], cmap=POWER_COLOURS, norm=norm, lw=line_on_site(site, 0.3, 0.8, 3.0)
     )
     drawn.set_array(np.concatenate([values[values > 0] for values in power]))
     frame_plane(axes, shape)

@@ -17,9 +17,9 @@ from taichi_bearings.plots.symbols import as_text
 from taichi_bearings.words import with_error
 
 MARKERS = "osD^vP*X"
-MOST_TICKS = 8  # values of a logarithmic axis that are named one by one
+MOST_NAMED_TICKS = 8  # values of a logarithmic axis that are named one by one
 EXACT = 1e-9  # error of a slope that is not written
-LETTERS = 15  # an inch, of a title
+LETTERS_AN_INCH = 15  # an inch, of a title
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,9 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     entries = len(curves) * (1 + any(curve.fit for curve in curves)) if len(curves) > 1 or curves[0].fit else 0
     across = max(1, min(entries, int(width / (2.4 if any(curve.fit for curve in curves) else 1.1))))
     rows = -(-entries // across) + (entries > 0)
-    title = [line for part in as_text(look.title).split("\n") for line in textwrap.wrap(part, int(LETTERS * width))]
+    title = [
+        line for part in as_text(look.title).split("\n") for line in textwrap.wrap(part, int(LETTERS_AN_INCH * width))
+    ]
     figure = new_figure(width, 0.68 * min(width, 5.0) + 0.15 * (rows + len(title)), page.dpi)
     axes = figure.add_subplot()
     for name in look.log:
@@ -81,7 +83,7 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
         axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks])
-    elif "x" in look.log and len(values) <= MOST_TICKS:
+    elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
         axes.set_xticks(values, [f"{value:g}" for value in values])
         axes.xaxis.set_minor_locator(NullLocator())
     if entries:

@@ -8,7 +8,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from taichi_bearings.plots.lattice import (
-    COLOURS,
+    SPIN_COLOURS,
     box_driven_rows,
     contacts_in_plane,
     draw_speed_bar,
@@ -26,7 +26,7 @@ from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 
-MOST_SLIPS, FEW = (
+MOST_SLIPS, FEW_SLIPS = (
     0.9,
     1_000,
 )  # share of more contacts than a few: lines at nearly all would hide the spins and say nothing
@@ -45,12 +45,12 @@ def draw_spins(
     note : what black lines mean.
     """
     speed = speed_of(spin, *scene.imposed)
-    colour = colormaps[COLOURS](speed)
+    colour = colormaps[SPIN_COLOURS](speed)
     slips = tuple(values == ContactState.SLIPPING for values in state)
     slipping = sum(int(values.sum()) for values in slips)
     movable = sum(int((values != ContactState.DRIVEN).sum()) for values in state)
     note = note or "slipping contacts in black"
-    if slipping > max(MOST_SLIPS * movable, FEW):
+    if slipping > max(MOST_SLIPS * movable, FEW_SLIPS):
         note = f"{slipping:,} of {movable:,} contacts slip"
         slips = tuple(np.zeros_like(values) for values in slips)
     figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)

@@ -13,12 +13,12 @@ from taichi_bearings.plots.page import PAGE, Page, columns_on, grid
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 
-COLOURS = (
+FLOW_COLOURS = (
     (ContactState.SLIPLESS, BLUE, "slipless"),
     (ContactState.SLIPPING, ORANGE, "slipping"),
     (ContactState.UNDECIDED, GREY, "undecided"),
 )
-WIDEST = 0.45  # of the lattice spacing: width of the contact that carries most
+WIDEST_CONTACT = 0.45  # of the lattice spacing: width of the contact that carries most
 DARK_ORANGE = "#a34e14"  # for letters
 
 
@@ -92,12 +92,12 @@ def _draw_current(axes: Any, torque: Sequence[np.ndarray], states: Sequence[np.n
     largest = float(sizes[state != ContactState.DRIVEN].max(initial=0.0)) or 1.0
     frame_plane(axes, (columns, layers))
     site = site_on_paper(width, (columns, layers), width)
-    for which, colour, _ in COLOURS:
-        lines = WIDEST * site * sizes[state == which] / largest
+    for which, colour, _ in FLOW_COLOURS:
+        lines = WIDEST_CONTACT * site * sizes[state == which] / largest
         draw_contacts(axes, [values == which for values in states], colors=colour, linewidths=lines, capstyle="round")
     for layer in (0, layers - 1):
         axes.plot([-0.5, columns - 0.5], [layer, layer], color="black", lw=1.5, solid_capstyle="butt")
-    shown = [(colour, label) for which, colour, label in COLOURS if (state == which).any()]
+    shown = [(colour, label) for which, colour, label in FLOW_COLOURS if (state == which).any()]
     handles = [Line2D([], [], color=colour, lw=3, label=label) for colour, label in shown]
     handles.append(Line2D([], [], color="black", lw=1.5, label="driven plane"))
     axes.legend(handles=handles, ncols=2, loc="upper center", bbox_to_anchor=(0.5, 0.0))

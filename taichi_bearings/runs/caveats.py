@@ -15,7 +15,7 @@ from taichi_bearings.words import counted
 
 SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED
 DECADE = 10.0  # slips closer than that to what is resolved, or to those of the other kind, are named
-ELASTIC = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
+STRETCHED_SHARE = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
 UNFINISHED = {
     Status.STEP_LIMIT: "the limit of iterations came",
     Status.TIME_LIMIT: "the time limit came",
@@ -130,10 +130,11 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Springs that take up a part of the motion which rigid contacts would slip."""
     share = solution.findings.get("elastic_share", np.zeros(1))
     largest = float(np.nanmax(share, initial=0.0))
-    if largest > ELASTIC:
+    if largest > STRETCHED_SHARE:
         yield (
             f"springs are stretched by up to {largest:.1e} of the distance that the planes have slid past each other; "
-            f"a stiffness {largest / ELASTIC:.2g} times as large, or as much more time, keeps that below {ELASTIC:g}"
+            f"a stiffness {largest / STRETCHED_SHARE:.2g} times as large, or as much more time, keeps that below "
+            f"{STRETCHED_SHARE:g}"
         )
 
 

@@ -14,7 +14,7 @@ from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.scene import Solution
 from taichi_bearings.words import meant
 
-KINDS = ("spins", "power", "history", "energy", *FIGURES, *FIGURES_OF_ALL)
+FIGURE_KINDS = ("spins", "power", "history", "energy", *FIGURES, *FIGURES_OF_ALL)
 WITH_PLANES = ("spins", "power", "domains", "plane_cuts", "cut_surface", "torque_flow")
 WITH_VIEW = ("spins", "domains", "network", "cut_surface", "bottlenecks")
 
@@ -32,8 +32,8 @@ def draw_figure(
     time : of the snapshot whose spins are drawn; slip_threshold : that the run was asked for, if it was.
     page : how it is printed.
     """
-    if kind not in KINDS:
-        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
+    if kind not in FIGURE_KINDS:
+        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(FIGURE_KINDS)}{meant(kind, FIGURE_KINDS)}")
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < solution.scene.replicas:

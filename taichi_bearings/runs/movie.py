@@ -24,7 +24,7 @@ from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.snapshot import draw_snapshot
 from taichi_bearings.stages import alike, each, stage
 
-ENDINGS = (".mp4", ".gif")
+FILM_ENDINGS = (".mp4", ".gif")
 MOST_FRAMES_PER_SECOND = 60
 
 
@@ -36,7 +36,7 @@ def movie(
     out : the file, MP4 or GIF by its ending; default: movie.mp4 in the run directory, or movie.gif without ffmpeg.
     Raises InputError or FileError before anything is drawn.
     """
-    refuse_ending(out, *ENDINGS)
+    refuse_ending(out, *FILM_ENDINGS)
     ending, encoder = out.suffix if out else "", shutil.which("ffmpeg")
     if ending == ".mp4" and encoder is None:
         raise InputError(f"out is {str(out)!r}, but there is no ffmpeg on this machine to make it; a .gif needs none")

@@ -26,7 +26,15 @@ from taichi_bearings.runs.structure_report import findings_of
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
 
-NEEDED = ("minimum_cut/above", "component", "path", "domain", "domains/lock", "betweenness/sphere", "betweenness/x")
+NEEDED_ARRAYS = (
+    "minimum_cut/above",
+    "component",
+    "path",
+    "domain",
+    "domains/lock",
+    "betweenness/sphere",
+    "betweenness/x",
+)
 BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "current": "current", "backbone": "backbone"}
 """Columns of the contacts that are findings of the analysis, one array an axis there."""
 
@@ -113,7 +121,7 @@ def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
 def _findings(run: StoredRun, replica: int) -> Mapping[str, Finding]:
     """The stored analysis of a sample, or a new one where there is none that goes by the contact states."""
     found, attributes = read_analysis(run.path, replica)
-    if attributes.get("states") in ("proven", "decided") and all(name in found for name in NEEDED):
+    if attributes.get("states") in ("proven", "decided") and all(name in found for name in NEEDED_ARRAYS):
         path = found["path"]
         found["path"] = Finding(path.values[(path.values >= 0).all(axis=1)], path.units, path.description)
         return found

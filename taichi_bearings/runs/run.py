@@ -100,7 +100,7 @@ def method_options(settings: RunSettings, row: type[MethodOptions]) -> MethodOpt
     return row(**{key: value for key, value in given.items() if value is not None})
 
 
-ROUGHLY = 3  # up to which factor the memory of a method is known
+MEMORY_ERROR = 3  # up to which factor the memory of a method is known
 
 
 @dataclass(frozen=True)
@@ -178,12 +178,12 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
         settings = replace(settings, **{key: settings_table()[key].default for key in unused})
     if reason := row.refusal(scene):
         raise InputError(reason)
-    least = row.bytes(scene.lattice.sites) / ROUGHLY
+    least = row.bytes(scene.lattice.sites) / MEMORY_ERROR
     refuse_beyond(least, f"{row.name} of {scene.lattice.sites:,} spheres")
     return Job(settings, scene, spin, method_options(settings, row).build())
 
 
-MOST_ITERATIONS = 1_000_000  # unless the settings say otherwise
+USUAL_ITERATIONS = 1_000_000  # unless the settings say otherwise
 
 
 def _iteration_limit(settings: RunSettings) -> int:
@@ -191,7 +191,7 @@ def _iteration_limit(settings: RunSettings) -> int:
 
     if settings.iterations is not None:
         return settings.iterations
-    return MOST_ITERATIONS if settings.duration is None else UNLIMITED
+    return USUAL_ITERATIONS if settings.duration is None else UNLIMITED
 
 
 def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:

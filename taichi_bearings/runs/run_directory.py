@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
+from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME as CHECKPOINT
 from taichi_bearings.files.whole_file import make_folder, refuse_link_out, refuse_standing, write_text
 from taichi_bearings.plain_files import locked, read_whole, real_path, remove, remove_leftover
 

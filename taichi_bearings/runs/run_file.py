@@ -11,24 +11,24 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.checkpoint_file import NAME as CHECKPOINT
-from taichi_bearings.files.scan_journal import NAME as JOURNAL
+from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
+from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
-from taichi_bearings.quantities import CHECKS, CONTACTS, FRICTION, SPHERES
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES, SPHERES
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import CROSSED_BOUND
 
-SCHEMA = "taichi_bearings.run"
-SCHEMA_VERSION = 1
+RUN_SCHEMA = "taichi_bearings.run"
+RUN_VERSION = 1
 AXES = "xyz"
-SCAN = "scan.h5"  # beside the settings and the journal of a scan
+SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
 
 NOT_IN_ALL = ("slip_bound", "proven")  # data sets of contacts that a run file may lack
-COUNTED = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
+WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
 
 
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
@@ -51,7 +51,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             put(file, name.format(axis), part, unit, text.format(axis))
 
     def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, SCHEMA_VERSION
+        file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
         for key, value in {**attributes, "findings": list(solution.findings)}.items():
             file.attrs[key] = storable(value)
         for quantity, (group, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
@@ -63,7 +63,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
                 parts = lattice.by_axis(strip(found))
                 of_contacts(file, f"contact/{{}}/{row.name}", parts, row.unit, row.text)
         friction = friction_by_axis(strip(solution.friction), lattice)
-        of_contacts(file, "contact/{}/friction", friction, "force", FRICTION[lattice.dimension])
+        of_contacts(file, "contact/{}/friction", friction, "force", FRICTION_QUANTITIES[lattice.dimension])
         for row in SPHERES.values():
             found = row.of(solution)
             if found is not None:
@@ -73,7 +73,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
                 values = column[:, 0] if column.ndim == 2 else column
             else:  # a leading replica axis, like everything else
                 values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
-            put(file, f"history/{key}", values, CHECKS[key].unit, CHECKS[key].text)
+            put(file, f"history/{key}", values, CHECK_ROWS[key].unit, CHECK_ROWS[key].text)
         if solution.snapshots is not None:
             times, spins = solution.snapshots.time, solution.snapshots.spin
             if one:
@@ -106,8 +106,8 @@ def refuse_scan(path: Path) -> None:
     if path.suffix == ".toml" and path.is_file():
         kind, command = ("a scan", "scan") if "scan" in read_toml(path) else ("a run", "run")
         raise FileError(f"{path} describes {kind} and holds no result; `bearings {command} {path}` solves it")
-    folder = path.parent if path.name == SCAN else path
-    if _is_in(folder, SCAN, JOURNAL, "scan.toml") and not _is_in(path, "run.h5", CHECKPOINT):
+    folder = path.parent if path.name == SCAN_NAME else path
+    if _is_in(folder, SCAN_NAME, JOURNAL_NAME, "scan.toml") and not _is_in(path, "run.h5", CHECKPOINT_NAME):
         raise FileError(
             f"{path} is a scan, not a run; `bearings scan {folder}` goes on with it, `bearings plot scan {folder}` and "
             f"`bearings histogram {folder}` draw it"
@@ -117,7 +117,7 @@ def refuse_scan(path: Path) -> None:
 def refuse_run(path: Path) -> None:
     """FileError for a run where a scan is wanted; it names the command that fits."""
     folder = path if path.is_dir() else path.parent
-    if path.name == "run.h5" or (_is_in(folder, "run.h5", CHECKPOINT) and not path.is_file()):
+    if path.name == "run.h5" or (_is_in(folder, "run.h5", CHECKPOINT_NAME) and not path.is_file()):
         raise FileError(
             f"{folder} is a run, not a scan; `bearings run {folder}` solves it again, `bearings plot spins {folder}` "
             "draws it"
@@ -133,10 +133,10 @@ def read_run_file(run: Path) -> StoredRun:
     refuse_scan(run)
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
-        unfinished = path.with_name(CHECKPOINT).is_file()
+        unfinished = path.with_name(CHECKPOINT_NAME).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
-    with read_hdf5(path, SCHEMA, SCHEMA_VERSION, "a run") as file:
+    with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
         attributes = {
             key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()
         }
@@ -164,7 +164,7 @@ class _Arrays:
             words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {whole}"
             raise FileError(f"{name} in {self.path} is damaged: {words}")
         values = stored[()][None] if self.one else stored[()]
-        return values.astype(np.float64) if stored.dtype.kind != "f" and not COUNTED.search(name) else values
+        return values.astype(np.float64) if stored.dtype.kind != "f" and not WHOLE_SETS.search(name) else values
 
     def by_axis(self, name: str, *parts: int) -> tuple[np.ndarray, ...]:
         """Of the contacts, one array (R, *contacts, *parts) an axis; name : with {} for the axis."""

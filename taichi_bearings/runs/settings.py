@@ -57,11 +57,11 @@ def _state(value: Any) -> tuple[float, ...]:
 
 
 SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
-STATE = Kind(
+BEARING_STATE = Kind(
     _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
 )
-VECTOR = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
-TIMES = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
+THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
+TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
@@ -92,17 +92,17 @@ class RunSettings:
     spin_top: float = option(1.0, REAL, "Imposed spin of the top.", unit="1/time")
     spin_bottom: float = option(0.0, REAL, "Imposed spin of the bottom.", unit="1/time")
     direction: tuple[float, ...] = option(
-        (1.0, 1.0, 0.0), VECTOR, "Axis of the driven spins in 3D, normalised.", dimensions=(3,)
+        (1.0, 1.0, 0.0), THREE_NUMBERS, "Axis of the driven spins in 3D, normalised.", dimensions=(3,)
     )
     top: tuple[float, ...] | None = option(
         None,
-        STATE,
+        BEARING_STATE,
         "Bearing state of the top plane, instead of the spins and their axis: AX,AY,AZ;C for spins A + C x, x measured "
         "from the first sphere. In 2D one number.",
         unit="1/time",
     )
     bottom: tuple[float, ...] | None = option(
-        None, STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
+        None, BEARING_STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
     )
     coefficients: str | None = option(
         None,
@@ -141,13 +141,13 @@ class RunSettings:
     )
     record: str | None = motion(
         None,
-        TIMES,
+        TIME_LIST,
         "Simulated times of the rows of the history; the end gets one too. Default: at every check.",
         unit="time",
         of_solving=True,
     )
     snapshots: str | None = motion(
-        None, TIMES, "Simulated times at which the spins are kept.", unit="time", of_solving=True
+        None, TIME_LIST, "Simulated times at which the spins are kept.", unit="time", of_solving=True
     )
     checkpoint_every: float | None = motion(
         None,
@@ -288,7 +288,7 @@ def _escaped(letter: str) -> str:
     return f"\\u{ord(letter):04x}" if is_control else f"\\{letter}" if letter in '"\\' else letter
 
 
-MOST_TEXT = 2**22  # bytes of a scene or scan file
+MOST_SETTINGS_TEXT = 2**22  # bytes of a scene or scan file
 MOST_NESTED = 20
 MOST_DOTS = 20_000  # in dotted keys
 PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
@@ -307,7 +307,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     try:
-        text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else read_whole(path, MOST_TEXT).decode()
+        text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else read_whole(path, MOST_SETTINGS_TEXT).decode()
     except UNREADABLE as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
     return parse_toml(text, path)
@@ -355,8 +355,8 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
 
 def _refuse_costly(text: str) -> None:
     """ValueError for what would take Python's stack, or memory and time out of all proportion."""
-    if len(text) > MOST_TEXT:
-        raise ValueError(f"it is longer than {MOST_TEXT:,} bytes")
+    if len(text) > MOST_SETTINGS_TEXT:
+        raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} bytes")
     is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
     if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
         raise ValueError("its brackets do not close")

@@ -10,7 +10,7 @@ from taichi_bearings.plots.symbols import describe, driving
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 
-ELASTIC = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
+STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 
 
 def draw_snapshot(
@@ -49,7 +49,7 @@ def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> floa
     asked for `slip_threshold`.
     """
     if solution.method.endswith("cundall-strack") and slip_threshold is None:
-        return max(solution.slip_threshold, ELASTIC * solution.scene.lattice.radius * solution.scene.jump)
+        return max(solution.slip_threshold, STRETCHED_SLIP * solution.scene.lattice.radius * solution.scene.jump)
     return solution.slip_threshold
 
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.runs.settings import parse_assignment
 from taichi_bearings.runtime import available_threads
-from taichi_bearings.scans.engine import PATIENCE, LocalEngine, Outcome, Record, Unit, Work
+from taichi_bearings.scans.engine import LOOK_SECONDS, LocalEngine, Outcome, Record, Unit, Work
 from taichi_bearings.scans.plan import Sample
 from taichi_bearings.scene.initial_spins import STARTS
 
@@ -42,7 +42,7 @@ SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,  # moves of a unit whose worker was lost; then the scan decides
     "distributed.worker.profile.enabled": False,  # looks at every thread a hundred times a second
 }
-AHEAD = 2  # units at a time for each thread, so that the next one is there when one is done
+UNITS_AHEAD = 2  # units at a time for each thread, so that the next one is there when one is done
 LOOK = 1.0  # seconds between two counts of the workers
 RENEW = 60.0  # seconds between two submissions of jobs in place of those that have ended
 LONELY = 10.0  # seconds without any worker after which that is said
@@ -198,7 +198,7 @@ class DaskEngine:
     @property
     def has_room(self) -> bool:
         self._look()
-        return len(self._submitted) < AHEAD * self._threads
+        return len(self._submitted) < UNITS_AHEAD * self._threads
 
     def _look(self) -> None:
         """Count the workers now and then; replace those whose jobs have ended."""
@@ -280,7 +280,7 @@ def solve_unit(unit: Unit, scan: str, work: Work, allowed: Callable[[Unit], floa
     multiprocessing.current_process().daemon = False  # Dask sets this, and then no process can be started from here
     engine = _engines.setdefault((scan, threading.get_ident()), LocalEngine(work, 1, allowed))
     engine.submit(unit)
-    while not (outcomes := engine.collect(PATIENCE)):
+    while not (outcomes := engine.collect(LOOK_SECONDS)):
         pass
     return outcomes[0].records, outcomes[0].reason
 

@@ -47,8 +47,8 @@ Record = dict[str, Any]  # of a task, as in sample.solve_samples
 Work = Callable[[Sequence[Any]], list[Record]]
 TRIES = 2  # of each sample
 HOPELESS = 10  # workers that end one after the other without any result
-PATIENCE = 0.2  # seconds between looks at what else is going on
-IDLE = 60.0  # seconds without work after which a worker ends
+LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
+IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def run_samples(
         yield []
         finished: list[Record] = []
         unwritten = ""
-        for outcome in engine.collect(PATIENCE):
+        for outcome in engine.collect(LOOK_SECONDS):
             lost = lost + 1 if outcome.records is None else 0
             any_result |= outcome.records is not None
             if outcome.records is None and len(outcome.unit) > 1:
@@ -294,7 +294,7 @@ def serve(pipe: Connection, work: Work) -> None:
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError), pipe:
         pipe.send("started")
         healthy = True
-        while healthy and pipe.poll(IDLE):
+        while healthy and pipe.poll(IDLE_SECONDS):
             records = work(pipe.recv())
             healthy = all(r["scalars"]["status"] != FAILED or r.get("final", False) for r in records)
             pipe.send((records, healthy))

@@ -21,10 +21,10 @@ WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
 UNIT_SECONDS = 1.0  # estimated work that is sent to a worker at a time
-TOGETHER = 24  # samples of which an interior point steps eight at once: where one is done, another takes its place
+BLOCK_SAMPLES = 24  # samples of which an interior point steps eight at once: where one is done, another takes its place
 MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
-ALIKE = (
+KIND_KEYS = (
     "method", "law", "distribution", "viscosity", "shape", "direction", "tolerance", "settle", "time_limit", "duration",
     "stiffness", "time_step", "error_tolerance", "arch", "precision",
 )  # fmt: skip
@@ -70,7 +70,7 @@ def bytes_of(settings: RunSettings) -> float:
 
 def kind_of(settings: RunSettings) -> tuple[Any, ...]:
     """The same for samples that take about the same time."""
-    return tuple(getattr(settings, name, None) for name in ALIKE)
+    return tuple(getattr(settings, name, None) for name in KIND_KEYS)
 
 
 def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
@@ -82,7 +82,7 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
         settings = group[0].settings
         number = int(UNIT_SECONDS / seconds_of(settings, structure))
         if math.prod(settings.shape) < row_of(settings).alike_in_a_block:
-            number = max(number, TOGETHER)
+            number = max(number, BLOCK_SAMPLES)
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // math.prod(settings.shape)))
         rounds = math.ceil(len(group) / (number * workers))
         number = math.ceil(len(group) / (rounds * workers))

@@ -11,7 +11,7 @@ import numpy as np
 from taichi_bearings.analysis.census import Census
 from taichi_bearings.analysis.fit import Fit, fit, read_fit
 from taichi_bearings.analysis.statistics import (
-    LEAST,
+    LEAST_SAMPLES,
     QUANTILES,
     describe,
     groups,
@@ -267,7 +267,7 @@ def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tu
         value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
         if bars == "standard-error":
             low, high = value - statistics["standard_error"], value + statistics["standard_error"]
-    return (value, low, high) if number >= LEAST else (value, math.nan, math.nan)
+    return (value, low, high) if number >= LEAST_SAMPLES else (value, math.nan, math.nan)
 
 
 def _check_log(points: Sequence[Point], log: str) -> None:

@@ -36,7 +36,7 @@ from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
-UNITS = {"none": ENERGY_PER_TIME, "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
+POWER_UNITS = {"none": ENERGY_PER_TIME, "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
 MOST_GROUPS = 24
 
@@ -171,8 +171,8 @@ def pooled(
 ) -> dict[Any, PowerHistogram]:
     """Histograms in the same bins by the values of `by`, in their order; {None: histogram} without it.
 
-    normalise : a key of UNITS. Powers of a run are binned anew. Those of a scan are known by the bin, 20 a decade:
-    `bins_per_decade` must divide 20, and where samples have different units each moves by whole such bins.
+    normalise : a key of POWER_UNITS. Powers of a run are binned anew. Those of a scan are known by the bin, 20 a
+        decade: `bins_per_decade` must divide 20, and where samples have different units each moves by whole such bins.
     """
     scans = [source for source in sources if isinstance(source.stored, StoredScan)]
     if scans and BINS_PER_DECADE % bins_per_decade:
@@ -197,7 +197,7 @@ def pooled(
     def of(rows: np.ndarray) -> PowerHistogram:
         census, own = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
         coarsest = float(threshold[own].max(initial=0.0))
-        return pool(counts.of(own), coarsest, UNITS[normalise], disorder[own], census.left_out)
+        return pool(counts.of(own), coarsest, POWER_UNITS[normalise], disorder[own], census.left_out)
 
     if by is None:
         return {None: of(np.arange(len(reasons)))}

@@ -18,13 +18,13 @@ from taichi_bearings.scans.parts import journals_in
 from taichi_bearings.scans.plan import count_samples
 from taichi_bearings.words import counted
 
-RUN, SCAN = "run", "scan"
+RUN_KIND, SCAN_KIND = "run", "scan"
 OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
-NEEDED = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
+NEEDED_FIELDS = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
 FURTHER = {"gap": float, "power_normalised": float, "states_proven": bool, "coefficients": str}  # or None
-LARGEST = 1e300  # of a number
-UNITS = ("B", "kB", "MB", "GB", "TB")
+LARGEST_NUMBER = 1e300  # of a number
+BYTE_UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Entry:
         """What it holds, in a line."""
         if self.problem:
             return f"cannot be read: {self.problem}"
-        return _words_of_scan(self.values) if self.kind == SCAN else _words_of_run(self.values)
+        return _words_of_scan(self.values) if self.kind == SCAN_KIND else _words_of_run(self.values)
 
 
 def entries(folder: Path) -> list[Entry]:
@@ -72,8 +72,8 @@ def entries(folder: Path) -> list[Entry]:
 def _kind_of(path: Path) -> str:
     """Run, scan, or an empty text."""
     if any((path / name).is_file() for name in OF_A_RUN):
-        return RUN
-    return SCAN if (path / "scan.h5").is_file() or journals_in(path) else ""
+        return RUN_KIND
+    return SCAN_KIND if (path / "scan.h5").is_file() or journals_in(path) else ""
 
 
 def _entry(path: Path) -> Entry | None:
@@ -84,7 +84,7 @@ def _entry(path: Path) -> Entry | None:
         if not kind:
             return None
         size, modified = _size_and_time(path)
-        values = _of_scan(path) if kind == SCAN else _of_run(path)
+        values = _of_scan(path) if kind == SCAN_KIND else _of_run(path)
     except BearingsError as error:
         problem = str(error)
     except OSError as error:
@@ -114,20 +114,22 @@ def _of_run(path: Path) -> dict[str, Any]:
     summary = read_json(file)
     if not isinstance(summary, dict):
         raise InputError("its summary.json is no object")
-    for name, kind in (NEEDED | FURTHER).items():
+    for name, kind in (NEEDED_FIELDS | FURTHER).items():
         value = summary.get(name)
         if not _fits(kind, value) and not (name in FURTHER and value is None):
             raise InputError(f"its summary.json has no usable {name}")
     if not (path / "run.h5").is_file():
         raise InputError("it has a summary.json but no run.h5")
-    return {name: summary.get(name) for name in (*NEEDED, *FURTHER)}
+    return {name: summary.get(name) for name in (*NEEDED_FIELDS, *FURTHER)}
 
 
 def _fits(kind: type, value: Any) -> bool:
     """True for a value of a kind, or a list of them; whole numbers are numbers."""
     parts = value if isinstance(value, list) else [value]
     kinds = {float, int} if kind is float else {kind}
-    return bool(parts) and all(type(part) in kinds and not (kind is float and abs(part) > LARGEST) for part in parts)
+    return bool(parts) and all(
+        type(part) in kinds and not (kind is float and abs(part) > LARGEST_NUMBER) for part in parts
+    )
 
 
 def _of_scan(path: Path) -> dict[str, Any]:
@@ -198,6 +200,6 @@ def in_bytes(size: float) -> str:
     '1.23 MB'
     """
     step = 0
-    while size >= 999.5 and step < len(UNITS) - 1:
+    while size >= 999.5 and step < len(BYTE_UNITS) - 1:
         size, step = size / 1000, step + 1
-    return f"{size:.3g} {UNITS[step]}"
+    return f"{size:.3g} {BYTE_UNITS[step]}"

@@ -14,11 +14,11 @@ from typing import Any
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.files.scan_journal import NAME, is_sample, read_journal
+from taichi_bearings.files.scan_journal import JOURNAL_NAME, is_sample, read_journal
 from taichi_bearings.scans.plan import ScanPlan, groups_of
 
 JOURNAL = re.compile(r"part-[1-9][0-9]{0,5}-of-([1-9][0-9]{0,5})\.jsonl")
-MOST = 100_000
+MOST_PARTS_OF_SCAN = 100_000
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,10 @@ class Part:
     def parse(text: str) -> "Part":
         """From ``i/n``; InputError if that is no part."""
         found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-        if found is None or not 1 <= int(found[1]) <= int(found[2]) <= MOST:
-            raise InputError(f"--part is {text!r}; it must be i/n with whole numbers 1 <= i <= n <= {MOST:,}")
+        if found is None or not 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS_OF_SCAN:
+            raise InputError(
+                f"--part is {text!r}; it must be i/n with whole numbers 1 <= i <= n <= {MOST_PARTS_OF_SCAN:,}"
+            )
         return Part(int(found[2]), int(found[1]))
 
     def __str__(self) -> str:
@@ -78,7 +80,7 @@ def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
 def journals_in(folder: Path) -> list[Path]:
     """The journals in a folder, of parts before that of the scan itself."""
     files = folder.iterdir() if folder.is_dir() else ()
-    return sorted(file for file in files if file.name == NAME or JOURNAL.fullmatch(file.name))
+    return sorted(file for file in files if file.name == JOURNAL_NAME or JOURNAL.fullmatch(file.name))
 
 
 def journal_bytes(folder: Path) -> int | None:

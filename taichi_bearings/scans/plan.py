@@ -15,7 +15,7 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.options import TRUTH, Kind, Option, bounded, real
 from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import (
-    MOST_TEXT,
+    MOST_SETTINGS_TEXT,
     RunSettings,
     parse_assignment,
     read_toml,
@@ -178,9 +178,9 @@ def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: 
         if key in document:
             raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
     text = _text(document, single, tables)
-    if len(text) > MOST_TEXT - 1000:  # which wishes may take
+    if len(text) > MOST_SETTINGS_TEXT - 1000:  # which wishes may take
         raise InputError(
-            f"{path} takes {len(text):,} bytes written in full, and at most {MOST_TEXT:,} are read; use ranges"
+            f"{path} takes {len(text):,} bytes written in full, and at most {MOST_SETTINGS_TEXT:,} are read; use ranges"
         )
     samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
     return ScanPlan(scanned, samples, text, wishes)

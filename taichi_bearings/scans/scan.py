@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan, write_scan_csv
-from taichi_bearings.files.scan_journal import NAME as JOURNAL
+from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import refuse_link_out, replace_file
 from taichi_bearings.interrupts import awaited
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 FORECASTS = 50.0  # times as long as the time left takes to compute passes until it is computed anew, at least
 REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
-REACHED = [status.value for status in Status if status.reached]
+REACHED_STATUS = [status.value for status in Status if status.reached]
 LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
 
 
@@ -342,7 +342,7 @@ class _Course:
             "samples": len(self.plan.samples),
             "done": len(statuses) - len(failed),
             "solved_now": self.progress.done - self.progress.before,
-            "reached": sum(status in REACHED for status in statuses),
+            "reached": sum(status in REACHED_STATUS for status in statuses),
             "failed": len(failed),
             "warned": sum("warnings" in self.records[key]["scalars"] for key in solved),
             "missing": len(self.plan.samples) - len(statuses),

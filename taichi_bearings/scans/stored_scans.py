@@ -4,11 +4,11 @@ import logging
 from pathlib import Path
 
 from taichi_bearings.errors import BearingsError, FileError
-from taichi_bearings.files.scan_file import SCHEMA, StoredScan, read_scan
+from taichi_bearings.files.scan_file import SCAN_SCHEMA, StoredScan, read_scan
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.runs.run_file import refuse_run
-from taichi_bearings.runs.settings import MOST_TEXT
+from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of, with_missing
@@ -22,7 +22,7 @@ def is_scan(path: Path) -> bool:
         return (path / "scan.h5").is_file() or journal_bytes(path) is not None
     try:
         with open_hdf5(path) as file:
-            return bool(file.attrs.get("schema") == SCHEMA)
+            return bool(file.attrs.get("schema") == SCAN_SCHEMA)
     except (*UNREADABLE, FileError):
         return False
 
@@ -62,7 +62,7 @@ def open_scan(path: Path) -> StoredScan:
 def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
     """True if a table was made of this scan file and of journals of so many bytes."""
     same = stored.attributes.get("journals") == journals
-    return same and scan.is_file() and read_whole(scan, MOST_TEXT) == str(stored.attributes["scan"]).encode()
+    return same and scan.is_file() and read_whole(scan, MOST_SETTINGS_TEXT) == str(stored.attributes["scan"]).encode()
 
 
 def outdated_figures(folder: Path, journals: int) -> list[Path]:

@@ -10,7 +10,16 @@ from taichi_bearings.runs.settings import settings_table
 from taichi_bearings.scans.plan import Sample, ScanPlan, written
 from taichi_bearings.version import VERSION
 
-FIRST = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")  # after the scanned keys
+FIRST_COLUMNS = (
+    "power",
+    "lower_bound",
+    "gap",
+    "status",
+    "method",
+    "slipping",
+    "slipless",
+    "seconds",
+)  # after the scanned keys
 OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share", "busiest_link_current", "resistance"}
 OF_SETTINGS = ("law", "shape", "seed", "spin_top", "spin_bottom", "normal_force", "radius")  # known without a result
 
@@ -28,13 +37,13 @@ def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
 
 
 def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list[Column]:
-    """The scanned keys, then FIRST, then whatever else the records hold; one row a sample that has a record.
+    """The scanned keys, then FIRST_COLUMNS, then whatever else the records hold; one row a sample that has a record.
 
     A result that bears the name of a scanned key and may differ from it is called ``<name>_found``.
     """
     samples = [sample for sample in plan.samples if sample.key in records]
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
-    names = dict.fromkeys([*FIRST, *(name for numbers in scalars for name in numbers)])
+    names = dict.fromkeys([*FIRST_COLUMNS, *(name for numbers in scalars for name in numbers)])
     settings = {key: (item.unit, item.help) for key, item in settings_table().items()}
     meaning = {name: (row.unit, row.text) for name, row in COLUMNS.items()}
     columns = [column(key, [written(sample.point[key]) for sample in samples], *settings[key]) for key in plan.scanned]

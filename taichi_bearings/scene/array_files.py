@@ -10,7 +10,7 @@ import numpy as np
 from taichi_bearings.checksums import check
 from taichi_bearings.errors import FileError
 from taichi_bearings.hdf5 import open_hdf5
-from taichi_bearings.plain_files import ALL, LEAST, opened
+from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 LAYOUT = 1  # version of run.h5
 
@@ -37,7 +37,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         if path.suffix == ".npz":
             with opened(path) as file, zipfile.ZipFile(file) as stored:
                 there = [name.removesuffix(".npy") for name in stored.namelist()]
-                most = max(ALL * path.stat().st_size, LEAST)
+                most = max(CLAIMED_FACTOR * path.stat().st_size, CLAIMED_BYTES)
                 members = {name: name if name in there else short_name(name) for name in (*names, *optional)}
                 _refuse_lack(path, [members[name] for name in names], there)
                 return {name: _member(path, stored, f"{m}.npy", most) for name, m in members.items() if m in there}

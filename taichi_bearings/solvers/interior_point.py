@@ -32,7 +32,7 @@ from taichi_bearings.conic.contact_system import (
 from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.resolution import APART, Resolved, Surroundings, resolve
+from taichi_bearings.conic.resolution import DECIDED_RATIO, Resolved, Surroundings, resolve
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
@@ -94,7 +94,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
     viscosity = [of.viscosity for of in iterates if of.viscosity is not None]
     if viscosity:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + together(viscosity) / together([of.friction for of in iterates]))
-    found = where(slip > APART * margin, slipping, where(margin > APART * slip, slipless, undecided))
+    found = where(slip > DECIDED_RATIO * margin, slipping, where(margin > DECIDED_RATIO * slip, slipless, undecided))
     if not settled:
         return found
     each_found, known = apart(found, len(samples)), iter(settled)

@@ -23,7 +23,7 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joine
 from taichi_bearings.verifier.motion import Motion, length
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
-NEWTON_TRIALS = 4  # each from spins that Newton's method has improved
+CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
 RIGID_STIFFNESS = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
 CURVATURE_SHARE = 1e-7  # of the least curvature
 LEAST_CURVATURE, POWER_ITERATIONS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
@@ -159,7 +159,7 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
-    for _ in range(NEWTON_TRIALS):
+    for _ in range(CURVATURE_TRIALS):
         curvature = Curvature.of(contacts)
         if curvature is None:
             return None

@@ -17,7 +17,7 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.verifier.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
-LEAF_UNKNOWNS = 150  # unknowns of a region that is not divided
+REGION_UNKNOWNS = 150  # unknowns of a region that is not divided
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Elimination:
     @classmethod
     def of(cls, matrix: sparse.csc_array, place: np.ndarray) -> Elimination:
         """place : (d, n), where each unknown is."""
-        parts = dissected(matrix, place, LEAF_UNKNOWNS)
+        parts = dissected(matrix, place, REGION_UNKNOWNS)
         order = np.concatenate([part.nodes for part in parts])
         at = np.empty_like(order)
         at[order] = np.arange(len(order))

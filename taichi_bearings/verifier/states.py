@@ -33,7 +33,7 @@ from taichi_bearings.verifier.motion import Motion, whole_planes
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 
-TOGETHER = 200_000  # spheres of the samples that are proven at once, at most
+PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def _reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 def _by_curvature(motion: Motion) -> list[States]:
     """Two components: steps 1 to 3 of the module docstring, of all samples at once, or else of each half of them."""
     samples, count = motion.samples, motion.samples.count
-    small = count == 1 or count * samples.sublattice.size <= TOGETHER
+    small = count == 1 or count * samples.sublattice.size <= PROVEN_AT_ONCE
     contacts = Slipping.of(motion) if small else None
     doubt = "too many" if contacts is None else _doubt(motion, contacts)
     if not doubt:

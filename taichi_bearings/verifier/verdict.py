@@ -22,9 +22,9 @@ ARITHMETIC = (
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 EPS = np.finfo(np.float64).eps
 CLAIMS = ("lower_bound", "states_proven", "minimum_is_unique")
-BALANCED = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
-DRIVEN = 3  # state of a contact between driven spheres, in the file
-LOST = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
+TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
+DRIVEN_STATE = 3  # state of a contact between driven spheres, in the file
+LOST_SQUARE = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def verdict_of(run: StoredRun) -> Verdict:
         upper_bound=[_finite(value) for value in upper],
         lower_bound=bound.tolist(),
         gap=gap,
-        balanced=(judgement.price <= BALANCED).tolist(),
+        balanced=(judgement.price <= TORQUE_COST).tolist(),
         inside_discs=(judgement.work.saturation <= 1).tolist(),
         largest_balance_residual=judgement.largest_torque.tolist(),
         states=[_counted(samples, number, s) for number, s in enumerate(states)],
@@ -156,9 +156,9 @@ def _numbers(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             expected += np.where(acts, samples.viscosity[axis] * slip**2, 0.0)
         if not (np.abs(power - expected) <= ROUNDED * expected).all():
             yield f"powers of contacts along {name} are not friction or damping times slip"
-        if (state == DRIVEN).sum() != (~acts).sum() or not (state[~acts] == DRIVEN).all():
+        if (state == DRIVEN_STATE).sum() != (~acts).sum() or not (state[~acts] == DRIVEN_STATE).all():
             yield f"states of contacts along {name} do not name those between driven spheres and those absent"
-        if not np.isin(state, (0, 1, 2, DRIVEN)).all():
+        if not np.isin(state, (0, 1, 2, DRIVEN_STATE)).all():
             yield f"states of contacts along {name} have values other than 0, 1, 2 and 3"
 
 
@@ -208,7 +208,7 @@ def _forces(run: StoredRun, judgement: Judgement) -> Iterator[str]:
             yield f"friction along {name} acts along the contacts themselves"
         if not (np.isfinite(force) & (force >= 0)).all():
             yield f"forces of contacts along {name} are not finite or negative"
-        if not is_dynamics and not (np.abs(force - size) <= ROUNDED * size + LOST * samples.force_unit).all():
+        if not is_dynamics and not (np.abs(force - size) <= ROUNDED * size + LOST_SQUARE * samples.force_unit).all():
             yield f"forces of contacts along {name} are not those of the friction"
         expected = np.where(acts, strength * slip, 0.0)
         if is_dynamics and not samples.holds and not (np.abs(force - expected) <= ROUNDED * expected).all():
@@ -263,12 +263,12 @@ def _kinds(run: StoredRun, number: int, found: States) -> Iterator[str]:
     which, unproven, ties = of_sample(run, number), 0, [0, 0]
     for axis, proven in enumerate(found.proven):
         driven = run.samples.idle(axis)[number]
-        known = np.where(driven, DRIVEN, np.where(proven == CRITICAL, SLIPLESS, proven))
+        known = np.where(driven, DRIVEN_STATE, np.where(proven == CRITICAL, SLIPLESS, proven))
         ties = [ties[0] + int((known == TIED).sum()), ties[1] + int(np.isin(known, (TIED, UNPROVEN)).sum())]
         if "proven" in run.reported:
             said = run.reported["proven"][axis][number]
             unproven += int((said == UNPROVEN).sum())
-            false = int(((said != known) & ((said != UNPROVEN) | (known == DRIVEN))).sum())
+            false = int(((said != known) & ((said != UNPROVEN) | (known == DRIVEN_STATE))).sum())
             if false:
                 yield f"{false} contacts{which} along {'xyz'[axis]} are said to be proven what they are not"
     tied, said = run.claimed("tied_contacts")[number], run.claimed("unproven")[number]
@@ -368,7 +368,7 @@ def _close(said: Any, value: float | None) -> bool:
     return said is not None and value is not None and bool(abs(said - value) <= ROUNDED * abs(value))
 
 
-ENDS = {"time": "time", "energy_residual": "energy_residual", "iterations": "iteration"}
+END_COLUMNS = {"time": "time", "energy_residual": "energy_residual", "iterations": "iteration"}
 """Number of the summary -> column of the history that ends with it."""
 
 
@@ -377,7 +377,7 @@ def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[s
     for number in range(run.samples.count):
         least = "potential" if run.samples.holds and run.samples.flows else "power"
         bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
-        for name, column in ENDS.items():
+        for name, column in END_COLUMNS.items():
             said, rows = run.claimed(name)[number], _row(run.history.get(column), number)
             if name in run.attributes and rows is not None and len(rows) and said != _finite(rows[-1]):
                 yield f"{name.replace('_', ' ')}: the summary says {said!r}, the history {float(rows[-1])!r}"

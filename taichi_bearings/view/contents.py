@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib import colormaps
 
 from taichi_bearings.plots.domains import colour_of_turn
-from taichi_bearings.plots.lattice import COLOURS
+from taichi_bearings.plots.lattice import SPIN_COLOURS
 from taichi_bearings.proof.contact_state import ContactState, count, critical
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
 from taichi_bearings.version import VERSION
@@ -15,7 +15,7 @@ from taichi_bearings.words import undecided_kinds
 MOST_BYTES = 64e6  # of snapshots in a page: beyond, only some are shown
 BOTTLENECKS = 200  # busiest contacts that are shown as such
 CUT, PATH = 1, 2  # bits of `flags`
-SHARE = (0.12, 0.95)  # of a map of colours that is seen on white
+COLOUR_RANGE = (0.12, 0.95)  # of a map of colours that is seen on white
 
 
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
@@ -35,9 +35,9 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         "kind": spheres["domain_kind"],
         "above": spheres["above_cut"].astype(np.uint8),
         "turn": np.round(255 * turn).astype(np.uint8),
-        "map_spin": _colours(COLOURS, 0.0, 1.0),
-        "map_power": _colours("plasma_r", *SHARE),
-        "map_share": _colours("viridis_r", *SHARE),
+        "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
+        "map_power": _colours("plasma_r", *COLOUR_RANGE),
+        "map_share": _colours("viridis_r", *COLOUR_RANGE),
     }
     if drawn.moments is not None:
         chosen = _shown(drawn.moments)

@@ -14,7 +14,7 @@ import numpy as np
 from taichi_bearings.version import VERSION
 
 SCRIPTS = ("words", "squares", "sample", "picture", "legend", "pointing", "controls", "start")
-KINDS = {"float32": "f4", "int32": "i4", "uint8": "u1"}
+NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}
 
 
 def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
@@ -46,7 +46,7 @@ def _together(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[dict[str, A
     """All arrays one after the other, little-endian, those with longer numbers first, and where each lies."""
     together, places = b"", []
     for name, values in sorted(arrays.items(), key=lambda item: -item[1].dtype.itemsize):
-        kind = KINDS[values.dtype.name]
+        kind = NUMBER_TYPES[values.dtype.name]
         places.append({"name": name, "kind": kind, "offset": len(together), "length": values.size})
         together += np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()
     return together, places

@@ -9,7 +9,7 @@ from taichi_bearings.stages import stage
 from taichi_bearings.view.contents import arrays_of, facts_of
 from taichi_bearings.view.page import page_of
 
-NAME = "view.html"
+PAGE_NAME = "view.html"
 
 
 def view(run: Path, out: Path | None = None, force: bool = False, replica: int = 0) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def view(run: Path, out: Path | None = None, force: bool = False, replica: int =
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".html", ".htm")
-    with opened_to_draw(run, out, NAME, force) as (stored, path):
+    with opened_to_draw(run, out, PAGE_NAME, force) as (stored, path):
         drawn = points_and_lines(stored, replica)
         with stage("writing"):
             write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))

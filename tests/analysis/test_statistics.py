@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from taichi_bearings.analysis.statistics import FEW, MANY, describe, groups, mean_interval, ratio_interval
+from taichi_bearings.analysis.statistics import (
+    FEW_SAMPLES,
+    MANY_SAMPLES,
+    describe,
+    groups,
+    mean_interval,
+    ratio_interval,
+)
 
 
 def test_a_small_case_by_hand():
@@ -40,7 +47,7 @@ def test_the_same_samples_give_the_same_bits():
     assert mean_interval(values, seed=1) != mean_interval(values, seed=2)
 
 
-@pytest.mark.parametrize("number", [3, 19, MANY + 1])
+@pytest.mark.parametrize("number", [3, 19, MANY_SAMPLES + 1])
 def test_the_mean_of_few_or_of_many_samples_has_the_interval_of_student(number):
     values = np.random.default_rng(17).lognormal(size=number)
     found = mean_interval(values, 0.9)
@@ -78,7 +85,7 @@ def test_the_interval_of_a_mean_of_normal_numbers_covers_it_as_often_as_stated(n
         found = mean_interval(rng.normal(1.0, 1.0, number), resamples=1000)
         return found.low <= 1.0 <= found.high
 
-    assert abs(coverage(trials, holds) - 0.95) < (0.02 if number < FEW else 0.06)
+    assert abs(coverage(trials, holds) - 0.95) < (0.02 if number < FEW_SAMPLES else 0.06)
 
 
 def test_the_interval_of_a_mean_covers_it_as_often_as_stated():

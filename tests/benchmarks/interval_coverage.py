@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from taichi_bearings.analysis.statistics import CONFIDENCE, FEW, LEAST, RESAMPLES, _bootstrap, _student
+from taichi_bearings.analysis.statistics import CONFIDENCE, FEW_SAMPLES, LEAST_SAMPLES, RESAMPLES, _bootstrap, _student
 
 DRAWS = {  # name -> (samples from a generator, their mean)
     "normal": (lambda rng, n: rng.normal(1.0, 1.0, n), 1.0),
@@ -34,7 +34,7 @@ def main(trials: int) -> None:
                     held[0] += covers(_student(values, ones, CONFIDENCE), mean)
                     held[1] += covers(_bootstrap(values, ones, CONFIDENCE, RESAMPLES, trial), mean)
             cells.append(" / ".join(f"{100 * share:.0f}" for share in held / trials))
-        given = "none" if number < LEAST else "t" if number < FEW else "BCa"
+        given = "none" if number < LEAST_SAMPLES else "t" if number < FEW_SAMPLES else "BCa"
         print(f"| {number} ({given}) | " + " | ".join(cells) + " |", flush=True)
 
 

@@ -12,7 +12,7 @@ from taichi_bearings_studies.paper.figure_1 import Descent, Minimum, Settled
 from taichi_bearings_studies.paper.samples import TIMES, Run, solved
 from taichi_bearings_studies.plots.configurations import draw_configurations
 
-from taichi_bearings.plots.lattice import COLOURS
+from taichi_bearings.plots.lattice import SPIN_COLOURS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import LinearSolver, PlanarCut
@@ -151,7 +151,7 @@ def test_the_figure_shows_the_numbers(minimum):
     figure = draw_configurations(spin[0], spin[1], [values[1] for values in minimum.contacts], minimum.distance, failed)
     viscous, coulomb = figure.subfigs[0].axes[:2]
     for axes, values in ((viscous, spin[0]), (coulomb, spin[1])):
-        assert np.allclose(axes.collections[0].get_facecolor(), colormaps[COLOURS](values.ravel()))
+        assert np.allclose(axes.collections[0].get_facecolor(), colormaps[SPIN_COLOURS](values.ravel()))
     assert len(viscous.collections) == 1
     assert len(coulomb.collections[1].get_segments()) == figure_1.count(minimum.contacts)[1]
     assert [len(axes.patches) for axes in (viscous, coulomb)] == [2, 2]

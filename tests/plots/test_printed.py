@@ -28,7 +28,7 @@ from taichi_bearings.plots.scan import Curve, Look, draw_scan, formula
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
 from taichi_bearings.plots.symbols import column_label
-from taichi_bearings.runs.figures import KINDS, draw_figure
+from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.scene import Solution
 from taichi_bearings.solvers import METHODS
 from tests.plots.test_structure_figures import Case
@@ -65,7 +65,7 @@ def drawn(axes, kind=LineCollection):
 
 @pytest.mark.parametrize(
     ("kind", "width"),
-    [*((kind, "single") for kind in KINDS), *((kind, "double") for kind in ("spins", "domains", "network"))],
+    [*((kind, "single") for kind in FIGURE_KINDS), *((kind, "double") for kind in ("spins", "domains", "network"))],
 )
 def test_every_figure_is_as_wide_as_asked_with_nothing_clipped_and_legible(kind, width, solved):
     wide = read_width(width)

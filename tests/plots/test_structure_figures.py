@@ -9,20 +9,20 @@ from matplotlib import colormaps
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.colors import to_rgba
 
-from taichi_bearings.analysis.domains import KINDS, Lock, rigid_domains
+from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import colour_of_turn, draw_domains
-from taichi_bearings.plots.lattice import COLOURS, box_edges, seen, walls_between
-from taichi_bearings.plots.network import REACHED, contact_colours, draw_network
+from taichi_bearings.plots.lattice import SPIN_COLOURS, box_edges, seen, walls_between
+from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE
 from taichi_bearings.plots.thresholds import draw_thresholds
 from taichi_bearings.scene.initial_spins import cut_of
 from tests.scenes import make_scene
 
-BOTTOM, TOP = colormaps[COLOURS](0.0), colormaps[COLOURS](1.0)
+BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
 
 
 class Case:
@@ -99,7 +99,7 @@ def test_the_domain_figure_has_the_endpoints_colours_where_domains_are_locked():
     domains = Case((9, 8, 3), levels=(0.0, 0.0, 0.5, 1.0, 1.0)).domains
     assert all(number > 0 for kind, number in domains.domains_of_kind().items() if kind != "both")
     colour = colour_of_turn(domains.turn)
-    kind = np.array(KINDS)[domains.kind]
+    kind = np.array(LOCKS)[domains.kind]
     assert (colour[kind == "bottom"] == BOTTOM).all()
     assert (colour[kind == "top"] == TOP).all()
     mixed = colour[kind == "mixed"]
@@ -154,8 +154,8 @@ def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
     assert "no path" in titles(draw_plane_cuts(case.network, case.spin, *case.driving))
     height = case.network.contact[:, 2]
     colour = contact_colours(case.network)
-    assert np.allclose(colour[height < 3], REACHED["bottom"])
-    assert np.allclose(colour[height >= 3], REACHED["top"])
+    assert np.allclose(colour[height < 3], REACHED_COLOURS["bottom"])
+    assert np.allclose(colour[height >= 3], REACHED_COLOURS["top"])
     spanning = Case((5, 9, 14), levels=(0.0, 1.0)).network
     assert np.allclose(contact_colours(spanning), to_rgba(GREY))
 

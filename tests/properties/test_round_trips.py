@@ -31,7 +31,7 @@ NORMAL = {
     "allow_infinity": False,
     "allow_subnormal": False,
 }  # Taichi has its process flush the rest
-SIZES = st.floats(options.LEAST, options.MOST)
+SIZES = st.floats(options.LEAST_NUMBER, options.MOST_NUMBER)
 SIGNED = st.one_of(st.just(0.0), SIZES, SIZES.map(lambda size: -size))
 WORDS = st.text(st.characters(codec="utf-8"), min_size=1).filter(lambda text: not text.startswith("/"))
 TIMES = st.lists(st.floats(0, 1e6, allow_subnormal=False), min_size=1, max_size=4, unique=True).map(sorted)
@@ -46,7 +46,7 @@ VALUES = {  # what an option of each kind can be
     options.FILE: WORDS,
     keys.SHAPE: st.lists(st.integers(-5, 10**9), min_size=2, max_size=3),
     keys.VECTOR: st.lists(st.floats(**NORMAL), min_size=3, max_size=3),
-    keys.TIMES: TIMES,
+    keys.TIME_LIST: TIMES,
 }
 OTHERS = {"tolerance": st.floats(1e-300, 1.0), "static_ratio": st.floats(1, 1e9), "gear_order": st.integers(2, 5)}
 

@@ -378,6 +378,6 @@ def test_a_link_to_a_run_file_stays_a_link(solved, tmp_path):
 
 
 def test_plot_offers_the_figures_of_the_analysis():
-    from taichi_bearings_cli.plot import STRUCTURE
+    from taichi_bearings_cli.plot import STRUCTURE_KINDS
 
-    assert (*FIGURES, *FIGURES_OF_ALL) == STRUCTURE
+    assert (*FIGURES, *FIGURES_OF_ALL) == STRUCTURE_KINDS

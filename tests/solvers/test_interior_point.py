@@ -279,8 +279,8 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
         return slipping
 
     monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
-    monkeypatch.setattr(resolution, "FEW", 0.0)
-    monkeypatch.setattr(resolution, "FEWEST", 0)
+    monkeypatch.setattr(resolution, "DOUBTFUL_SHARE", 0.0)
+    monkeypatch.setattr(resolution, "LEAST_DOUBTFUL", 0)
     for name in ("roughly_borne", "borne_nearby"):
         look = getattr(resolution, name)
         monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])

@@ -24,7 +24,7 @@ def test_states_are_proven_in_many_parts_and_in_one(monkeypatch):
     solution = solved((6, 6, 6))
     states = list(solution.scene.lattice.by_axis(solution.state[0]))
     for leaf in (5, 10_000):
-        monkeypatch.setattr(elimination, "LEAF_UNKNOWNS", leaf)
+        monkeypatch.setattr(elimination, "REGION_UNKNOWNS", leaf)
         assert Judgement(samples_of(solution)).states[0].agree(states)
 
 

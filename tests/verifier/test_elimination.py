@@ -32,7 +32,7 @@ def scattered(seed: int, count: int = 120) -> tuple[sparse.csc_array, np.ndarray
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    monkeypatch.setattr(elimination, "LEAF_UNKNOWNS", 4)
+    monkeypatch.setattr(elimination, "REGION_UNKNOWNS", 4)
 
 
 @pytest.mark.parametrize("seed", range(5))
