@@ -235,9 +235,8 @@ def named(answer: Solution, found: list[States | None], as_proven: bool, at_mini
         passing |= (what == SLIPPING) & (state == ContactState.SLIPLESS)
         state = np.where(passing & ~driven, ContactState.UNDECIDED, state).astype(np.uint8)
     known = np.where(driven, state, np.where(what == CRITICAL, ContactState.SLIPLESS, what)).astype(np.uint8)
-    may_be = answer.scene.law.is_rate_independent
     pairs = zip(found, state, strict=True)
-    agree = [may_be and of is not None and of.agree(list(lattice.by_axis(said))) for of, said in pairs]
+    agree = [of is not None and of.agree(list(lattice.by_axis(said))) for of, said in pairs]
     return replace(answer, state=state, proven=known, states_proven=np.array(agree))
 
 

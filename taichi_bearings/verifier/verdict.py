@@ -252,7 +252,7 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"the cut{which} is said to be unique or not, and {tied[number]} contacts to differ between minima"
         if unique[number] is False and (found.unique or not (exact or found.unique is False)):
             yield f"the minimum{which} is said not to be unique, and that is not proven"
-        told = run.claimed("unproven")[number] == 0 and not run.samples.flows
+        told = run.claimed("unproven")[number] == 0
         if proven[number] is False and told and found.agree(given):
             yield f"the states{which} are said not to be proven, and each of them is"
         yield from _kinds(run, number, found)
