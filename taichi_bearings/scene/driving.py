@@ -133,9 +133,11 @@ class Driving:
     def largest_spins(self) -> tuple[float, float]:
         """|spin| imposed on the top and on the bottom, where it is largest, 1/time."""
         axes = self.lattice.all_spin_axes
-        low = np.broadcast_to(self.bottom_state(axes)[0][:, 0], (len(axes), *self.lattice.shape))
-        high = low[..., -1] + self.imposed_on_top(axes)[0]
-        return tuple(float(np.linalg.norm(of, axis=0).max()) for of in (high, low[..., 0]))  # type: ignore[return-value]
+        whole, rest = (
+            np.broadcast_to(part[:, 0], (len(axes), *self.lattice.shape)) for part in self.bottom_state(axes)
+        )
+        high = add((whole[..., -1], rest[..., -1]), self.imposed_on_top(axes))[0]
+        return tuple(float(np.linalg.norm(of, axis=0).max()) for of in (high, whole[..., 0]))  # type: ignore[return-value]
 
 
 def _unit_vector(vector: np.ndarray) -> Pair:

@@ -63,6 +63,12 @@ def test_the_same_state_on_both_sides_dissipates_nothing(shape, method):
     assert best.power <= 1e-7 * fastest
 
 
+def test_the_spin_of_the_top_is_not_lost_beside_a_far_faster_bottom():
+    scene = Scene.random((4, 4, 4), seed=1, top=(1.0, 1.0, 0.0, 0.2), bottom=(1.0, 1.0, 1.0, 1e12))
+    corner = np.array([1.0 + 0.2 * 3, 1.0 + 0.2 * 3, 0.2 * 3])
+    assert scene.imposed[0] == pytest.approx(np.linalg.norm(corner), rel=1e-15)
+
+
 @pytest.mark.parametrize("method", ["interior-point", "operator-splitting", "rigid-limit"])
 def test_a_state_that_is_added_to_both_planes_changes_nothing(method):
     own = {"top": (1.0, 0.5, 0.0, 0.25), "bottom": (0.0, 0.0, 0.0, 0.0)}

@@ -309,3 +309,15 @@ def test_viscous_contacts_that_are_proven_to_slip_are_not_said_to_rest(folder, t
         file.attrs["slip_threshold"] = file.attrs["largest_slipless_slip"] = slip["z"].max()
         file.attrs["separation_decades"] = ""
     assert any("contact states are not those of any minimum" in found for found in verify(path)["contradictions"])
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_whether_states_are_proven_is_said_as_it_is(folder, tmp_path, name):
+    """Of every law: with and without a threshold, the one word and the other."""
+    path = tmp_path / "run.h5"
+    shutil.copy(folder / name / "run.h5", path)
+    with h5py.File(path, "r+") as file:
+        said = file.attrs["states_proven"]
+        assert name not in ("spheres", "discs", "dampers") or said
+        file.attrs["states_proven"] = ~said
+    assert any("proven" in found for found in verify(path)["contradictions"])
