@@ -24,7 +24,7 @@ MOST_AT_ONCE = 2**22  # random numbers held at a time
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and the interval that holds it with the stated confidence; NaN ends where no interval can be given."""
+    """A number and the interval that holds it with confidence CONFIDENCE; NaN ends where no interval can be given."""
 
     value: float
     low: float
@@ -49,12 +49,12 @@ class Description:
     high: float
 
 
-def describe(values: np.ndarray, confidence: float = CONFIDENCE, resamples: int = RESAMPLES) -> Description:
+def describe(values: np.ndarray) -> Description:
     """Statistics of a number of the samples, (samples,)."""
     values = np.asarray(values, dtype=float)
     present = values[np.isfinite(values)]
     number = len(present)
-    mean = mean_interval(present, confidence, resamples)
+    mean = mean_interval(present)
     return Description(
         number=number,
         missing=len(values) - number,
@@ -66,20 +66,12 @@ def describe(values: np.ndarray, confidence: float = CONFIDENCE, resamples: int 
     )
 
 
-def mean_interval(
-    values: np.ndarray, confidence: float = CONFIDENCE, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate:
+def mean_interval(values: np.ndarray) -> Estimate:
     """Mean of (samples,) numbers with its interval; without width where all are equal."""
-    return ratio_interval(values, np.ones(len(values)), confidence, resamples, seed)
+    return ratio_interval(values, np.ones(len(values)))
 
 
-def ratio_interval(
-    numerator: np.ndarray,
-    denominator: np.ndarray,
-    confidence: float = CONFIDENCE,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> Estimate:
+def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
     """Mean of the numerator over the mean of the denominator, with its interval.
 
     numerator, denominator : (samples,) numbers of the same samples, in the same order; the latter of one sign.
@@ -94,12 +86,11 @@ def ratio_interval(
         return Estimate(value, np.nan, np.nan)
     if np.abs(above - value * below).max() <= 8 * np.finfo(float).eps * np.abs(above).max():
         return Estimate(value, value, value)
-    if not FEW_SAMPLES <= number <= MANY_SAMPLES:
-        return Estimate(value, *_student(above, below, confidence))
-    return Estimate(value, *_bootstrap(above, below, confidence, resamples, seed))
+    interval = _bootstrap if FEW_SAMPLES <= number <= MANY_SAMPLES else _student
+    return Estimate(value, *interval(above, below))
 
 
-def _student(above: np.ndarray, below: np.ndarray, confidence: float) -> tuple[float, float]:
+def _student(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
     """Interval of a ratio of means of normally distributed pairs (E. C. Fieller, J. R. Stat. Soc. B 16, 175, 1954).
 
     All ratios r for which Student's t of the pairs' above - r below does not exclude 0. NaN where it does not exclude
@@ -108,7 +99,7 @@ def _student(above: np.ndarray, below: np.ndarray, confidence: float) -> tuple[f
     number, means = len(above), np.array([above.mean(), below.mean()])
     from scipy.special import stdtrit  # a tenth of a second that runs do not need
 
-    spread = stdtrit(number - 1, 0.5 + 0.5 * confidence) ** 2 * np.cov(above, below) / number
+    spread = stdtrit(number - 1, 0.5 + 0.5 * CONFIDENCE) ** 2 * np.cov(above, below) / number
     (constant, linear), (_, square) = np.outer(means, means) - spread
     root = linear**2 - square * constant
     if square <= 0 or root < 0:
@@ -117,9 +108,7 @@ def _student(above: np.ndarray, below: np.ndarray, confidence: float) -> tuple[f
     return float(low), float(high)
 
 
-def _bootstrap(
-    above: np.ndarray, below: np.ndarray, confidence: float, resamples: int, seed: int
-) -> tuple[float, float]:
+def _bootstrap(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
     """BCa interval of a ratio of means; NaN where some draw divides by nothing."""
     from scipy import stats
 
@@ -127,8 +116,8 @@ def _bootstrap(
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         found = stats.bootstrap(
             (above, below), lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), paired=True, vectorized=True,
-            n_resamples=resamples, batch=max(1, MOST_AT_ONCE // len(above)), confidence_level=confidence,
-            random_state=np.random.default_rng(seed),
+            n_resamples=RESAMPLES, batch=max(1, MOST_AT_ONCE // len(above)), confidence_level=CONFIDENCE,
+            random_state=np.random.default_rng(0),
         )  # fmt: skip
     if not np.isfinite(found.bootstrap_distribution).all():
         return np.nan, np.nan

@@ -44,14 +44,13 @@ def test_too_few_samples_have_no_error_and_equal_ones_none_to_speak_of():
 def test_the_same_samples_give_the_same_bits():
     values = np.random.default_rng(3).lognormal(size=200)
     assert describe(values).low == describe(values.copy()).low
-    assert mean_interval(values, seed=1) != mean_interval(values, seed=2)
 
 
 @pytest.mark.parametrize("number", [3, 19, MANY_SAMPLES + 1])
 def test_the_mean_of_few_or_of_many_samples_has_the_interval_of_student(number):
     values = np.random.default_rng(17).lognormal(size=number)
-    found = mean_interval(values, 0.9)
-    assert (found.low, found.high) == pytest.approx(stats.ttest_1samp(values, 0).confidence_interval(0.9))
+    found = mean_interval(values)
+    assert (found.low, found.high) == pytest.approx(stats.ttest_1samp(values, 0).confidence_interval(0.95))
 
 
 def test_the_interval_of_a_ratio_of_few_samples_is_that_of_fieller():
@@ -82,7 +81,7 @@ def test_the_interval_of_a_mean_of_normal_numbers_covers_it_as_often_as_stated(n
     """BCa alone would cover 64, 82 and 90 % of 3, 5 and 10 samples."""
 
     def holds(rng):
-        found = mean_interval(rng.normal(1.0, 1.0, number), resamples=1000)
+        found = mean_interval(rng.normal(1.0, 1.0, number))
         return found.low <= 1.0 <= found.high
 
     assert abs(coverage(trials, holds) - 0.95) < (0.02 if number < FEW_SAMPLES else 0.06)
@@ -90,17 +89,17 @@ def test_the_interval_of_a_mean_of_normal_numbers_covers_it_as_often_as_stated(n
 
 def test_the_interval_of_a_mean_covers_it_as_often_as_stated():
     def holds(rng):
-        found = mean_interval(rng.exponential(2.0, 200), 0.9, 1000)
+        found = mean_interval(rng.exponential(2.0, 200))
         return found.low <= 2.0 <= found.high
 
-    assert 0.85 <= coverage(300, holds) <= 0.94
+    assert 0.90 <= coverage(300, holds) <= 0.985
 
 
 @pytest.mark.parametrize("number", [6, 50])
 def test_the_interval_of_a_ratio_covers_it_as_often_as_stated(number):
     def holds(rng):
         below = rng.gamma(4.0, 1.0, number)  # mean 4
-        found = ratio_interval(below + rng.exponential(2.0, number), below, 0.95, 1000)  # mean 6
+        found = ratio_interval(below + rng.exponential(2.0, number), below)  # mean 6
         return found.low <= 1.5 <= found.high
 
     assert 0.90 <= coverage(300, holds) <= 0.985
