@@ -96,14 +96,14 @@ class Analysis:
     @property
     def figures(self) -> list[str]:
         """Names of the figures that :meth:`plot` draws."""
-        from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+        from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
 
         return [*FIGURES, *(FIGURES_OF_ALL if len(self.arrays) > 1 else ())]
 
     def plot(self, kind: str, page: "Page | None" = None) -> "Figure | None":
         """One of `figures`, as a matplotlib Figure; None if there is nothing to show. page : how it is printed."""
         from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+        from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
 
         if kind not in self.figures:
             raise InputError(
@@ -130,7 +130,7 @@ def analyse(
     Raises InputError or FileError before anything is computed.
     """
     from taichi_bearings.plots.style import save
-    from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+    from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
 
     with stage("reading"):
         run = read_run_file(path)

@@ -94,12 +94,6 @@ def _row_of(settings: RunSettings) -> type[MethodOptions]:
     return row
 
 
-def method_options(settings: RunSettings, row: type[MethodOptions]) -> MethodOptions:
-    """The method with the options that the settings give to it."""
-    given = {key: getattr(settings, key) for key in options_of(row)}
-    return row(**{key: value for key, value in given.items() if value is not None})
-
-
 MEMORY_ERROR = 3  # up to which factor the memory of a method is known
 
 
@@ -180,18 +174,12 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
         raise InputError(reason)
     least = row.bytes(scene.lattice.sites) / MEMORY_ERROR
     refuse_beyond(least, f"{row.name} of {scene.lattice.sites:,} spheres")
-    return Job(settings, scene, spin, method_options(settings, row).build())
+    given = {key: getattr(settings, key) for key in options_of(row)}
+    method = row(**{key: value for key, value in given.items() if value is not None})
+    return Job(settings, scene, spin, method.build())
 
 
 USUAL_ITERATIONS = 1_000_000  # unless the settings say otherwise
-
-
-def _iteration_limit(settings: RunSettings) -> int:
-    from taichi_bearings.solvers.stopping import UNLIMITED
-
-    if settings.iterations is not None:
-        return settings.iterations
-    return USUAL_ITERATIONS if settings.duration is None else UNLIMITED
 
 
 def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
@@ -201,15 +189,16 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     """
     from taichi_bearings.solvers.drive import solve
     from taichi_bearings.solvers.recording import Recording, parse_times
-    from taichi_bearings.solvers.stopping import StopRule
+    from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 
     settings = job.settings
     if job.method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
+    most = USUAL_ITERATIONS if settings.duration is None else UNLIMITED
     stop = StopRule(
         settings.tolerance,
-        _iteration_limit(settings),
+        most if settings.iterations is None else settings.iterations,
         settings.time_limit or float("inf"),
         settings.duration or float("inf"),
     )
@@ -387,7 +376,7 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
 
 def _drawn() -> list[str]:
     """Files that `run` and what draws, analyses and exports it leave beside a run.h5: a new answer outdates them."""
-    from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
+    from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
 
     figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
     return [

@@ -245,10 +245,10 @@ def _scene(
         raise FileError(f"{path} is damaged or was changed: {error}") from None
 
 
-def _numbers(attributes: Mapping[str, Any], replicas: int, name: str, default: float = np.nan) -> np.ndarray:
-    """An attribute with one value a replica, (R,); `default` where it is missing or says nothing, as "" does."""
+def _numbers(attributes: Mapping[str, Any], replicas: int, name: str) -> np.ndarray:
+    """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
     value = attributes.get(name, "")
-    values = np.atleast_1d(default if isinstance(value, str) and not value else value)
+    values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
     if values.dtype.kind not in "biuf" or values.shape not in ((1,), (replicas,)):
         raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
     return np.broadcast_to(values, replicas).copy()

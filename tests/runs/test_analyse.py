@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import connected_components
 from taichi_bearings.analysis.structure import THRESHOLDS, structure_of
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.analysis import analyse
+from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.structure_figures import FIGURES, FIGURES_OF_ALL
 from taichi_bearings.runs.structure_report import numbers_of
 from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
 
