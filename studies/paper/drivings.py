@@ -3,7 +3,8 @@
 In staggered spins the planes are held at two constant vectors, and P depends on differences alone. So only the jump
 between them counts, its length is a factor of P, and mirrors turn the sign of each component. Its component along the
 height drops out: contacts across the layers do not feel it, so it may change from layer to layer at no cost. What is
-left is |d_x| : |d_y|, one angle from 0 to 90 degrees.
+left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x have a fourth number, C: where that of
+both planes differs, the jump varies over the plane.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +34,10 @@ SAME: dict[str, dict[str, Any]] = {  # the same problem, rescaled, shifted or mi
     "omega_T = 3, omega_B = 0.5": {"spin_top": 3.0, "spin_bottom": 0.5},
     "axis (1, -1, 0)": {"direction": (1.0, -1.0, 0.0)},
     "axis (1, 1, 1)": {"direction": (1.0, 1.0, 1.0)},
+    "A_z = 2 above, -1 below": {"top": (1.0, 1.0, 2.0, 0.0), "bottom": (0.0, 0.0, -1.0, 0.0)},
+    "A and C of both raised": {"top": (1.5, 1.25, 0.25, 0.5), "bottom": (0.5, 0.25, 0.25, 0.5)},
 }
+RATES = [0.001, 0.01, 0.1, 0.3, 1.0, 10.0, 1000.0]  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
 OTHER = [(1.0, 0.0, 0.0), (4.0, 1.0, 0.0), (2.0, 1.0, 0.0), (10.0, 9.0, 0.0), (1.0, 2.0, 0.0), (1.0, 4.0, 0.0),
          (0.0, 1.0, 0.0)]  # fmt: skip
 HEIGHT = (0.0, 0.0, 1.0)
@@ -59,7 +63,10 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     runtime.start("cpu", "f64")
     seeds = range(effort.seed, effort.seed + max(1, min(MOST_SAMPLES, effort.samples // 4)))
     drivings: dict[str, dict[str, Any]] = (
-        {REFERENCE: {}} | SAME | {axis_name(axis): {"direction": axis} for axis in (*OTHER, HEIGHT)}
+        {REFERENCE: {}}
+        | SAME
+        | {axis_name(axis): {"direction": axis} for axis in (*OTHER, HEIGHT)}
+        | {rate_name(rate): {"top": (1.0, 1.0, 0.0, rate), "bottom": (0.0, 0.0, 0.0, 0.0)} for rate in RATES}
     )
     points = list(product(drivings, seeds))
     chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **drivings[name]) for name, seed in points]
@@ -74,10 +81,13 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
         angles = np.array([samples[0].angle for samples in shown])
         kept = np.array([overlaps(samples, found[REFERENCE]) for samples in shown])
         ratio = np.array([[sample.over_cut for sample in samples] for samples in shown])
-        save_both(draw_drivings(angles, kept, ratio), folder, "drivings")
+        rates = [found[rate_name(rate)] for rate in RATES]
+        kept_at = np.array([overlaps(samples, found[REFERENCE]) for samples in rates])
+        save_both(draw_drivings(angles, kept, ratio, np.array(RATES), kept_at), folder, "drivings")
     return [
         _speeds(found, seeds),
         _axis(found, seeds),
+        _rate(found, seeds),
         _one_component([found[axis_name(axis)] for axis in OTHER if 0.0 in axis[:2]]),
         _height(found[axis_name(HEIGHT)]),
     ]
@@ -87,18 +97,21 @@ def axis_name(axis: tuple[float, float, float]) -> str:
     return f"axis ({', '.join(f'{part:g}' for part in axis)})"
 
 
+def rate_name(rate: float) -> str:
+    return f"A = (1, 1, 0), C = {rate:g}"
+
+
 def numbers_of(structure: Structure) -> dict[str, Any]:
     """A Driven as a mapping."""
     scene = structure.scene
-    axis, cut = np.abs(scene.direction), structure.interface.power
-    across = np.hypot(*axis[:2]) / np.linalg.norm(axis)
-    unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top - scene.spin_bottom) * (across or 1.0)
+    jump, cut = np.abs(scene.driving.jump.spin[0]), structure.interface.power
+    unit = scene.normal_force * scene.lattice.radius * (np.hypot(*jump[:2]) or np.linalg.norm(jump))
     return {
         "slipless": structure.network.slipless.astype(int).tolist(),
         "power": float(structure.power / unit),
         "over_cut": float(structure.power / cut) if cut else 1.0,
         "gap": float((structure.power - structure.lower_bound) / structure.power) if structure.power else 0.0,
-        "angle": float(np.degrees(np.arctan2(axis[1], axis[0]))),
+        "angle": float(np.degrees(np.arctan2(jump[1], jump[0]))),
     }
 
 
@@ -134,13 +147,21 @@ def _speeds(found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> Clai
 
 
 def _axis(found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> Claim:
-    names = [axis_name(axis) for axis in OTHER]
+    return _changed("drivings.axis", found, [axis_name(axis) for axis in OTHER], seeds)
+
+
+def _rate(found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> Claim:
+    return _changed("drivings.rate", found, [rate_name(rate) for rate in RATES], seeds)
+
+
+def _changed(key: str, found: Mapping[str, Sequence[Driven]], names: Sequence[str], seeds: Sequence[int]) -> Claim:
+    """Whether any of these drivings changes the network."""
     changed = {name: changes(found[name], found[REFERENCE]) for name in names}
     kept = {name: overlaps(found[name], found[REFERENCE]) for name in names}
     told = {n: {"angle": found[n][0].angle, "changed": changed[n], "kept": kept[n]} for n in names}
     touched = Share.of([any(column) for column in zip(*changed.values(), strict=True)])
     numbers = {"seeds": list(seeds), "contacts_that_differ": changed, "overlap": kept}
-    return judge("drivings.axis", numbers, bulk=BULK, found=told, touched=touched)
+    return judge(key, numbers, bulk=BULK, found=told, touched=touched)
 
 
 def _one_component(along: Sequence[Sequence[Driven]]) -> Claim:

@@ -8,7 +8,7 @@ import pytest
 from taichi_bearings_studies.paper import distributions, drivings, parameters
 from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.distributions import EQUAL, SPREAD, TIED, Sample
-from taichi_bearings_studies.paper.drivings import OTHER, REFERENCE, SAME, Driven, axis_name
+from taichi_bearings_studies.paper.drivings import OTHER, RATES, REFERENCE, SAME, Driven, axis_name, rate_name
 from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Courses
 from taichi_bearings_studies.paper.samples import Run
 
@@ -52,13 +52,16 @@ def test_what_the_network_does_for_other_distributions():
 def test_drivings_are_judged_by_their_contacts():
     own, other = np.array([True, True, False, True]), np.array([True, False, True, True])
     driven = Driven(own, power=2.0, over_cut=0.97, gap=1e-12, angle=45.0)
-    found = {name: [driven] * 5 for name in (REFERENCE, *SAME, *map(axis_name, OTHER))}
+    found = {name: [driven] * 5 for name in (REFERENCE, *SAME, *map(axis_name, OTHER), *map(rate_name, RATES))}
     assert drivings.overlaps([replace(driven, slipless=other)], [driven]) == [0.5]
     assert drivings.changes([replace(driven, slipless=other)], [driven]) == [2]
     assert drivings._speeds(found, range(5)).verdict == "confirmed"
     assert drivings._axis(found, range(5)).verdict == "confirmed"
+    assert drivings._rate(found, range(5)).verdict == "confirmed"
     assert drivings._axis({name: of[:2] for name, of in found.items()}, range(2)).verdict == "too few samples"
-    for name, claim in ((next(iter(SAME)), drivings._speeds), (axis_name(OTHER[-1]), drivings._axis)):
+    for name, claim in (
+        (next(iter(SAME)), drivings._speeds), (axis_name(OTHER[-1]), drivings._axis), (rate_name(1.0), drivings._rate)
+    ):  # fmt: skip
         assert claim(found | {name: [*[driven] * 4, replace(driven, slipless=other)]}, range(5)).verdict == "refuted"
     assert drivings._speeds(found | {next(iter(SAME)): [replace(driven, power=2.1)] * 5}, range(5)).verdict == "refuted"
     assert drivings._one_component([[driven]]).verdict == "refuted"
@@ -71,7 +74,7 @@ def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, n
     monkeypatch.setattr(drivings, "BULK", 4)
     claims = drivings.reproduce(tmp_path, Effort(0, 4))
     assert {path.name for path in tmp_path.iterdir()} == {"drivings.png", "drivings.pdf", "drivings.csv"}
-    assert [claim.verdict for claim in claims] == ["confirmed", "refuted", "confirmed", "confirmed"]
+    assert [claim.verdict for claim in claims] == ["confirmed", "refuted", "refuted", "confirmed", "confirmed"]
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
     with (tmp_path / "drivings.csv").open(encoding="utf-8") as file:
         rows = {row["driving"]: row for row in csv.DictReader(file)}
