@@ -45,7 +45,7 @@ VALUES = {  # what an option of each kind can be
     options.TEXT: WORDS,
     options.FILE: WORDS,
     keys.SHAPE: st.lists(st.integers(-5, 10**9), min_size=2, max_size=3),
-    keys.VECTOR: st.lists(st.floats(**NORMAL), min_size=3, max_size=3),
+    keys.THREE_NUMBERS: st.lists(st.floats(**NORMAL), min_size=3, max_size=3),
     keys.TIME_LIST: TIMES,
 }
 OTHERS = {"tolerance": st.floats(1e-300, 1.0), "static_ratio": st.floats(1, 1e9), "gear_order": st.integers(2, 5)}
