@@ -27,10 +27,8 @@ LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and 
 STEP_SHARE = 0.95  # of the way to the boundary of the cones
 TINY = np.finfo(np.float64).tiny
 LEAST_WORK = 1e-14  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
-STEP_REFINEMENTS, STEP_TORQUE = (
-    4,
-    1e-11,
-)  # of the last solve, at most; torque, of the mean friction, that needs no second one
+# of the last solve, at most; torque, of the mean friction, that needs no second one
+STEP_REFINEMENTS, STEP_TORQUE = 4, 1e-11
 PRODUCT_SPREAD = 10.0  # correctors bring products into [target / PRODUCT_SPREAD, target * PRODUCT_SPREAD]
 Viscous = np.ndarray | None
 

@@ -17,10 +17,8 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, two_sum
 
-OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = (
-    2_000,
-    20,
-)  # unknowns of a sample with an order of its own, and of a region that then is not divided
+# unknowns of a sample with an order of its own, and of a region that then is not divided
+OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
 
 
 @dataclass(frozen=True)

@@ -23,18 +23,14 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
 
 MOST_STAGE_STEPS = 60  # of Newton's method
-STAGE_TORQUE, CORRECTED_TORQUE = (
-    1e-10,
-    1e-15,
-)  # torque left, relative to friction and inertia: Newton ends; linear corrections end
+# torque left, relative to friction and inertia: Newton ends; linear corrections end
+STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
 MOST_CORRECTIONS = 3  # linear ones with the last factorisation, at most
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 GRADIENT_RESIDUAL = 1e-5  # residual to which they do, relative
-MOST_CHANGED, CHANGED_SHARE = (
-    5,
-    0.5,
-)  # contacts that may have changed by so much of their stiffness where an old factorisation serves
+# contacts that may have changed by so much of their stiffness where an old factorisation serves
+MOST_CHANGED, CHANGED_SHARE = 5, 0.5
 SEARCH_SLOPE = 0.1  # share of its slope at which a line search ends
 MOST_SEARCHES = 20  # trials, at most
 LEAST_FORCE = 1e-280  # far below any force, and no limit over it overflows

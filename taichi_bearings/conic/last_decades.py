@@ -23,16 +23,12 @@ DECIDED_EXPONENT = 0.5  # power of the product with which slip or margin of a co
 LEAST_MARGIN_AT_LIMIT = 1e-6  # margin below which one can be at its limit
 VANISHING_PRODUCT = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
 SLIPPING_RATIO = 1e4  # ratio of slip and margin from which a contact surely slips
-STICKING_RATIO, STICKING_MARGIN = (
-    1e-5,
-    1e-5,
-)  # and below which one surely sticks, if it falls with the product; and its least margin
+# and below which one surely sticks, if it falls with the product; and its least margin
+STICKING_RATIO, STICKING_MARGIN = 1e-5, 1e-5
 LEAST_PRODUCT = 1e-25  # product at which double precision ends
 MOST_PATH_STEPS = 80
-STALLED_SHARE, MOST_STALLED_STEPS = (
-    0.6,
-    10,
-)  # share of the product that a step leaves if rounding stops it, and such steps in a row
+# share of the product that a step leaves if rounding stops it, and such steps in a row
+STALLED_SHARE, MOST_STALLED_STEPS = 0.6, 10
 JUDGED_TORQUE = 1e-6  # torques, of the mean friction, up to which a point can be judged
 EPS = np.finfo(np.float64).eps
 

@@ -139,9 +139,8 @@ class NewtonMatrix:
         load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
-        for _ in range(
-            FORCE_REFINEMENTS
-        ):  # each from the forces of the last: what a stretch rounds falls with the stretch
+        # each from the forces of the last: what a stretch rounds falls with the stretch
+        for _ in range(FORCE_REFINEMENTS):
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))
         return dual

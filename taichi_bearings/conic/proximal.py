@@ -24,14 +24,11 @@ from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
 
-SOLVED_EXCESS = (
-    1e-10  # excess of the cost over its dual, relative to the work done on inertia, at which a step is solved
-)
+# excess of the cost over its dual, relative to the work done on inertia, at which a step is solved
+SOLVED_EXCESS = 1e-10
 LEAST_EXCESS = 1e-13  # or relative to the power, where double precision ends
-ACCEPTED_EXCESS, ACCEPTED_GAP = (
-    1e-3,
-    1e-9,
-)  # the same where the path cannot be followed to the end: with less a step has failed
+# the same where the path cannot be followed to the end: with less a step has failed
+ACCEPTED_EXCESS, ACCEPTED_GAP = 1e-3, 1e-9
 PROXIMAL_TORQUE = 1e-13  # torque, of the mean friction, that may be left on a sphere
 MOST_PROXIMAL_STEPS, MOST_IDLE_STEPS = 60, 3  # Newton steps, and those in a row that gain nothing
 

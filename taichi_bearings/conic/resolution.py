@@ -42,10 +42,8 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
-MOVING_SHARE, FREED_DISTANCE = (
-    1e-3,
-    7,
-)  # of the largest slip of a motion: contacts that take part; contacts so near are freed
+# of the largest slip of a motion: contacts that take part; contacts so near are freed
+MOVING_SHARE, FREED_DISTANCE = 1e-3, 7
 DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
@@ -56,17 +54,13 @@ MOST_NEWTON_STEPS, NEWTON_TORQUE = 60, 1e-12  # steps of Newton's method, and to
 ROUNDED_TORQUE = 1e-4  # torques that will do if double precision ends before
 MOST_REPAIRS = 3  # of the contacts that slip, where some lose their slip or have to bear more than their friction
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
-TURNED_SLIP_STEP, SLIP_STEP = (
-    0.5,
-    0.95,
-)  # of a slip, by which a step may change it; if the whole step would turn it round
+# of a slip, by which a step may change it; if the whole step would turn it round
+TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
 LOST_SLIP = 1e-25  # slip that double precision cannot follow
 SETTLED_SLIP = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
-LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = (
-    1e-22,
-    1e-9,
-)  # smallest slip that needs no second look, known in twice the precision, and in one
+# smallest slip that needs no second look, known in twice the precision, and in one
+LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = 1e-22, 1e-9
 LEAST_STIFFNESS = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
 TINY = np.finfo(np.float64).tiny
 

@@ -25,25 +25,18 @@ from taichi_bearings.numerics.cholesky import Memory
 
 MOST_MOTION_STEPS = 40
 FIRST_SLACK = 1e-2  # of the bounds at the start, in units of the motion
-REMOVABLE_TORQUE, LEFT_TORQUE = (
-    1e-4,
-    1e-11,
-)  # torques, of the mean friction, that may be taken away at once, and that may be left
-MARGIN_PER_TORQUE = (
-    10.0  # least margin over the sum of all torques left, which no force has to change by more than to end them
-)
-MOST_REPAIRED, REPAIR_DISTANCE = (
-    100,
-    30,
-)  # contacts outside their discs for whose sake others change their forces, so many contacts away
+# torques, of the mean friction, that may be taken away at once, and that may be left
+REMOVABLE_TORQUE, LEFT_TORQUE = 1e-4, 1e-11
+# least margin over the sum of all torques left, which no force has to change by more than to end them
+MARGIN_PER_TORQUE = 10.0
+# contacts outside their discs for whose sake others change their forces, so many contacts away
+MOST_REPAIRED, REPAIR_DISTANCE = 100, 30
 QUICK_TORQUE, QUICK_DISTANCE = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
 LIMITED_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
-ROOM_AT_LIMIT = (
-    1e-5  # share of its friction by which a contact at its limit counts as having room where forces are balanced
-)
-ROUNDED_AT_LIMIT = (
-    1e-11  # share of the friction by which rounding may take the force of such a contact beyond the limit
-)
+# share of its friction by which a contact at its limit counts as having room where forces are balanced
+ROOM_AT_LIMIT = 1e-5
+# share of the friction by which rounding may take the force of such a contact beyond the limit
+ROUNDED_AT_LIMIT = 1e-11
 MOTION_RATIO = 1e6  # ratio of slip and margin of a contact that tells motion from rest
 ROUNDED_PRODUCT = 1e-10  # mean product of the two from which rounding leaves torques
 FINAL_PRODUCT = 1e-22  # mean product of the two at which nothing more can be told

@@ -25,13 +25,10 @@ from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range
 
 COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
-MISSED_PROCESSORS = (
-    0.2  # of a processor; a team that got less than its size by so much shares the cores with other programs
-)
-TRIAL_SECONDS, PIECE_SECONDS = (
-    0.01,
-    0.3,
-)  # seconds that a launch should take: the first of a team, and the longest after it did well
+# of a processor; a team that got less than its size by so much shares the cores with other programs
+MISSED_PROCESSORS = 0.2
+# seconds that a launch should take: the first of a team, and the longest after it did well
+TRIAL_SECONDS, PIECE_SECONDS = 0.01, 0.3
 SHORT_SECONDS = 0.004  # seconds; launches too short to judge by
 FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds that a smaller team goes on
 MOST_POLLS = (

@@ -26,10 +26,8 @@ from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 
-MOST_SLIPS, FEW_SLIPS = (
-    0.9,
-    1_000,
-)  # share of more contacts than a few: lines at nearly all would hide the spins and say nothing
+# share of more contacts than a few: lines at nearly all would hide the spins and say nothing
+MOST_SLIPS, FEW_SLIPS = 0.9, 1_000
 BAR = 0.75  # inches of a colour bar with its label
 
 

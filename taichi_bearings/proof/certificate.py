@@ -26,9 +26,8 @@ Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
 SUM_ROUNDING = 32 * np.finfo(np.float64).eps
 ROUNDED_PULL = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
 CACHED_PULLS = 16_384  # numbers of which several arrays fit the second cache of a processor
-ENCLOSED_GAP = (
-    1e-9  # relative distance from the bound from which on it is worth knowing what forces prove with all roundings
-)
+# relative distance from the bound from which on it is worth knowing what forces prove with all roundings
+ENCLOSED_GAP = 1e-9
 CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
 
 
@@ -221,10 +220,8 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
     """Parts of (R, n, ...) arrays that the caches of a processor hold while much is done with them."""
-    several, size = (
-        max(1, CACHED_PULLS // max(values[0].size, 1)),
-        max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1)),
-    )
+    several = max(1, CACHED_PULLS // max(values[0].size, 1))
+    size = max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1))
     return [
         (slice(r, r + several), slice(first, first + size))
         for r in range(0, len(values), several)

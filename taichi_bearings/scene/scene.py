@@ -24,9 +24,8 @@ from taichi_bearings.words import shown
 AXIS_NAMES = ("x", "y", "z")
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
-ABSENT_COEFFICIENT = (
-    1e-12  # of the mean coefficient: what stands for an absent contact where a method must divide by it
-)
+# of the mean coefficient: what stands for an absent contact where a method must divide by it
+ABSENT_COEFFICIENT = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -32,9 +32,8 @@ FIRST_EPOCH = 64
 FIRST_SPIN_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
 FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
 LARGE_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
-RESOLVED_WIDTHS = (
-    100  # widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
-)
+# widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
+RESOLVED_WIDTHS = 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 

@@ -28,13 +28,11 @@ from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
 ERROR_SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
-REJECTED_CHANGE = (
-    0.5  # change of a step whose error is too large, at most: in an event it may hardly fall with the step
-)
+# change of a step whose error is too large, at most: in an event it may hardly fall with the step
+REJECTED_CHANGE = 0.5
 FAILED_CHANGE, MOST_RETREATS = 0.25, 40  # change of a step whose Newton iteration fails, and how often in a row
-MOST_STRETCH = (
-    1e6  # a free step stretches no spring by more than so many times what friction holds: rounding of the forces
-)
+# a free step stretches no spring by more than so many times what friction holds: rounding of the forces
+MOST_STRETCH = 1e6
 
 
 @dataclass(frozen=True)

@@ -47,18 +47,13 @@ from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 
 LEAST_GAP = 1e-13  # relative gap at which double precision ends
-SETTLING_GAP, RETRY_FACTOR = (
-    1e-9,
-    100,
-)  # relative gap from which settling is tried, and factor to the next trial in large samples
-FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = (
-    1e-8,
-    0.55,
-)  # in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
+# relative gap from which settling is tried, and factor to the next trial in large samples
+SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
+# in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
+FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 0.55
 DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
-STEPS_AT_ONCE = (
-    64  # steps that small samples may take from one look at where they are to the next; mostly all they need
-)
+# steps that small samples may take from one look at where they are to the next; mostly all they need
+STEPS_AT_ONCE = 64
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
 LAST_SETTLING_GAP = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end

@@ -47,9 +47,8 @@ FORCES_BEHIND = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
 LARGEST_CHANGE, LEAST_CHANGE = 2.0, 1.2  # factor on the stiffness at one check; smaller changes are not made
 STEERED_ITERATIONS = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
 FIRST_CHECK, CHECKS_A_RUN = 50, 6  # checks 50 iterations or 1/6 of the run apart, for 5 to 20 % of the time
-BYTES_A_SPHERE = (
-    1000.0  # a sphere: 136 for fields in double precision, 220 for a check, the rest for the answer and its proof
-)
+# a sphere: 136 for fields in double precision, 220 for a check, the rest for the answer and its proof
+BYTES_A_SPHERE = 1000.0
 RESOLVED_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
 
 

@@ -36,10 +36,8 @@ STOPPED_SPREAD = 1e-7  # of the unit of spin: a component that varies by less is
 STOPPED_ENERGY = 1e-14  # if that changes the kinetic energy by no more than this fraction of that at the start
 FIRST_RESOLVED_SLIP = 1e-12  # of the unit of spin: slips at the start
 STILL_GAP = 1e-9  # proven gap from which a state whose power no longer falls is believed to be at rest
-REST_STEPS, STUCK_STEPS = (
-    2,
-    20,
-)  # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
+# steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
+REST_STEPS, STUCK_STEPS = 2, 20
 
 
 class RigidLimitMethod(Dynamics[RigidLimit]):

@@ -20,10 +20,8 @@ PAIR_ROUNDING = 2.0**-100  # relative error of one operation on pairs
 UP = 1 + 2.0**-30  # factor that makes up for the rounding of a bound itself, of up to some million operations
 SLIGHTLY_UP = 1 + 2.0**-51  # the same for two operations
 SPLIT = 2.0**27 + 1
-UNDERFLOWING_PRODUCT, UNDERFLOW_ERROR = (
-    1e-250,
-    1e-290,
-)  # size of a product from which parts of it may underflow, and more than they can be
+# size of a product from which parts of it may underflow, and more than they can be
+UNDERFLOWING_PRODUCT, UNDERFLOW_ERROR = 1e-250, 1e-290
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,8 @@ from taichi_bearings.verifier.motion import Motion, numbers_of
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
-MISSED_DIRECTION = (
-    2e-3  # share of the friction across a component that may be none, where a limit is missed by that much
-)
+# share of the friction across a component that may be none, where a limit is missed by that much
+MISSED_DIRECTION = 2e-3
 PATH_ROUNDING = 1 + 1e-12  # factor that makes up for the rounding of sums along a path
 
 
