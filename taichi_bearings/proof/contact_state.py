@@ -25,6 +25,9 @@ def all_slipless(scene: Scene) -> np.ndarray:
     return np.where(scene.idle, ContactState.DRIVEN, ContactState.SLIPLESS).astype(np.uint8)
 
 
+RESOLVED_SLIP = 1e-2  # of the jump, that the gap must resolve at a critical contact
+LOST_POWER = 1e-8  # of the power, that a contact must dissipate when it slips by the smallest component of the jump
+LOST_CONTACTS = 0.05  # share of contacts that may dissipate less than that
 SATURATED = 1 - 1e-6  # share of the friction disc from which a Coulomb contact counts as saturated
 
 
@@ -74,15 +77,37 @@ def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
     return scene.strength * scene.coefficient * solution.slip <= left[:, None]
 
 
+def too_uneven(solution: Solution) -> np.ndarray:
+    """(R,) True where too many contacts are so weak beside the rest that the gap, or doubles, lose what they dissipate:
+    they bend the others, whose slips are then whatever rounding makes them."""
+    scene, acting = solution.scene, ~solution.scene.idle
+    at_jump, left = _at_smallest_jump(solution), solution.objective - solution.lower_bound
+    share = scene.smallest_jump / scene.jump if scene.jump else np.nan  # of it, added to a slip by the other component
+    lost = acting & ((share * at_jump <= left[:, None]) | (at_jump <= LOST_POWER * solution.power[:, None]))
+    lost &= scene.smallest_jump > 0
+    return lost.sum(axis=1) > LOST_CONTACTS * acting.sum(axis=1)
+
+
+def _at_smallest_jump(solution: Solution) -> np.ndarray:
+    """Power (R, E) that contacts dissipate by friction when they slip by the component of the jump that differs
+    least."""
+    scene = solution.scene
+    return scene.strength * scene.coefficient * scene.lattice.radius * scene.smallest_jump
+
+
 def critical(solution: Solution) -> np.ndarray:
     """Number (R,) of undecided contacts that bear all their friction, with a slip that the gap does not resolve; but
-    for those that are known to slip at other minima."""
+    for those that are known to slip at other minima. Those that are not proven to rest count where the gap would
+    resolve a hundredth of the jump, and coefficients are not too uneven."""
     scene, undecided = solution.scene, solution.state == ContactState.UNDECIDED
     others = undecided.sum(axis=1) - solution.findings.get("tied_contacts", 0)
     if not scene.law.holds:
         return np.zeros(scene.replicas, dtype=np.int64)
     full = solution.force >= SATURATED * scene.strength * scene.coefficient
-    found = undecided & full & unresolved(solution) & (solution.proven != ContactState.TIED)
+    left = (solution.objective - solution.lower_bound)[:, None]
+    clear = (left <= RESOLVED_SLIP * _at_smallest_jump(solution)) & ~too_uneven(solution)[:, None]
+    found = undecided & full & unresolved(solution) & (clear | (solution.proven == ContactState.SLIPLESS))
+    found &= solution.proven != ContactState.TIED
     return np.minimum(found.sum(axis=1), others)
 
 

@@ -7,7 +7,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import SATURATED, ContactState, count, critical, separate, unresolved
+from taichi_bearings.proof.contact_state import (
+    SATURATED,
+    ContactState,
+    count,
+    critical,
+    separate,
+    too_uneven,
+    unresolved,
+)
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.step_error import ACCURATE_ERROR
@@ -75,7 +83,12 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Contacts whose slip and friction disagree; critical and tied ones are known for what they are."""
     known = critical(solution) + solution.findings.get("tied_contacts", 0)
     number = int((count(solution.state, ContactState.UNDECIDED) - known).sum())
-    if number > 0:
+    named = (solution.proven == UNPROVEN) & (solution.state != UNPROVEN)
+    uneven = too_uneven(solution) & ~named.any(axis=1)
+    if uneven.any():
+        of = f" in {int(uneven.sum()):,} of {len(uneven):,} samples" if len(uneven) > 1 else ""
+        yield f"what weak contacts dissipate is lost beside the gap or the rest{of}: only proven states are named"
+    elif number > 0:
         scene, full = solution.scene, SATURATED * solution.scene.strength
         undecided = solution.state == ContactState.UNDECIDED
         fast = undecided & (solution.slip > solution.slip_threshold)

@@ -279,6 +279,11 @@ class Scene:
         """|difference of the imposed staggered spins|, the largest on the plane, 1/time: the natural unit of them."""
         return self.driving.largest_jump
 
+    @cached_property
+    def smallest_jump(self) -> float:
+        """The same of the component that a minimum needs and that differs least; 0 without frustration."""
+        return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
+
     @property
     def strength(self) -> float:
         """Factor that turns a friction coefficient into a contact force; 1 for the damping of the viscous law."""

@@ -13,6 +13,7 @@ from taichi_bearings.proof.contact_state import (
     classify,
     nothing_proven,
     separate,
+    too_uneven,
     unresolved,
 )
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -21,6 +22,9 @@ from taichi_bearings.solvers.method import Method
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.states import States
+
+ROUNDED_LIMIT = 1e-11  # share of its friction by which rounding leaves a slipping contact off its limit
+MISSING_SLIP = 1e2  # of the jump, that a contact must slip for each share of its friction that it does not bear
 
 
 def answered(
@@ -191,13 +195,18 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
 
 
 def above_noise(answer: Solution) -> np.ndarray:
-    """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap resolves, or
-    to rest while they bear all their friction."""
-    scene, state = answer.scene, answer.state
-    full = answer.force >= SATURATED * scene.strength * scene.coefficient
-    doubtful = (state == ContactState.SLIPPING) | ((state == ContactState.SLIPLESS) & full)
-    doubtful &= unresolved(answer) & (answer.proven == ContactState.UNDECIDED)
-    return np.where(doubtful, ContactState.UNDECIDED, state).astype(np.uint8)
+    """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap or what
+    friction misses of its limit can resolve, or to rest while they bear all their friction; all of them where
+    coefficients are too uneven."""
+    scene, slips = answer.scene, answer.state == ContactState.SLIPPING
+    limit = scene.strength * scene.coefficient
+    missing = limit - answer.force - ROUNDED_LIMIT * limit
+    faint = MISSING_SLIP * missing * scene.lattice.radius * scene.jump > answer.slip * limit
+    doubtful = slips & (unresolved(answer) | faint)
+    doubtful |= (answer.state == ContactState.SLIPLESS) & (answer.force >= SATURATED * limit)
+    doubtful |= too_uneven(answer)[:, None] & (answer.state != ContactState.DRIVEN)
+    doubtful &= answer.proven == ContactState.UNDECIDED
+    return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
 
 
 def proven(scene: Scene, final: Progress, judgement: Judgement | None, at_minimum: bool) -> list[States | None]:

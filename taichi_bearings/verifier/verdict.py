@@ -341,16 +341,24 @@ def _counts(run: StoredRun, judgement: Judgement) -> Iterator[str]:
 
 
 def _at_limit(run: StoredRun, judgement: Judgement, number: int) -> int:
-    """Undecided contacts with all their friction and no more of the power than what the bounds leave open."""
-    samples, left, found = run.samples, judgement.objective[number] - judgement.lower_bound[number], 0
+    """Undecided contacts with all their friction and no more of the power than what the bounds leave open. Where they
+    are not proven to rest, that is at most 0.01 of their power at the least component of the jump, and no more than 1
+    in 20 contacts have so little there that doubles, 1e-8 of the whole power, or the bounds lose it."""
+    samples, left = run.samples, judgement.objective[number] - judgement.lower_bound[number]
+    proven, clear, weak, acting = 0, 0, 0, 0
+    share = samples.least_jump / (samples.jump_size or 1.0)  # of it, added to a slip by the other component
     for axis in range(samples.dimension if samples.holds else 0):
         force, slip, state = (run.reported[name][axis][number] for name in ("force", "slip", "state"))
+        known = run.reported["proven"][axis][number] if "proven" in run.reported else np.full(state.shape, UNPROVEN)
         friction = samples.normal_force * samples.coefficient[axis][number]
-        faint = (state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - MISSED_LIMIT) * friction)
-        found += int(
-            (faint & (run.reported["proven"][axis][number] != TIED if "proven" in run.reported else True)).sum()
-        )
-    return found
+        at_jump, takes_part = friction * samples.radius * samples.least_jump, ~samples.one(number).idle(axis)[0]
+        lost = (at_jump <= 1e-8 * judgement.power[number]) | (share * at_jump <= left)
+        weak += int((takes_part & lost).sum()) if samples.least_jump else 0
+        acting += int(takes_part.sum())
+        at_limit = (state == UNPROVEN) & (friction * slip <= left) & (force >= (1 - MISSED_LIMIT) * friction)
+        proven += int((at_limit & (known == SLIPLESS)).sum())
+        clear += int((at_limit & ~np.isin(known, (SLIPLESS, TIED)) & (left <= 0.01 * at_jump)).sum())
+    return proven if weak > 0.05 * acting else proven + clear
 
 
 def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | None:
