@@ -5,6 +5,9 @@ contacts tie together that turn no slip, as far as no slip turns round. Equal fr
 of spheres that two neighbours pull with the same force either way.
 """
 
+from itertools import combinations
+from math import comb
+
 import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
@@ -20,6 +23,7 @@ LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion,
 LEAST_MOVE = 1e-7  # least change of a slip, of the largest of its motion, that counts
 LONGEST_MOTION = 1e6  # most of a motion that is looked at
 REST_SHARE = 1e-7  # share of its slip that is left of one that comes to rest
+MOST_CORNERS = 3000  # of a polyhedron, that are all looked at
 MOST_PROGRAMMES = 200  # linear programmes for one polyhedron, at most
 
 
@@ -79,14 +83,17 @@ def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
     conditions = sparse.csr_array(sparse.vstack(rows)) if rows else sparse.csr_array((0, unknowns))
     conditions.eliminate_zeros()
     blocks, label = connected_components(abs(conditions.T) @ abs(conditions), directed=False)
-    motions = [np.zeros((unknowns, 0))]
-    of_row = label[conditions.indices[conditions.indptr[:-1][np.diff(conditions.indptr) > 0]]]
-    filled = conditions[np.flatnonzero(np.diff(conditions.indptr))]
+    entries, motions = conditions.tocoo(), [np.zeros((unknowns, 0))]
+    of_entry = label[entries.col]
+    order = np.argsort(of_entry, kind="stable")
+    ends = np.searchsorted(of_entry[order], np.arange(blocks + 1))
     for block in range(blocks):
-        own = np.flatnonzero(label == block)
+        own, some = np.flatnonzero(label == block), order[ends[block] : ends[block + 1]]
         if len(own) <= MOST_BLOCK_UNKNOWNS:
-            matrix = filled[np.flatnonzero(of_row == block)][:, own].toarray()
-            _, sizes, vectors = np.linalg.svd(np.vstack([matrix, np.zeros((1, len(own)))]))
+            row = np.unique(entries.row[some], return_inverse=True)[1]
+            matrix = np.zeros((int(row.max(initial=0)) + 1, len(own)))
+            matrix[row, np.searchsorted(own, entries.col[some])] = entries.data[some]
+            _, sizes, vectors = np.linalg.svd(matrix)
             free = np.append(sizes, np.zeros(len(own) - len(sizes))) < LEAST_TURN
             basis = np.zeros((unknowns, int(free.sum())))
             basis[own] = vectors[free].T
@@ -110,11 +117,11 @@ def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """The same of the polyhedron first + rates @ y >= 0, with 1 or 0 for `first`, by linear programmes: the least sum
     of those that have not come to rest, less that of those that have not moved, as long as that finds others, and then
-    one by one. With one motion alone, and no contact at its limit: at its two ends."""
-    slips = first > 0
-    if rates.shape[1] == 1 and slips.all():
-        ends = (end * rates[:, 0] / np.max(end * rates[:, 0]) for end in (1, -1))
-        return np.any([1 - end < REST_SHARE for end in ends], axis=0)
+    one by one. Where there are few motions: at all corners."""
+    slips, motions = first > 0, rates.shape[1]
+    if comb(len(first) + 2 * motions, motions) <= MOST_CORNERS:
+        there = first + _corners(first, rates) @ rates.T
+        return np.where(slips, (there < REST_SHARE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
     found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
     for _ in range(MOST_PROGRAMMES):
         left = np.flatnonzero(~found & ~asked)
@@ -129,3 +136,14 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
         together = together and bool((new & ~found).any())
         found |= new
     return found
+
+
+def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """(corners, k) points y of first + rates @ y >= 0, |y| <= LONGEST_MOTION, where k of these bounds meet."""
+    box, motions = np.eye(rates.shape[1]), rates.shape[1]
+    bounds, offsets = np.vstack([rates, box, -box]), np.append(first, np.full(2 * motions, LONGEST_MOTION))
+    meeting = np.array(list(combinations(range(len(bounds)), motions)))
+    matrices = bounds[meeting]
+    regular = np.abs(np.linalg.det(matrices)) > LEAST_TURN * np.prod(np.linalg.norm(matrices, axis=2), axis=1)
+    points = np.linalg.solve(matrices[regular], -offsets[meeting[regular]][..., None])[..., 0]
+    return points[(offsets + points @ bounds.T >= -REST_SHARE / 10).all(axis=1)]

@@ -171,18 +171,42 @@ def _reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 
 
 def _by_curvature(motion: Motion) -> list[States]:
-    """Two components: steps 1 to 3 of the module docstring, of all samples at once, or else of each half of them."""
+    """Two components: steps 1 to 3 of the module docstring, of all samples at once, or else of each half of them; of
+    each alone where friction is repeated, so that there may be ties."""
     samples, count = motion.samples, motion.samples.count
-    small = count == 1 or count * samples.sublattice.size <= PROVEN_AT_ONCE
-    contacts = Slipping.of(motion) if small else None
-    doubt = "too many" if contacts is None else _doubt(motion, contacts)
-    if not doubt:
-        return [States(tuple(np.where(s[r], SLIPLESS, SLIPPING) for s in motion.still), True) for r in range(count)]
-    if contacts is not None and count == 1:
-        tied = tied_states(motion, contacts)
-        return [_nothing(samples, doubt) if tied is None else States(*tied, _why_open(tied[0]))]
+    if count == 1:
+        return [_of_one(motion)]
+    if _repeats(motion):
+        return [_of_one(Motion(samples.one(number))) for number in range(count)]
+    if count * samples.sublattice.size <= PROVEN_AT_ONCE and not _doubt(motion, Slipping.of(motion)):
+        return [_as_stored(motion, number) for number in range(count)]
     halves = samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))
     return [states for half in halves for states in _by_curvature(Motion(half))]
+
+
+def _of_one(motion: Motion) -> States:
+    """The same of one sample, with ties: first where friction is repeated."""
+    contacts, repeats = Slipping.of(motion), _repeats(motion)
+    tied = tied_states(motion, contacts) if repeats else None
+    if tied is None and not (doubt := _doubt(motion, contacts)):
+        return _as_stored(motion, 0)
+    tied = tied_states(motion, contacts) if not repeats else tied
+    return _nothing(motion.samples, doubt) if tied is None else States(*tied, _why_open(tied[0]))
+
+
+def _as_stored(motion: Motion, number: int) -> States:
+    """What slips in the file slips at the only minimum, and nothing else."""
+    return States(tuple(np.where(still[number], SLIPLESS, SLIPPING) for still in motion.still), True)
+
+
+def _repeats(motion: Motion) -> bool:
+    """Have two slipping contacts of some sample the same friction?"""
+    for number in range(motion.samples.count):
+        own = [c[number][~still[number]] for c, still in zip(motion.samples.coefficient, motion.still, strict=True)]
+        values = np.concatenate(own)
+        if len(np.unique(values)) < len(values):
+            return True
+    return False
 
 
 def _why_open(states: tuple[np.ndarray, ...]) -> str:

@@ -87,9 +87,9 @@ class Pulls:
         first, second = np.append(first, 0), np.append(second, 1)  # one plane cannot move past the other
         size = int(own.max()) + 1
         graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(max(size, 2),) * 2)
-        found = connected_components(graph, directed=False)[1][own]
-        bound = connected_components(graph, directed=False)[1][0]
-        return np.unique(np.append(np.where(found == bound, -1, found), -1), return_inverse=True)[1][:-1]
+        joined = connected_components(graph, directed=False)[1]
+        found = np.where(joined == joined[0], -1, joined)[own]
+        return np.unique(np.append(found, -1), return_inverse=True)[1][:-1]
 
     @cached_property
     def pairs(self) -> np.ndarray:
