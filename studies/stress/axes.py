@@ -198,6 +198,18 @@ def _direction(case: Case, value: float, row: Row) -> Case:
     return replace(case, scene=replace(case.scene, direction=(1.0, value, 0.0)))
 
 
+def _rate(case: Case, value: float, row: Row) -> Case:
+    """The top in a bearing state with C; the bottom at rest."""
+    return replace(case, scene=replace(case.scene, top=(1.0, 1.0, 0.0, value), bottom=(0.0,) * 4))
+
+
+def _common_state(case: Case, value: float, row: Row) -> Case:
+    """A bearing state added to both planes, and so to all spins: as from an origin far away."""
+    top, bottom = (1.0, 0.5, 0.0, 0.5), (value,) * 4
+    added = tuple(one + value for one in top)
+    return replace(case, scene=replace(case.scene, top=added, bottom=bottom))
+
+
 SIDES = {
     "least": ((2, 3), (2, 2, 3)), "tall": ((2, 64), (2, 2, 64)), "flat": ((256, 3), (16, 16, 3)),
     "1e3": ((32, 32), (10, 10, 10)), "1e4": ((100, 100), (22, 22, 22)), "1e5": ((316, 316), (46, 46, 46)),
@@ -274,6 +286,9 @@ AXES = {
         Axis("driving", "1 - omega_B / omega_T", ("2", "1e-1", "1e-4", "1e-8", "1e-12", "1e-15", "an ulp", "equal"),
              _nearly_equal),
         Axis("direction", "y over x of the direction", (1.0, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15, 0.0), _direction,
+             lambda row: row.dimension == 3),
+        Axis("rate", "C of the top", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12), _rate, lambda row: row.dimension == 3),
+        Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _common_state,
              lambda row: row.dimension == 3),
         Axis("sides", "spheres", tuple(SIDES), _sides, patience=5.0),
         Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _option("stiffness"),

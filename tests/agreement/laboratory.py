@@ -1,0 +1,172 @@
+"""The least power in the laboratory frame, with all components of all spins, as a cone programme for Clarabel.
+
+    python -m tests.agreement.laboratory --scenes 500 --seed 0
+
+Nothing is shared with the package but the scene: no staggered spins, no reduction to the components that a minimum
+needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with ties and
+contrasts, and compares bounds, power and contact states. Prints what is false; the exit code is 1 if anything is.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+import taichi_bearings as tb
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.law import LAWS
+from tests.kernels.twins import is_driven, neighbours
+
+TOLERANCE = 1e-11  # of Clarabel
+AGREEMENT = 1e-8  # of the power
+CLEAR_SLIP = 1e-3  # of the largest jump, by which the slip at a proven contact and that of the programme may differ
+SHAPES = ((3, 4), (4, 6), (2, 9), (6, 4), (2, 2, 3), (3, 3, 4), (2, 3, 5), (4, 3, 3), (3, 4, 4))
+DISTRIBUTIONS = ("uniform:0.1,1.0", "lognormal:1.0,1.0", "bimodal:0.1,1.0,0.5", "bimodal:1,2,0.5", "constant:0.5",
+                 "bimodal:1,1e3,0.3")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """objective : least power by friction, half of it by viscosity. slip : by contact, (lower site, axis) -> speed."""
+
+    objective: float
+    slip: dict
+    solved: bool
+
+
+def imposed_spin(scene, site, k):
+    """Component k of the spin of a driven sphere, as one sees it."""
+    sign = (-1) ** sum(site)
+    state = scene.bottom if site[-1] == 0 else scene.top
+    if state is None:
+        size = scene.spin_bottom if site[-1] == 0 else scene.spin_top
+        direction = np.array([0, 0, 1.0] if scene.lattice.dimension == 2 else scene.direction)
+        return sign * size * direction[k] / np.linalg.norm(direction)
+    if len(state) == 1:
+        return sign * state[0] * (k == 2)
+    at = 2 * scene.lattice.radius * site[k] if scene.lattice.dimension == 3 else 0.0
+    return sign * (state[k] + state[3] * at)
+
+
+def laboratory_minimum(scene):
+    """Slips v = (w_i + w_j) x (R n), but for their sign; friction mu F_n |v| and viscosity eta |v|^2 / 2."""
+    shape, radius = scene.lattice.shape, scene.lattice.radius
+    components = (2,) if len(shape) == 2 else (0, 1, 2)
+    free = [site for site in np.ndindex(*shape) if not is_driven(site, shape)]
+    column = {(site, k): len(components) * n + slot for n, site in enumerate(free) for slot, k in enumerate(components)}
+    spins, contacts, slips, known = len(column), [], [], []
+    for lower, upper, axis in neighbours(shape):
+        if is_driven(lower, shape) and is_driven(upper, shape):
+            continue
+        contacts.append((lower, axis))
+        matrix, fixed = np.zeros((3, spins)), np.zeros(3)
+        for site in (lower, upper):
+            for k in components:
+                turned = np.cross(np.eye(3)[k], radius * np.eye(3)[axis])
+                if is_driven(site, shape):
+                    fixed += turned * imposed_spin(scene, site, k)
+                else:
+                    matrix[:, column[site, k]] += turned
+        slips.append(matrix)
+        known.append(fixed)
+    number, holds = len(contacts), scene.law.holds
+    friction = [scene.normal_force * scene.coefficients[axis][site] if holds else 0.0 for site, axis in contacts]
+    viscous = scene.viscosity or (() if holds else scene.coefficients)
+    eta = np.array([viscous[axis][site] if viscous else 0.0 for site, axis in contacts])
+    # unknowns: spins, a bound of each slip, and each slip itself, for the quadratic part
+    unknowns = spins + number + 3 * number
+    quadratic = sparse.diags_array(np.concatenate([np.zeros(spins + number), np.repeat(eta, 3)])).tocsc()
+    cost = np.concatenate([np.zeros(spins), friction, np.zeros(3 * number)])
+    whole, right = sparse.csc_matrix(np.vstack(slips)), np.concatenate(known)
+    equal = sparse.hstack([-whole, sparse.csc_matrix((3 * number, number)), sparse.eye_array(3 * number)])
+    rows, bounds = [], []
+    for contact in range(number):
+        cone = sparse.lil_matrix((4, unknowns))
+        cone[0, spins + contact] = -1.0
+        for part in range(3):
+            cone[1 + part, spins + number + 3 * contact + part] = -1.0
+        rows.append(cone.tocsc())
+        bounds.append(np.zeros(4))
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.tol_gap_rel, settings.tol_gap_abs = False, TOLERANCE, TOLERANCE
+    settings.tol_feas, settings.max_threads = TOLERANCE, 1
+    found = clarabel.DefaultSolver(
+        sparse.csc_matrix(quadratic), cost, sparse.csc_matrix(sparse.vstack([equal, *rows])),
+        np.concatenate([right, *bounds]),
+        [clarabel.ZeroConeT(3 * number)] + [clarabel.SecondOrderConeT(4)] * number, settings,
+    ).solve()  # fmt: skip
+    values = np.linalg.norm(np.array(found.x)[spins + number :].reshape(number, 3), axis=1)
+    return Minimum(
+        found.obj_val, dict(zip(contacts, values, strict=True)), str(found.status) in ("Solved", "AlmostSolved")
+    )
+
+
+def draw_scene(seed, number):
+    rng = np.random.default_rng([seed, number])
+    shape = SHAPES[rng.integers(len(SHAPES))]
+    law = LAWS[rng.choice(("coulomb", "coulomb-viscous", "viscous"), p=(0.6, 0.25, 0.15))]
+    given = {"law": law, "distribution": str(rng.choice(DISTRIBUTIONS))}
+    parts = [0.0, 1.0, -1.0, 0.5, float(rng.uniform(-2, 2)), 1.0 + float(10 ** -rng.uniform(1, 4))]
+    if rng.random() < 0.7:
+        size = 1 if len(shape) == 2 else 4
+        for plane in ("top", "bottom"):
+            given[plane] = tuple(float(part) for part in rng.choice(parts, size))
+    else:
+        given |= {"spin_top": 1.0, "spin_bottom": float(rng.choice(parts))}
+        if len(shape) == 3:
+            given["direction"] = tuple(float(part) for part in rng.choice(parts[1:], 3))
+    given |= {"radius": float(rng.choice([0.5, 2.0]))}
+    given |= {"normal_force": float(rng.choice([1.0, 50.0]))} if law.holds else {}
+    return Scene.random(shape, seed=int(rng.integers(2**31)), **given)
+
+
+def falsehoods(scene, best, truth):
+    """What the answer says and the programme refutes, and how many states were compared."""
+    least = truth.objective * (1 if scene.law.holds else 2)  # viscous contacts alone dissipate twice their potential
+    clear = CLEAR_SLIP * scene.lattice.radius * (scene.jump or scene.fastest or 1.0)
+    fastest = scene.lattice.radius * scene.fastest
+    unit = scene.strength * max(float(values.max()) for values in scene.coefficients) * fastest
+    room = AGREEMENT * abs(least) + 1e-10 * unit * (1 if scene.law.holds else fastest) + 10 * TOLERANCE
+    found, compared = [], 0
+    objective = best.potential if scene.law.name == "coulomb-viscous" else best.power
+    if best.lower_bound > least + room:
+        found.append(f"bound {best.lower_bound!r} above {least!r}")
+    if objective < least - room:
+        found.append(f"objective {objective!r} below {least!r}")
+    for (site, axis), speed in truth.slip.items() if best.states_proven else ():
+        state, own = best.state[axis][site], best.slip[axis][site]
+        if state != ContactState.DRIVEN:
+            compared += 1
+            if (state == ContactState.SLIPLESS and speed > clear) or abs(own - speed) > clear:
+                found.append(f"contact {site} along {axis}: state {state}, slip {own:.3g} instead of {speed:.3g}")
+    return found, compared
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    given, counts, false = parser.parse_args(), Counter(), 0
+    for number in range(given.scenes):
+        scene = draw_scene(given.seed, number)
+        best, truth = tb.solve(scene, threads=1), laboratory_minimum(scene)
+        counts[f"{scene.lattice.dimension}D {scene.law.name}"] += 1
+        counts["not solved by Clarabel"] += not truth.solved
+        said, compared = falsehoods(scene, best, truth) if truth.solved else ([], 0)
+        counts["certified"] += int(best.gap <= 1e-8)
+        counts["states proven"] += int(best.states_proven)
+        counts["contact states compared"] += compared
+        for sentence in said:
+            print(f"scene {number}: {sentence}", flush=True)
+        false += bool(said)
+    print(", ".join(f"{count:,} {name}" for name, count in counts.items()), f"{false} false", sep="\n")
+    return 1 if false else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
