@@ -193,6 +193,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
         )
     if len(seeds) == 1:
         lines += [f"  {line}" for line in _separation(summary)]
+    lines += [f"  {line}" for line in _under_torque(summary)]
     if "duration" in summary and summary["time"] < summary["duration"] * (1 - 1e-9):
         lines.append(f"  simulated {summary['time']:.6g} of {summary['duration']:.6g}")
     if "power_normalised" in summary and len(seeds) == 1:
@@ -204,6 +205,21 @@ def describe(summary: dict[str, Any], times: str) -> str:
     picture = Path(summary["run"]) / "power_histogram.png"
     lines += [f"  histogram: {picture}"] if picture.exists() else []
     return "\n".join(lines)
+
+
+def _under_torque(summary: dict[str, Any]) -> list[str]:
+    """What a torque on the top does, where one is asked for."""
+    if "yields" not in summary:
+        return []
+    if isinstance(summary["yields"], list):
+        return [f"the torque moves {sum(summary['yields'])} of {counted(len(summary['yields']), 'sample')}"]
+    low, high, amplitude = (summary[key] for key in ("yield_torque_lower_bound", "yield_torque", "amplitude"))
+    between = "" if f"{low:.12g}" == f"{high:.12g}" else f"{low:.12g} to "
+    holds = f"friction holds torques of up to {between}{high:.12g}" if high > 0 else "friction holds no torque"
+    if not summary["yields"]:
+        return [f"{holds}: {'this one is held' if amplitude == 0 else 'whether it holds this one is not proven'}"]
+    motion = "nothing limits the motion" if amplitude is None else f"its strength is {amplitude:.12g}"
+    return [f"{holds}: the top moves, and {motion}"]
 
 
 def _others(undecided: int, critical: int, tied: int) -> str:

@@ -216,6 +216,10 @@ FINDINGS = _named(
         Quantity("elastic_share", "1",
                  "longest spring over the distance that the driven planes slid past each other"),
         Quantity("rest_time", "time", "simulated time at which the motion came to rest"),
+        Quantity("yields", "1", "whether the torque is more than friction can hold"),
+        Quantity("yield_torque", "force*length", "torque beyond which friction is proven not to hold"),
+        Quantity("yield_torque_lower_bound", "force*length", "torque that friction is proven to hold"),
+        Quantity("amplitude", "1", "strength of the motion under the torque, 1 for that of the run; 0 where it holds"),
         Quantity("newton_steps", "1", "factorisations of a dynamics with implicit steps"),
     ]
 )

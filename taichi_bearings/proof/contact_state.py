@@ -25,7 +25,7 @@ def all_slipless(scene: Scene) -> np.ndarray:
     return np.where(scene.idle, ContactState.DRIVEN, ContactState.SLIPLESS).astype(np.uint8)
 
 
-RESOLVED_SLIP = 1e-2  # of the jump, that the gap must resolve at a critical contact
+SLIP_AT_LIMIT = 1e-2  # of the jump, that the gap must resolve at a critical contact
 LOST_POWER = 1e-8  # of the power, that a contact must dissipate when it slips by the smallest component of the jump
 LOST_CONTACTS = 0.05  # share of contacts that may dissipate less than that
 SATURATED = 1 - 1e-6  # share of the friction disc from which a Coulomb contact counts as saturated
@@ -105,7 +105,7 @@ def critical(solution: Solution) -> np.ndarray:
         return np.zeros(scene.replicas, dtype=np.int64)
     full = solution.force >= SATURATED * scene.strength * scene.coefficient
     left = (solution.objective - solution.lower_bound)[:, None]
-    clear = (left <= RESOLVED_SLIP * _at_smallest_jump(solution)) & ~too_uneven(solution)[:, None]
+    clear = (left <= SLIP_AT_LIMIT * _at_smallest_jump(solution)) & ~too_uneven(solution)[:, None]
     found = undecided & full & unresolved(solution) & (clear | (solution.proven == ContactState.SLIPLESS))
     found &= solution.proven != ContactState.TIED
     return np.minimum(found.sum(axis=1), others)

@@ -33,6 +33,7 @@ from taichi_bearings.runs.run_directory import (
 )
 from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import lattice_shape, read_coefficients, short_name
 from taichi_bearings.scene.disorder import Distribution
@@ -166,6 +167,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
+    if settings.torque is not None:
+        refuse_driven(settings)
     if unused := settings.unused(row):
         if strict:
             raise InputError(next(iter(unused.values())))
@@ -211,7 +214,15 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
         other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
         solution = _better(solution, other, settings.tolerance)
-    return solution
+    if settings.torque is None or solution.interrupted:
+        return solution
+    alone = replace(settings, torque=None)
+    return under_torque(solution, settings.torque, lambda scene: solve_job(_same_of(job, alone, scene)))
+
+
+def _same_of(job: Job, settings: RunSettings, scene: Scene) -> Job:
+    """The same method for another scene, from its linear start."""
+    return Job(settings, scene, initial_spin(scene, "linear"), job.method.options.build())
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:

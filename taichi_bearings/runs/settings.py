@@ -104,6 +104,14 @@ class RunSettings:
     bottom: tuple[float, ...] | None = option(
         None, BEARING_STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
     )
+    torque: float | None = how(
+        None,
+        REAL,
+        "Torque on the top instead of its spin, along its state of strength 1: does it hold, and how fast does it "
+        "turn? The bottom is at rest.",
+        unit="force*length",
+        methods=lambda row: not row.is_dynamics,
+    )
     coefficients: str | None = option(
         None,
         FILE,

@@ -42,7 +42,7 @@ WHOLE_ATTRIBUTES = (
     "iterations",
     "tied_contacts",
 )
-TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique")  # in a list with gaps they are numbers
+TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
 REPORTED_SETS = ("slip", "power", "force", "state")
 MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z)|#|\Z)""")

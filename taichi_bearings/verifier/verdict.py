@@ -86,7 +86,8 @@ def verdict_of(run: StoredRun) -> Verdict:
         *_forces(run, judgement),
     ]
     found += [*_threshold(run)]
-    found += [*_states(run, states), *_summary(run, judgement), *_counts(run, judgement), *_history(run, upper, bound)]
+    found += [*_states(run, states), *_summary(run, judgement), *_counts(run, judgement)]
+    found += [*_under_torque(run, judgement), *_history(run, upper, bound)]
     return Verdict(
         power=[_finite(value) for value in power],
         upper_bound=[_finite(value) for value in upper],
@@ -301,6 +302,23 @@ def _summary(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         yield from _residual(run, judgement, number)
         if judgement.lower_bound[number] > judgement.objective[number] * (1 + 2 * EPS):
             yield f"the lower bound{which} is above the power or potential: the numbers contradict themselves"
+
+
+def _under_torque(run: StoredRun, judgement: Judgement) -> Iterator[str]:
+    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous."""
+    torque, samples = run.setting("torque", np.nan), run.samples
+    if "yields" not in run.attributes or (samples.holds and samples.flows):
+        return
+    for number in range(samples.count):
+        high, low = (float(v[number]) if samples.holds else 0.0 for v in (judgement.power, judgement.lower_bound))
+        moves, held = abs(torque) > high * (1 + ROUNDED), abs(torque) <= low
+        strength = torque / judgement.power[number] if samples.flows and moves and judgement.power[number] else np.nan
+        held_at = {"yields": moves, "yield_torque": high, "yield_torque_lower_bound": low,
+                   "amplitude": 0.0 if held else _finite(strength)}  # fmt: skip
+        for name, value in held_at.items():
+            said = run.claimed(name)[number]
+            if not (said == value or _close(said, value)):
+                yield f"{name.replace('_', ' ')}{of_sample(run, number)} is said to be {said!r}; it is {value!r}"
 
 
 def _residual(run: StoredRun, judgement: Judgement, number: int) -> Iterator[str]:

@@ -1,0 +1,93 @@
+"""A plane driven by a torque instead of a spin: whether it holds, and how fast it turns if it does not.
+
+The top turns as a times its state of strength 1, the bottom rests. The motion of strength a dissipates P(a), so the
+torque that keeps it up, the work for a unit of a, is P(a) / a.
+
+* Friction alone: P(a) = a P(1). A torque below the least P(1) moves nothing; above it no motion holds it back. So
+  what bounds P(1) bounds the torque of yield, and the forces that prove its lower bound are a safe load.
+* Viscosity alone: P(a) = a^2 P(1), and every torque moves the plane.
+* Both: P(a) / a rises without limit from its value for friction alone, and a is found by solving again and again.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.scene.law import COULOMB
+
+Solve = Callable[[Scene], Solution]
+SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
+AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
+
+
+def refuse_driven(settings: RunSettings) -> None:
+    """InputError for settings that say how fast the top turns, or that the bottom does."""
+    at_rest = settings.top is not None and not any(settings.bottom or ())
+    for key in ("spin_top", "spin_bottom", *(() if at_rest else ("bottom",))):
+        if key in settings.given:
+            raise InputError(
+                f"{key} is {settings.given[key]}, but a torque turns the top, and the bottom is at rest; leave one of "
+                "the two out"
+            )
+
+
+def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
+    """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes.
+
+    yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
+    force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
+    the torque is proven to be held, NaN where nothing limits the motion or neither is proven.
+    """
+    scene = solution.scene
+    low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
+    if scene.law.holds:
+        friction = solve(replace(scene, law=COULOMB, viscosity=())) if scene.law.flows else solution
+        low, high = friction.lower_bound, friction.power
+    yields, held = np.abs(torque) > high * SURELY, np.abs(torque) <= low
+    amplitude = np.where(held, 0.0, np.nan)
+    if scene.law.flows:
+        with np.errstate(divide="ignore"):
+            amplitude = np.where(yields, np.abs(torque) / solution.power, amplitude)
+        for number in np.flatnonzero(yields) if scene.law.holds else ():
+            viscous = scene.law.power(scene.contact, friction.slip)[number].sum() - friction.power[number]
+            least = (abs(torque) - high[number]) / (2 * viscous)
+            amplitude[number] = _strength(scene.sample(int(number)), abs(torque), least, solve)
+    found = {
+        "yields": yields,
+        "yield_torque": high,
+        "yield_torque_lower_bound": low,
+        "amplitude": np.sign(torque) * amplitude if torque else amplitude,
+    }
+    return replace(solution, findings={**solution.findings, **found})
+
+
+def _strength(scene: Scene, torque: float, least: float, solve: Solve) -> float:
+    """Strength a of the motion of one sample that the torque keeps up, above what friction holds; NaN if Ctrl-C came.
+
+    least : a strength that is too small. P(a) / a is at most P_f + 2 a Q, with P_f the least power of friction and Q
+    what viscosity adds in that motion: the potential is convex and no larger than a P_f + a^2 Q / 2.
+    """
+    stopped = False
+
+    def excess(strength: float) -> float:
+        nonlocal stopped
+        found = solve(_scaled(scene, strength))
+        stopped |= found.interrupted
+        return 0.0 if stopped else float(found.power[0]) / strength - torque
+
+    most = 2 * least
+    while excess(most) < 0:
+        least, most = most, 2 * most
+    found = brentq(excess, least, most, rtol=AMPLITUDE_ERROR, xtol=AMPLITUDE_ERROR * most)
+    return float("nan") if stopped else float(found)
+
+
+def _scaled(scene: Scene, strength: float) -> Scene:
+    if scene.top is None:
+        return replace(scene, spin_top=strength * scene.spin_top)
+    return replace(scene, top=tuple(strength * part for part in scene.top))

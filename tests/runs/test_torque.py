@@ -1,0 +1,105 @@
+"""A torque on the top instead of its spin: yield torques from one solve, and the speed that viscosity allows."""
+
+from dataclasses import replace
+from functools import partial
+
+import h5py
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.errors import InputError
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene import Scene
+from tests.agreement.laboratory import imposed_spin
+from tests.kernels.twins import neighbours
+
+pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+solve = partial(tb.solve, threads=1)
+DRIVINGS = [{}, {"direction": (1.0, 0.0, 0.0)}, {"top": (1.0, 0.3, 0.0, 0.5)}]
+
+
+def torque_on_top(best):
+    """Work of the friction on the top for a unit of its state: sum of (arm x force) . spin, sphere by sphere."""
+    scene, total = best.scene, 0.0
+    shape, radius = scene.lattice.shape, scene.lattice.radius
+    for lower, upper, axis in neighbours(shape):
+        if axis == 2 and upper[2] == shape[2] - 1:
+            spin = np.array([imposed_spin(scene, upper, k) for k in range(3)])
+            total += np.dot(np.cross(radius * np.eye(3)[axis], best.friction[axis][lower]), spin)
+    return abs(total)
+
+
+@pytest.mark.parametrize("driving", DRIVINGS, ids=str)
+@pytest.mark.parametrize("shape", [(5, 6), (3, 4, 4)], ids=str)
+def test_the_yield_torque_is_the_slope_of_the_least_power(shape, driving):
+    if len(shape) == 2:
+        driving = {}
+    scene = Scene.random(shape, seed=4, **driving)
+    low, high = (solve(scaled(scene, strength)).power for strength in (0.5, 1.5))
+    found = solve(scene, torque=1.0).findings
+    assert found["yield_torque"] == pytest.approx(high - low, rel=1e-10)
+    assert found["yield_torque_lower_bound"] == pytest.approx(high - low, rel=1e-10)
+    assert found["yield_torque_lower_bound"] <= found["yield_torque"]
+
+
+@pytest.mark.parametrize("driving", DRIVINGS, ids=str)
+def test_the_safe_load_is_what_friction_passes_on_to_the_top(driving):
+    best = solve(Scene.random((3, 4, 4), seed=5, **driving), torque=1.0)
+    assert torque_on_top(best) == pytest.approx(best.findings["yield_torque_lower_bound"], rel=1e-10)
+
+
+def test_friction_holds_below_and_not_above():
+    scene = Scene.random((3, 3, 4), seed=2)
+    limit = solve(scene).power
+    below, above = (solve(scene, torque=share * limit).findings for share in (0.999999, 1.000001))
+    assert (below["yields"], below["amplitude"]) == (False, 0.0)
+    assert above["yields"]
+    assert np.isnan(above["amplitude"])  # nothing limits the motion
+    rough = solve(scene, "gradient-descent", tolerance=1e-2, torque=limit)  # between its bounds nothing is proven
+    assert not rough.findings["yields"]
+    assert np.isnan(rough.findings["amplitude"])
+
+
+@pytest.mark.parametrize("law", ["viscous", "coulomb-viscous"])
+@pytest.mark.parametrize("driving", [{}, {"top": (1.0, 0.3, 0.0, 0.5)}], ids=str)
+def test_the_motion_of_that_strength_takes_that_torque(law, driving):
+    """Power balance, torque x strength = power; and the torque is the slope of the potential."""
+    viscosity = {"viscosity": "uniform:10,100"} if law == "coulomb-viscous" else {}
+    scene = Scene.random((3, 3, 4), seed=3, law=law, **viscosity, **driving)
+    torque = -1.3 * solve(scene).power
+    strength = solve(scene, torque=torque).findings["amplitude"]
+    assert strength < 0
+    assert solve(scaled(scene, strength)).power == pytest.approx(torque * strength, rel=1e-9)
+    low, high = (solve(scaled(scene, strength * (1 + part))).potential for part in (-1e-4, 1e-4))
+    least = 1.0 if law == "coulomb-viscous" else 0.5  # of a viscous motion the power is twice the potential
+    assert least * (high - low) / (2e-4 * strength) == pytest.approx(torque, rel=1e-6)
+
+
+def test_several_samples_and_a_forged_word(tmp_path):
+    scene = Scene.random((3, 3, 4), seed=3, replicas=3)
+    limits = np.sort(solve(scene).power)
+    best = solve(scene, torque=float(limits[:2].mean()))
+    assert best.findings["yields"].sum() == 1
+    path = best.save(tmp_path / "run")
+    assert verify(path)["contradictions"] == []
+    with h5py.File(path / "run.h5" if path.is_dir() else path, "r+") as file:
+        file.attrs["yields"] = ~np.array(file.attrs["yields"], dtype=bool)
+        del file.attrs["sha256"]
+    assert any("yields" in sentence for sentence in verify(path)["contradictions"])
+
+
+@pytest.mark.parametrize(
+    ("method", "scene"),
+    [("cundall-strack", {}), ("auto", {"spin_top": 2.0}), ("auto", {"spin_bottom": 0.1}),
+     ("auto", {"top": (1.0, 0.0, 0.0), "bottom": (0.0, 1.0, 0.0)})],
+)  # fmt: skip
+def test_what_a_torque_cannot_go_with(method, scene):
+    with pytest.raises(InputError, match="torque"):
+        solve(Scene.random((2, 2, 3), **scene), method, torque=3.0)
+
+
+def scaled(scene, strength):
+    if scene.top is None:
+        return replace(scene, spin_top=strength)
+    return replace(scene, top=tuple(strength * part for part in scene.top))
