@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import numpy as np
 import pytest
 
 import taichi_bearings as tb
@@ -32,3 +33,31 @@ def test_random_scenes_of_all_laws():
         assert found == [], number
         compared += states
     assert compared > 200
+
+
+def sheets(scene, k):
+    """Power P_k of component k alone: the cuts of all layers x_k = const, each a lattice of discs."""
+    state_top, state_bottom, other = scene.top or (0.0,) * 4, scene.bottom or (0.0,) * 4, 1 - k
+    total = 0.0
+    for i in range(scene.lattice.shape[k]):
+        sides = tuple(np.take(scene.coefficients[axis], i, axis=k) for axis in (other, 2))
+        at = 2 * scene.lattice.radius * i
+        jump = state_top[k] - state_bottom[k] + (state_top[3] - state_bottom[3]) * at
+        layer = Scene(sides, spin_top=1.0, radius=scene.lattice.radius, normal_force=scene.normal_force)
+        total += abs(jump) * solve(layer, "planar-cut").power
+    return total
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_sheets_bound_the_minimum_from_both_sides(seed):
+    """sqrt(P_x^2 + P_y^2) <= P_min <= P_x + P_y, and equal where one of them vanishes."""
+    rng = np.random.default_rng(seed)
+    top, bottom = (tuple(float(part) for part in rng.choice([0.0, 1.0, -0.5, 0.3], 4)) for _ in range(2))
+    if seed < 2:
+        top, bottom = ((1.0, 0.7, 0.0, 0.0), (0.0, 0.7, 0.0, 0.0))[:: 1 - 2 * seed]
+    scene = Scene.random((3, 4, 5), seed=seed, top=top, bottom=bottom)
+    of_x, of_y, best = sheets(scene, 0), sheets(scene, 1), solve(scene)
+    assert np.hypot(of_x, of_y) <= best.power * (1 + 1e-12)
+    assert best.lower_bound <= (of_x + of_y) * (1 + 1e-12)
+    if seed < 2:
+        assert best.power == pytest.approx(of_x, rel=1e-12)
