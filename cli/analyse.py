@@ -5,27 +5,25 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
+from taichi_bearings_cli.options import json_option, out_options, run_argument
+from taichi_bearings_cli.progress import Display
 
 REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
 """What the report begins with, by the names of columns."""
 
 
 @click.command()
-@click.argument("run", metavar="RUN", type=FILES)
+@run_argument
 @click.option(
     "--threshold", type=float, default=None, metavar="SPEED",
     help="Count contacts that slip no faster as slipless. [default: the contact states of the run]",
 )  # fmt: skip
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn.")
 @click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
-@click.option(
-    "--out", metavar="DIR", type=FILES, default=None, help="Folder for analysis.h5 and figures. [default: into the run]"
-)
-@click.option("--force", is_flag=True, help="Replace existing files in --out.")
+@out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
 def command(
-    run: str, threshold: float | None, replica: int, figures: bool, out: str | None, force: bool, as_json: bool
+    run: Path, threshold: float | None, replica: int, figures: bool, out: Path | None, force: bool, as_json: bool
 ) -> None:
     """Structure of RUN, a run directory or its run.h5: what slips, what does not, and how that hangs together.
 
@@ -43,13 +41,10 @@ def command(
       bearings run --shape 10,10,10 --spin-bottom 0.1 --out outputs/a
       bearings analyse outputs/a
     """
-    from taichi_bearings_cli import STARTED
-    from taichi_bearings_cli.progress import Display
-
     from taichi_bearings.runs.analysis import analyse
 
-    with Display(STARTED) as display:
-        report = analyse(Path(run), Path(out) if out else None, force, replica, threshold, figures)
+    with Display() as display:
+        report = analyse(run, out, force, replica, threshold, figures)
     click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report, display.times()))
 
 

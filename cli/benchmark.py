@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
-from taichi_bearings_cli.suggestions import Group
+from taichi_bearings_cli.main import Group
+from taichi_bearings_cli.options import json_option, out_options
+from taichi_bearings_cli.progress import Display
 
 
 @click.group(cls=Group)
@@ -15,44 +16,31 @@ def command() -> None:
     """Measure speed and accuracy."""
 
 
-def _of_speed(parts: str | None) -> Callable[[Callable[..., None]], click.Command]:
-    """A command that measures speed: these parts of it, or those that are asked for."""
-
-    def made(function: Callable[..., None]) -> click.Command:
-        options = [
-            click.option(
-                "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice instead of the usual ones; repeat."
-            ),
-            click.option(
-                "--threads", metavar="N[,N...]", help="Thread counts. [default: 1 and all; --full: 1, 2, 4 ...]"
-            ),
-            click.option("--precision", metavar="f64|f32", help="One precision only. [default: both, --quick f64]"),
-            click.option("--quick", "budget", flag_value="quick", help="Small lattices, about two minutes."),
-            click.option(
-                "--full", "budget", flag_value="full", help="Up to 128,128,128 and 4096,4096; an hour or more."
-            ),
-            click.option("--out", metavar="DIR", help="Folder for the files. [default: outputs/<time>-speed-<id>]"),
-            click.option("--force", is_flag=True, help="Replace existing files."),
-            json_option,
-            click.pass_context,
-        ]
-        if parts is None:
-            names = "memory, kernels, methods, scans, dynamics"
-            options.insert(0, click.option("--parts", metavar="NAME[,NAME...]", help=f"Of {names}. [default: all]"))
-
-        def run(context: click.Context, **asked: Any) -> None:
-            _measure_speed(context, **{"parts": parts, **asked})
-
-        run.__doc__, run.__name__ = function.__doc__, function.__name__
-        for option in reversed(options):
-            run = option(run)
-        return command.command()(run)
-
-    return made
+shape_option = click.option(
+    "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice instead of the usual ones; repeat for several."
+)
 
 
-@_of_speed(None)
-def speed() -> None:
+def _speed_options(measured: Callable[..., None]) -> Any:
+    """The options of all commands that measure speed."""
+    for option in reversed((
+        shape_option,
+        click.option("--threads", metavar="N[,N...]", help="Thread counts. [default: 1 and all; --full: 1, 2, 4 ...]"),
+        click.option("--precision", metavar="f64|f32", help="One precision only. [default: both, --quick f64]"),
+        click.option("--quick", "budget", flag_value="quick", help="Small lattices, about two minutes."),
+        click.option("--full", "budget", flag_value="full", help="Up to 128,128,128 and 4096,4096; an hour or more."),
+        out_options("Folder for the files. [default: outputs/<time>-speed-<id>]"),
+        json_option,
+        click.pass_context,
+    )):  # fmt: skip
+        measured = option(measured)
+    return measured
+
+
+@command.command()
+@click.option("--parts", metavar="NAME[,NAME...]", help="Of memory, kernels, methods, scans, dynamics. [default: all]")
+@_speed_options
+def speed(context: click.Context, **asked: Any) -> None:
     """Time of every kernel and method beside what the machine allows, and beside other programs.
 
     Times are medians of rounds that time everything once, wall and processor, compilation apart; bytes and operations
@@ -64,38 +52,42 @@ def speed() -> None:
       bearings benchmark speed --quick
       bearings benchmark speed --parts kernels,memory --shape 64,64,64 --threads 1,2
     """
+    _measure_speed(context, **asked)
 
 
-@_of_speed("memory,kernels")
-def throughput() -> None:
+@command.command()
+@_speed_options
+def throughput(context: click.Context, **asked: Any) -> None:
     """Sweeps, time steps and splitting iterations beside NumPy, plain C and the memory: a part of `speed`.
 
     \b
     Example:
       bearings benchmark throughput --shape 32,32,32 --threads 1,2
     """
+    _measure_speed(context, "memory,kernels", **asked)
 
 
-@_of_speed("methods,scans,dynamics")
-def peers() -> None:
+@command.command()
+@_speed_options
+def peers(context: click.Context, **asked: Any) -> None:
     """Methods, scans and dynamics beside Clarabel, moreau, SCS, LAMMPS and YADE: a part of `speed`.
 
     \b
     Example:
       bearings benchmark peers --quick
     """
+    _measure_speed(context, "methods,scans,dynamics", **asked)
 
 
 def _measure_speed(
     context: click.Context,
     parts: str | None,
     budget: str | None,
-    out: str | None,
+    out: Path | None,
     force: bool,
     as_json: bool,
     **asked: Any,
 ) -> None:
-    from taichi_bearings_cli.progress import Display
     from taichi_bearings_studies.benchmarks import speed_report
     from taichi_bearings_studies.benchmarks.speed import BUDGETS, chosen_parts, chosen_threads, measure, only
     from taichi_bearings_studies.report import Files
@@ -104,7 +96,7 @@ def _measure_speed(
 
     chosen, usual = chosen_parts(parts), BUDGETS[budget or "usual"]
     threads, plan = chosen_threads(asked["threads"], usual), only(usual, asked["shape"], asked["precision"])
-    files = Files(Path(out) if out else default_run_path("speed"), speed_report.NAMES, force)
+    files = Files(out or default_run_path("speed"), speed_report.NAMES, force)
     with Display():
         report = measure(plan, chosen, threads)
     if not report.rows:
@@ -119,23 +111,14 @@ def _measure_speed(
 
 
 @command.command()
-@click.option(
-    "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Spheres along each axis; repeat for several scenes."
-)
+@shape_option
 @click.option("--law", multiple=True, metavar="LAW", help="coulomb, viscous or coulomb-viscous; repeat for several.")
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the disorder.")
 @click.option("--methods", default=None, metavar="NAME[,NAME...]", help="Methods to compare. [default: all]")
 @click.option("--peers/--no-peers", default=True, show_default=True, help="Clarabel and SCS too, where installed.")
 @click.option("--time-limit", default="20", show_default=True, metavar="SECONDS", help="For each method and scene.")
 @click.option("--threads", default="0", show_default=True, metavar="N", help="CPU threads; 0 for all.")
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=FILES,
-    default=None,
-    help="Folder for the files. [default: outputs/<time>-accuracy-<id>]",
-)
-@click.option("--force", is_flag=True, help="Replace existing files.")
+@out_options("Folder for the files. [default: outputs/<time>-accuracy-<id>]")
 @json_option
 @click.pass_context
 def accuracy(
@@ -144,7 +127,7 @@ def accuracy(
     law: tuple[str, ...],
     methods: str | None,
     peers: bool,
-    out: str | None,
+    out: Path | None,
     force: bool,
     as_json: bool,
     **of_runs: str,
@@ -160,7 +143,6 @@ def accuracy(
       bearings benchmark accuracy --time-limit 60 --out outputs/accuracy
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
-    from taichi_bearings_cli.progress import Display
     from taichi_bearings_studies.benchmarks.accuracy import choose_methods, choose_scenes, measure_all
     from taichi_bearings_studies.benchmarks.accuracy_report import NAMES, summarise, table, write
     from taichi_bearings_studies.benchmarks.peers import find_peers
@@ -170,7 +152,7 @@ def accuracy(
 
     scenes = choose_scenes(shape, law, **of_runs)
     chosen = choose_methods(methods)
-    files = Files(Path(out) if out else default_run_path("accuracy"), NAMES, force)
+    files = Files(out or default_run_path("accuracy"), NAMES, force)
     here, missing = find_peers() if peers else ([], {})
     with Display():
         results, interrupted = measure_all(scenes, chosen, here, lambda line: click.echo(line, err=True))

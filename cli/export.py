@@ -4,18 +4,16 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
+from taichi_bearings_cli.options import json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.progress import Display
 
 
 @click.command()
-@click.argument("run", metavar="RUN", type=FILES)
-@click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
-@click.option(
-    "--out", metavar="FILE", type=FILES, default=None, help="The file. [default: run.vtkhdf in the run directory]"
-)
-@click.option("--force", is_flag=True, help="Replace an existing file.")
+@run_argument
+@replica_option
+@out_options("The file. [default: run.vtkhdf in the run directory]", "FILE", "Replace an existing file.")
 @json_option
-def command(run: str, replica: int, out: str | None, force: bool, as_json: bool) -> None:
+def command(run: Path, replica: int, out: Path | None, force: bool, as_json: bool) -> None:
     """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later.
 
     \b
@@ -31,12 +29,10 @@ def command(run: str, replica: int, out: str | None, force: bool, as_json: bool)
     Example:
       bearings export outputs/my-run --out my-run.vtkhdf
     """
-    from taichi_bearings_cli.progress import Display
-
     from taichi_bearings.export.vtkhdf import export
 
     with Display():
-        report = export(Path(run), Path(out) if out else None, force, replica)
+        report = export(run, out, force, replica)
     if as_json:
         click.echo(json.dumps(report))
         return

@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
-from taichi_bearings_cli.suggestions import Choice
+from taichi_bearings_cli.options import FILE_PATH, Choice, json_option, out_options
+from taichi_bearings_cli.progress import Display
 
 
 @click.command()
-@click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...", type=FILES)
+@click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...", type=FILE_PATH)
 @click.option(
     "--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True,
     help="Width of the bins; with a scan 1, 2, 4, 5, 10 or 20.",
@@ -21,21 +21,14 @@ from taichi_bearings_cli.suggestions import Choice
 @click.option(
     "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
 )
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=FILES,
-    default=None,
-    help="Folder for the files. [default: outputs/<time>-histogram-<id>]",
-)
-@click.option("--force", is_flag=True, help="Replace existing files.")
+@out_options("Folder for the files. [default: outputs/<time>-histogram-<id>]")
 @json_option
 def command(
-    runs: tuple[str, ...],
+    runs: tuple[Path, ...],
     bins_per_decade: int,
     normalise: str,
     by: str | None,
-    out: str | None,
+    out: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -49,13 +42,10 @@ def command(
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --out outputs --force
       bearings histogram outputs/my-scan --by spin_bottom --normalise unit
     """
-    from taichi_bearings_cli.progress import Display
-
     from taichi_bearings.scans.histogram import histogram
 
-    paths = [Path(run) for run in runs]
     with Display():
-        report = histogram(paths, Path(out) if out else None, force, bins_per_decade, normalise, by)
+        report = histogram(runs, out, force, bins_per_decade, normalise, by)
     if as_json:
         click.echo(json.dumps(report, allow_nan=False))
         return

@@ -6,12 +6,14 @@ import io
 import logging
 import os
 import sys
+from typing import Any
 
 import click
-from taichi_bearings_cli.suggestions import Group
 
 from taichi_bearings import interrupts
 from taichi_bearings.errors import BearingsError
+from taichi_bearings.version import VERSION
+from taichi_bearings.words import meant
 
 COMMANDS = {  # name -> (module, one line for --help)
     "run": "Solve one scene, or a block of seeds, and write a run directory.",
@@ -32,6 +34,16 @@ COMMANDS = {  # name -> (module, one line for --help)
 INTERRUPTED = "bearings: interrupted; nothing is kept but what was complete"
 
 
+class Group(click.Group):
+    """A group of commands that suggests the one whose name was mistyped."""
+
+    def resolve_command(self, context: click.Context, words: list[str]) -> Any:
+        known = self.list_commands(context)
+        if words and words[0] not in known and not words[0].startswith("-"):
+            context.fail(f"No such command {words[0]!r}{meant(words[0], known)}")
+        return super().resolve_command(context, words)
+
+
 class LazyGroup(Group):
     """Lists the commands without importing them, so that --help answers at once."""
 
@@ -48,23 +60,8 @@ class LazyGroup(Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-def show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    if wanted and not context.resilient_parsing:
-        from taichi_bearings import __version__
-
-        click.echo(f"bearings {__version__}")
-        context.exit()
-
-
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.option(
-    "--version",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=show_version,
-    help="Show the version and exit.",
-)
+@click.version_option(VERSION, prog_name="bearings", message="%(prog)s %(version)s")
 def bearings() -> None:
     """Frustrated bearings: touching spheres on a lattice, their state of least dissipation and the dynamics to it.
 

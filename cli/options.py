@@ -1,6 +1,9 @@
 """Options shared by commands; those of a run come from the one table in runs/settings.py."""
 
+from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -9,6 +12,7 @@ from taichi_bearings.options import FILE, Kind, OneOf, Option, options_of
 from taichi_bearings.runs.settings import settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
+from taichi_bearings.words import meant
 
 
 class Text(click.types.StringParamType):
@@ -23,7 +27,25 @@ class Text(click.types.StringParamType):
         return [CompletionItem(name) for name in self.names if name.startswith(incomplete)]
 
 
-FILES = Text()
+class FileName(Text):
+    """A path. An option whose text is empty counts as not given."""
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        return Path(value) if value or isinstance(parameter, click.Argument) else None
+
+
+class Choice(click.Choice):
+    """A choice of words that suggests the one that was mistyped."""
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        try:
+            return super().convert(value, parameter, context)
+        except click.BadParameter as error:
+            error.message = error.message.rstrip(".") + meant(value, map(str, self.choices))
+            raise
+
+
+FILES, FILE_PATH = Text(), FileName()  # names as they were typed, and as paths
 
 
 class SettingsCommand(click.Command):
@@ -88,4 +110,18 @@ def _shown(default: object) -> str:
     return "" if default is None else ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
+run_argument = click.argument("run", metavar="RUN", type=FILE_PATH)
+replica_option = click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
+
+
+def out_options(
+    out: str, metavar: str = "DIR", force: str = "Replace existing files.", kind: click.ParamType = FILE_PATH
+) -> Callable[[Any], Any]:
+    """The options --out and --force with these words of help."""
+
+    def with_options(command: Any) -> Any:
+        command = click.option("--force", is_flag=True, help=force)(command)
+        return click.option("--out", metavar=metavar, type=kind, help=out)(command)
+
+    return with_options

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from taichi_bearings_cli.options import FILES
-from taichi_bearings_cli.suggestions import Choice
+from taichi_bearings_cli.options import Choice, out_options, replica_option, run_argument
 
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
@@ -20,8 +19,8 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 @click.command()
 @click.argument("kind", type=Choice(PLOT_KINDS), metavar="KIND")
-@click.argument("run", metavar="RUN", type=FILES)
-@click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
+@run_argument
+@replica_option
 @click.option(
     "--time", type=float, default=None, help="spins: the snapshot nearest to this simulated time, and what slips in it."
 )
@@ -49,15 +48,11 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 @click.option("--dpi", metavar="N", default=None, help="Dots an inch of PNG, and of pictures in others. [default: 300]")
 @click.option("--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a cut to show, as y=5. May be repeated.")
 @click.option("--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where, in degrees, as 22,-55.")
-@click.option(
-    "--out",
-    metavar="FILE",
-    type=FILES,
-    default=None,
-    help="PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]",
-)
-@click.option("--force", is_flag=True, help="Replace an existing file.")
-def command(kind: str, run: str, replica: int, time: float | None, out: str | None, force: bool, **more: Any) -> None:
+@out_options(
+    "PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]", "FILE",
+    "Replace an existing file.",
+)  # fmt: skip
+def command(kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, **more: Any) -> None:
     """Draw one figure from RUN, a run directory or its run.h5. KIND is one of
 
     \b
@@ -95,9 +90,9 @@ def command(kind: str, run: str, replica: int, time: float | None, out: str | No
     """
     page = _page(more.pop("width"), more.pop("dpi"), more.pop("planes"), more.pop("view"))
     if kind == "scan":
-        _plot_scan(Path(run), Path(out) if out else None, force, page, **more)
+        _plot_scan(run, out, force, page, **more)
     else:
-        _plot_run(kind, Path(run), replica, time, Path(out) if out else None, force, page, more)
+        _plot_run(kind, run, replica, time, out, force, page, more)
 
 
 def _plot_run(

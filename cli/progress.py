@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 import numpy as np
+from taichi_bearings_cli import STARTED
 from taichi_bearings_cli.time_left import TimeLeft
 
 from taichi_bearings.stages import Stage, Watch, watched
@@ -72,13 +73,11 @@ class TerminalLine:
 
 
 class Display(Watch):
-    """Listens to the stages of a command: a line of the terminal says what is under way; `times` says where time went.
+    """Listens to the stages of a command: a line of the terminal says what is under way; `times` says where the time
+    of the process went."""
 
-    since : when the process began, by time.perf_counter().
-    """
-
-    def __init__(self, since: float | None = None) -> None:
-        super().__init__(since=since)
+    def __init__(self) -> None:
+        super().__init__(since=STARTED)
         self._forecasts: dict[int, Forecast] = {}  # of the solves under way, by their stage
         self._context = ExitStack()
 

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
+from taichi_bearings_cli.options import json_option, out_options
+from taichi_bearings_cli.progress import Display
 
 
 @click.command()
@@ -16,14 +17,7 @@ from taichi_bearings_cli.options import FILES, json_option
     help="Samples that a statistical claim may take. [default: 200, with --quick 20]",
 )  # fmt: skip
 @click.option("--quick", is_flag=True, help="Within five minutes: fewer samples, sizes and iterations.")
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=FILES,
-    default=None,
-    help="Folder for the files. [default: outputs/<time>-reproduce-<id>]",
-)
-@click.option("--force", is_flag=True, help="Replace existing files.")
+@out_options("Folder for the files. [default: outputs/<time>-reproduce-<id>]")
 @json_option
 @click.pass_context
 def command(
@@ -32,7 +26,7 @@ def command(
     seed: int,
     samples: int | None,
     quick: bool,
-    out: str | None,
+    out: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -68,15 +62,13 @@ def command(
     Example:
       bearings reproduce --quick --out outputs/paper
     """
-    from taichi_bearings_cli import STARTED
-    from taichi_bearings_cli.progress import Display
     from taichi_bearings_studies.paper.claims import QUICK_SAMPLES, SAMPLES, Effort
     from taichi_bearings_studies.paper.reproduce import reproduce
 
     from taichi_bearings.runs.run_directory import default_run_path
 
-    folder = Path(out) if out else default_run_path("reproduce")
-    with Display(STARTED) as display:
+    folder = out or default_run_path("reproduce")
+    with Display() as display:
         effort = Effort(seed, samples or (QUICK_SAMPLES if quick else SAMPLES), quick)
         report = reproduce(figures, folder, effort, force, lambda line: click.echo(line, err=True))
     if as_json:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, SettingsCommand, json_option
+from taichi_bearings_cli.options import FILES, SettingsCommand, json_option, out_options
+from taichi_bearings_cli.progress import Display, tell
 
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.words import counted, undecided_kinds
@@ -16,17 +17,10 @@ from taichi_bearings.words import counted, undecided_kinds
 
 @click.command(cls=SettingsCommand)
 @click.argument("scene", required=False, metavar="[SCENE.toml]", type=FILES)
-@click.option(
-    "--out", metavar="DIR", type=FILES, default=None, help="Run directory. [default: outputs/<time>-run-<id>]"
+@out_options(
+    "Run directory. [default: outputs/<time>-run-<id>]", force="Replace an existing run directory.", kind=FILES
 )
-@click.option("--force", is_flag=True, help="Replace an existing run directory.")
-@click.option(
-    "--resume",
-    metavar="RUN",
-    type=FILES,
-    default=None,
-    help="Go on with a run that has a checkpoint, in its directory.",
-)
+@click.option("--resume", metavar="RUN", type=FILES, help="Go on with a run that has a checkpoint, in its directory.")
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
 )
@@ -58,11 +52,8 @@ def command(
       bearings run --method cundall-strack --duration 10 --record log:1e-4,10,100 --checkpoint-every 60 --out outputs/a
       bearings run --resume outputs/a --duration 20
     """
-    from taichi_bearings_cli import STARTED
-    from taichi_bearings_cli.progress import Display
-
     given = {key: value for key, value in options.items() if value is not None}
-    with Display(STARTED) as display:
+    with Display() as display:
         with _interrupts_told():
             solve, place = _resumed(resume, scene or out or force, given) if resume else _new(scene, out, force, given)
             found = solve()
@@ -145,8 +136,6 @@ def _finish(
     as_json: bool,
 ) -> None:
     """Print the summary and leave with the exit code that the status asks for; 1 too if the run is not in `out`."""
-    from taichi_bearings_cli.progress import tell
-
     summary = found.summary
     for sentence in summary["warnings"]:
         tell(f"bearings: warning: {sentence}", err=True)

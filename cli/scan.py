@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
-from taichi_bearings_cli.suggestions import Choice
+from taichi_bearings_cli.options import FILE_PATH, Choice, json_option
+from taichi_bearings_cli.progress import ScanDisplay, duration
 
 from taichi_bearings.errors import InputError, printable
 from taichi_bearings.words import counted
 
 
 @click.command()
-@click.argument("scan", metavar="SCAN", type=FILES)
+@click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
     help="Fix a key of run for all samples, or scan it with scan.KEY=LIST or RANGE; wins over the file. Repeatable.",
@@ -52,12 +52,12 @@ from taichi_bearings.words import counted
     help="Time between two lines of progress on stderr, 0 for none. [default: 30 in a file, none in a pipe]",
 )  # fmt: skip
 @click.option(
-    "--out", metavar="DIR", type=FILES, default=None,
+    "--out", metavar="DIR", type=FILE_PATH,
     help="Folder of the scan; one that is there is completed. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
 @json_option
 @click.pass_context
-def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **asked: Any) -> None:
+def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **asked: Any) -> None:
     """Solve many scenes: SCAN is a TOML file with keys of `run` and a table [scan] with a list or a range for each key
     that varies; or the folder of a scan, which goes on there.
 
@@ -86,15 +86,13 @@ def command(context: click.Context, scan: str, dry_run: bool, as_json: bool, **a
       bearings scan SCAN.toml --cluster slurm --workers 64 --cluster-option walltime=04:00:00
       bearings scan SCAN.toml --out outputs/scan --part 3/100; bearings scan outputs/scan --merge
     """
-    from taichi_bearings_cli.progress import ScanDisplay
-
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.cluster import connected
     from taichi_bearings.scans.parts import Part
     from taichi_bearings.scans.plan import WISHES, read_plan
 
-    path, folder = Path(scan), Path(asked["out"]) if asked["out"] else None
+    path, folder = scan, asked["out"]
     if path.is_dir():  # the folder of a scan: go on there
         path, folder = path / "scan.toml", folder or path
     _refuse_contradictions(folder, **asked)
@@ -132,8 +130,6 @@ def _refuse_contradictions(
 
 def describe_estimate(expected: dict[str, Any]) -> str:
     """What a scan would do, for people."""
-    from taichi_bearings_cli.progress import duration
-
     lines = [f"{counted(expected['samples'], 'sample')} over {', '.join(expected['scanned']) or 'nothing'}"]
     if expected["missing"] < expected["samples"]:
         lines[0] += f", of which {expected['missing']:,} are missing"

@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
+from taichi_bearings_cli.options import FILE_PATH, json_option
+from taichi_bearings_cli.progress import Display
 
 
 @click.command()
@@ -17,7 +18,10 @@ from taichi_bearings_cli.options import FILES, json_option
               help="For a solve; some axes take a multiple. [default: 2, 1 with --quick]")  # fmt: skip
 @click.option("--workers", default=0, metavar="N", type=click.IntRange(0), help="Processes. [default: one a processor]")
 @click.option(
-    "--out", metavar="DIR", type=FILES, help="Folder; goes on with what it holds. [default: outputs/<time>-stress-<id>]"
+    "--out",
+    metavar="DIR",
+    type=FILE_PATH,
+    help="Folder; goes on with what it holds. [default: outputs/<time>-stress-<id>]",
 )
 @json_option
 @click.pass_context
@@ -28,7 +32,7 @@ def command(
     law: str | None,
     time_limit: float | None,
     workers: int,
-    out: str | None,
+    out: Path | None,
     as_json: bool,
     **of_cells: int,
 ) -> None:
@@ -43,7 +47,6 @@ def command(
       bearings stress --quick
       bearings stress --only contrast,zeros --method interior-point,gradient-descent --out outputs/stress
     """
-    from taichi_bearings_cli.progress import Display
     from taichi_bearings_studies.stress.axes import AXES, ROWS, cells_of, rows_of
     from taichi_bearings_studies.stress.report import by_axis, lines_of, open_sweep, table
 
@@ -55,7 +58,7 @@ def command(
     quick = bool(of_cells["quick"])
     rows = rows_of(chosen("method", method, ROWS), chosen("law", law, LAWS))
     cells = cells_of(rows, chosen("only", only, AXES), of_cells["seed"], quick, time_limit or (1.0 if quick else 2.0))
-    with Display(), open_sweep(Path(out) if out else default_run_path("stress"), cells) as sweep:
+    with Display(), open_sweep(out or default_run_path("stress"), cells) as sweep:
         finished = sweep.run(workers or available_threads(), lambda line: click.echo(line, err=True))
         paths = sweep.write()
     if as_json:

@@ -6,17 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
+from taichi_bearings_cli.options import json_option, run_argument
+from taichi_bearings_cli.progress import Display, tell
 
 from taichi_bearings.errors import printable
 from taichi_bearings.scene.law import LAWS
 
 
 @click.command()
-@click.argument("run", metavar="RUN", type=FILES)
+@run_argument
 @json_option
 @click.pass_context
-def command(context: click.Context, run: str, as_json: bool) -> None:
+def command(context: click.Context, run: Path, as_json: bool) -> None:
     """What is rigorously true of RUN, a run directory or its run.h5, from that file alone.
 
     Power, balance, friction limits, work of the driven planes and the slip law are evaluated anew in the laboratory
@@ -32,13 +33,10 @@ def command(context: click.Context, run: str, as_json: bool) -> None:
       bearings run --shape 10,10,10 --out outputs/a
       bearings verify outputs/a
     """
-    from taichi_bearings_cli import STARTED
-    from taichi_bearings_cli.progress import Display, tell
-
     from taichi_bearings.runs.verify import verify
 
-    with Display(STARTED) as display:
-        report = verify(Path(run))
+    with Display() as display:
+        report = verify(run)
     if as_json:
         click.echo(json.dumps(report, allow_nan=False))
     else:

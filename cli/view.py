@@ -4,19 +4,17 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILES, json_option
+from taichi_bearings_cli.options import json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.progress import Display
 
 
 @click.command()
-@click.argument("run", metavar="RUN", type=FILES)
-@click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
+@run_argument
+@replica_option
 @click.option("--open", "opened", is_flag=True, help="Show it in the browser at once.")
-@click.option(
-    "--out", metavar="FILE", type=FILES, default=None, help="The page. [default: view.html in the run directory]"
-)
-@click.option("--force", is_flag=True, help="Replace an existing file.")
+@out_options("The page. [default: view.html in the run directory]", "FILE", "Replace an existing file.")
 @json_option
-def command(run: str, replica: int, opened: bool, out: str | None, force: bool, as_json: bool) -> None:
+def command(run: Path, replica: int, opened: bool, out: Path | None, force: bool, as_json: bool) -> None:
     """An interactive 3D page of RUN, a run directory or its run.h5: one HTML file for any browser, without a network.
 
     Spheres, slipless network, slipping contacts, minimum cut, rigid domains, a path and the bottlenecks are layers to
@@ -30,12 +28,10 @@ def command(run: str, replica: int, opened: bool, out: str | None, force: bool, 
     """
     import webbrowser
 
-    from taichi_bearings_cli.progress import Display
-
     from taichi_bearings.view.view import view
 
     with Display():
-        report = view(Path(run), Path(out) if out else None, force, replica)
+        report = view(run, out, force, replica)
     click.echo(json.dumps(report) if as_json else f"{report['file']} ({report['bytes'] / 1e6:.1f} MB)")
     if opened:
         webbrowser.open(Path(report["file"]).resolve().as_uri())

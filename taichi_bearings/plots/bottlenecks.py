@@ -26,7 +26,7 @@ def draw_bottlenecks(found: Bottlenecks, title: str = "", page: Page = PAGE) -> 
     width = page.inches("double")
     figure = new_figure(width, 3.6 if columns == 2 else 6.0, page.dpi)
     ratios: Any = {"width_ratios": (1.35, 1)} if columns == 2 else {"height_ratios": (1.4, 1)}
-    place, ranks = figure.subplots(*((1, 2) if columns == 2 else (2, 1)), **ratios)
+    place, ranks = figure.subplots(3 - columns, columns, **ratios)
     view = page.view or SIDEWAYS
     placed = _placed(found, view)
     _draw_planes(place, lattice, view)
@@ -60,14 +60,9 @@ def _draw_links(figure: Figure, place: Any, found: Bottlenecks, placed: np.ndarr
     share = found.share[loaded]
     weight = 1 + np.log10(np.maximum(share, LEAST_PAIR_SHARE)) / -np.log10(LEAST_PAIR_SHARE)
     width = 0.3 + line_on_site(site, 0.35, 1.0, 2.5) * weight**2
-    look: dict[str, Any] = {
-        "cmap": LOAD_COLOURS,
-        "norm": LogNorm(LEAST_PAIR_SHARE, 1),
-        "linewidths": width,
-        "zorder": 2,
-    }
-    lines = place.add_collection(LineCollection(list(placed[loaded]), **look))
-    lines.set_array(share)
+    norm = LogNorm(LEAST_PAIR_SHARE, 1)
+    lines = LineCollection(list(placed[loaded]), array=share, cmap=LOAD_COLOURS, norm=norm, linewidths=width, zorder=2)
+    place.add_collection(lines)
     kept = f"{len(loaded):,} of {len(placed):,} links carry more than {LEAST_PAIR_SHARE:g}"
     place.set_title("No path joins the planes" if not found.betweenness.pairs else kept)
     figure.colorbar(lines, ax=place, label="share $s$ of the shortest paths", shrink=0.7, pad=0.04, location="left")
@@ -90,19 +85,11 @@ def _draw_limits(place: Any, found: Bottlenecks, middle: np.ndarray) -> None:
 
 def _draw_ranks(axes: Any, found: Bottlenecks) -> None:
     """Number of links that carry at least a share: of the shortest paths, and of the current."""
-    for name, load, colour in (
-        ("shortest paths", found.share, BLUE),
-        ("current", found.flow.current, ORANGE),
-    ):
+    for name, load, colour in (("shortest paths", found.share, BLUE), ("current", found.flow.current, ORANGE)):
         falling = np.sort(load[load > 1e-12])[::-1]
         axes.plot(falling, 1 + np.arange(len(falling)), color=colour, lw=1.2, label=name, drawstyle="steps-pre")
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="share $s$ of the pairs or the current",
-        ylabel="links that carry $s$ or more",
-    )
-    axes.set(xlim=(1e-6, 1.5), ylim=(0.8, 2 * max(5, len(found.share))))
+    axes.set(xscale="log", yscale="log", xlim=(1e-6, 1.5), ylim=(0.8, 2 * max(5, len(found.share))))
+    axes.set(xlabel="share $s$ of the pairs or the current", ylabel="links that carry $s$ or more")
     axes.legend(loc="lower left")
     axes.set_title("Spread of the load")
 

@@ -13,32 +13,18 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from taichi_bearings.plots.lattice import (
-    box_driven_rows,
-    contacts_in_plane,
-    draw_walls,
-    frame_block,
-    line_on_site,
-    name_cut,
-    paint_plane,
-    site_on_paper,
-    squares,
-    walls_between,
-)
-from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, grid, middle_planes
-from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots import lattice
+from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, middle_planes
+from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
 
+Arrays = tuple[np.ndarray, ...]  # (*contacts) of each axis
 LETTERS = "cdefghijklmnopqrstuvwxyz"
 SIDES = np.array([to_rgba("#cfdcf3"), to_rgba("#f6d5cd")])  # with the bottom, with the top
 
 
 @in_our_style
 def draw_cut_surface(
-    above: np.ndarray,
-    coefficient: tuple[np.ndarray, ...],
-    slips: tuple[np.ndarray, ...],
-    page: Page = PAGE,
-    symbol: str = r"\mu_{ij}",
+    above: np.ndarray, coefficient: Arrays, slips: Arrays, page: Page = PAGE, symbol: str = r"\mu_{ij}"
 ) -> Figure:
     """3D: the surface by the coefficients it cuts, its height from above, and cuts with the contacts that slip. 2D: the
     line across the discs with them.
@@ -46,28 +32,27 @@ def draw_cut_surface(
     above : N, True on the top side. coefficient, slips : one array (*contacts) an axis; slips is bool.
     symbol : of the coefficients.
     """
-    walls, shape = walls_between(above), above.shape
+    walls, shape = lattice.walls_between(above), above.shape
     if above.ndim == 2:
         width = page.inches("single")
         height = width * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
         figure = new_figure(width, 0.6 + height, page.dpi)
         axes = figure.add_subplot()
-        _draw_sides(axes, above, walls, slips, site_on_paper(width, shape, height))
+        _draw_sides(axes, above, walls, slips, lattice.site_on_paper(width, shape, height))
         axes.set_title(_summary(walls, slips, "\n"))
     else:
         planes = page.planes or middle_planes(shape)
-        columns, number = min(2, columns_on(page, 4)), 2 + len(planes)
-        width, rows = page.inches("double") / columns, -(-number // columns)
-        figure = new_figure(columns * width, rows * 0.85 * width + 0.6, page.dpi)
-        surface, height_map, *cuts = grid(figure, page, number, page.inches("double") / columns)
+        columns = min(2, columns_on(page, 4))
+        least = page.inches("double") / columns
+        figure, (surface, height_map, *cuts), width = panels(page, 2 + len(planes), (0.85, 0.0), 0.6, least)
         _draw_surface(surface, above, walls, coefficient, page.view or VIEW, symbol)
         surface.set_title("(a) minimum cut")
         _draw_height(height_map, above)
         for axes, letter, (axis, index) in zip(cuts, LETTERS, planes, strict=False):
-            cut, slipping = (contacts_in_plane(values, axis, index) for values in (walls, slips))
+            cut, slipping = (lattice.contacts_in_plane(values, axis, index) for values in (walls, slips))
             plane = np.take(above, index, axis)
-            _draw_sides(axes, plane, cut, slipping, site_on_paper(0.7 * width, plane.shape), axis < 2)
-            name_cut(axes, axis, index, f"({letter}) ")
+            _draw_sides(axes, plane, cut, slipping, lattice.site_on_paper(0.7 * width, plane.shape), axis < 2)
+            lattice.name_cut(axes, axis, index, f"({letter}) ")
         figure.suptitle(_summary(walls, slips, "\n" if columns == 1 else " "))
     key = [
         Line2D([], [], color=ORANGE, lw=3, label="minimum cut"),
@@ -77,24 +62,17 @@ def draw_cut_surface(
     return figure
 
 
-def _summary(walls: tuple[np.ndarray, ...], slips: tuple[np.ndarray, ...], gap: str) -> str:
+def _summary(walls: Arrays, slips: Arrays, gap: str) -> str:
     cut, slipping, both = (
         sum(int(values.sum()) for values in sets) for sets in (walls, slips, map(np.logical_and, walls, slips))
     )
     return f"the minimum cut has {cut:,} contacts;{gap}{slipping:,} slip, {both:,} of them in the cut"
 
 
-def _draw_surface(
-    axes: Any,
-    above: np.ndarray,
-    walls: tuple[np.ndarray, ...],
-    coefficient: tuple[np.ndarray, ...],
-    view: View,
-    symbol: str,
-) -> None:
+def _draw_surface(axes: Any, above: np.ndarray, walls: Arrays, coefficient: Arrays, view: View, symbol: str) -> None:
     """A square for each contact of the cut, from the back to the front."""
     corners = np.concatenate(
-        [squares(np.argwhere(chosen) + 0.5 * np.eye(3)[axis], axis) for axis, chosen in enumerate(walls)]
+        [lattice.squares(np.argwhere(chosen) + 0.5 * np.eye(3)[axis], axis) for axis, chosen in enumerate(walls)]
     )
     values = np.concatenate([c[chosen] for c, chosen in zip(coefficient, walls, strict=True)])
     placed = view.seen(corners)
@@ -103,7 +81,7 @@ def _draw_surface(
     drawn = PolyCollection(list(placed[order][..., :2]), cmap="cividis", edgecolors="white", lw=edge, zorder=2)
     drawn.set_array(values[order])
     axes.add_collection(drawn)
-    frame_block(axes, above.shape, view)
+    lattice.frame_block(axes, above.shape, view)
     axes.figure.colorbar(drawn, ax=axes, label=f"${symbol}$", shrink=0.7, pad=0.02)
 
 
@@ -122,17 +100,12 @@ def _draw_height(axes: Any, above: np.ndarray) -> None:
     axes.set_title("(b) height of the surface" + hangs)
 
 
-def _draw_sides(
-    axes: Any,
-    above: np.ndarray,
-    walls: tuple[np.ndarray, ...],
-    slips: tuple[np.ndarray, ...],
-    site: float,
-    upright: bool = True,
-) -> None:
+def _draw_sides(axes: Any, above: np.ndarray, walls: Arrays, slips: Arrays, site: float, upright: bool = True) -> None:
     """Discs by side, the cut in orange, and over it the slipping contacts in blue."""
-    paint_plane(axes, SIDES[above.astype(int)])
-    draw_walls(axes, walls, colors=ORANGE, lw=line_on_site(site, 0.3, 1.2, 4.0), capstyle="round", zorder=2)
-    draw_walls(axes, slips, colors=BLUE, lw=line_on_site(site, 0.1, 0.4), zorder=3)
+    lattice.paint_plane(axes, SIDES[above.astype(int)])
+    lattice.draw_walls(
+        axes, walls, colors=ORANGE, lw=lattice.line_on_site(site, 0.3, 1.2, 4.0), capstyle="round", zorder=2
+    )
+    lattice.draw_walls(axes, slips, colors=BLUE, lw=lattice.line_on_site(site, 0.1, 0.4), zorder=3)
     if upright:
-        box_driven_rows(axes, above.shape)
+        lattice.box_driven_rows(axes, above.shape)

@@ -4,6 +4,7 @@ Colours say how a domain turns between the two driven planes, in every component
 bottom, 1 with the top. With two components the values panel is the key to the colours.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,23 +13,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.domains import LOCKS, RigidDomains
-from taichi_bearings.plots.lattice import (
-    MOST_LINES,
-    SPIN_COLOURS,
-    box_driven_rows,
-    draw_walls,
-    line_on_site,
-    name_cut,
-    paint_block,
-    paint_plane,
-    site_on_paper,
-    walls_between,
-)
+from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import AXES, NARROW, PAGE, VIEW, Page, columns_on, grid, middle_planes
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
-LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
+LOCK_COLOURS = {"bottom": colormaps[lattice.SPIN_COLOURS](0.0), "top": colormaps[lattice.SPIN_COLOURS](1.0)}
 MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))
 DOMAIN_LETTERS = "bcdefghijklmnopqrstuvwxyz"
 
@@ -53,17 +43,17 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     above, below = parts
     if flat:
         plane = above.add_subplot()
-        _paint(plane, colour, domains.domain, domains, site_on_paper(0.85 * width, shape))
-        box_driven_rows(plane, domains.domain.shape)
+        _paint(plane, colour, domains.domain, domains, lattice.site_on_paper(0.85 * width, shape))
+        lattice.box_driven_rows(plane, domains.domain.shape)
         plane.set_title("(a) rigid domains, their boundaries in black")
     else:
         block, *cuts = grid(above, page, maps, NARROW)
-        paint_block(block, colour, page.view or VIEW)
+        lattice.paint_block(block, colour, page.view or VIEW)
         block.set_title("(a) rigid domains")
         for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
             plane, labels = (np.take(values, index, axis) for values in (colour, domains.domain))
-            _paint(axes, plane, labels, domains, site_on_paper(0.85 * width, labels.shape))
-            name_cut(axes, axis, index, f"({letter}) ")
+            _paint(axes, plane, labels, domains, lattice.site_on_paper(0.85 * width, labels.shape))
+            lattice.name_cut(axes, axis, index, f"({letter}) ")
     sizes, values = below.subplots(1, 2) if wide > 1 else below.subplots(2, 1)
     _draw_sizes(sizes, domains)
     sizes.set_title(f"({DOMAIN_LETTERS[maps - 1]}) sizes")
@@ -76,7 +66,7 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     """Colour (..., 4) of turn (..., C): blue with the bottom, red with the top; yellow or green as the first or the
     second component is nearer to the top than the other."""
     turn = np.clip(turn, 0.0, 1.0)
-    colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))
+    colour: np.ndarray = colormaps[lattice.SPIN_COLOURS](turn.mean(axis=-1))
     ahead = turn[..., 0] - turn[..., -1]
     for share, target in ((ahead, FIRST_AHEAD), (-ahead, SECOND_AHEAD)):
         part = np.clip(share, 0.0, None)[..., None]
@@ -85,8 +75,10 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 
 
 def _paint(axes: Any, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains, site: float) -> None:
-    paint_plane(axes, colour)
-    draw_walls(axes, walls_between(domain), colors="black", lw=line_on_site(site, 0.1, 0.25, 1.0))
+    lattice.paint_plane(axes, colour)
+    lattice.draw_walls(
+        axes, lattice.walls_between(domain), colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0)
+    )
     partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
     axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
@@ -118,38 +110,23 @@ def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
     along = np.linspace(-margin, 1 + margin, 200)
     plane = turn.shape[1] > 1
     if plane:
-        low, high = -margin, 1 + margin
-        key = np.stack(np.meshgrid(along, along), axis=-1)
-        height = turn[:, 1]
+        low, high, height, key = -margin, 1 + margin, turn[:, 1], np.stack(np.meshgrid(along, along), axis=-1)
     else:
-        low, high = 0, 1.15 * domains.spheres[0]
-        key = along[None, :, None]
-        height = domains.spheres
-    image = colour_of_turn(key)
-    axes.imshow(image, extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
+        low, high, height, key = 0, 1.15 * domains.spheres[0], domains.spheres, along[None, :, None]
+    axes.imshow(colour_of_turn(key), extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
     sphere = 4.0 if domains.number < 2000 else 0.5  # area of one, points squared
     spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
     for kind, name in reversed(list(enumerate(LOCKS))):
         chosen = domains.kind == kind
+        if not chosen.any():
+            continue
+        label = f"{name}\n{spheres[name]:,} spheres\ndomains: {int(chosen.sum()):,}"
+        draw = partial(axes.scatter, turn[chosen, 0], height[chosen], marker=MARKS[name], label=label)
         if name in LOCK_COLOURS:
-            look: dict[str, Any] = {
-                "s": 45,
-                "color": LOCK_COLOURS[name],
-                "edgecolors": "white",
-                "clip_on": False,
-                "zorder": 3,
-            }
+            draw(s=45, color=LOCK_COLOURS[name], edgecolors="white", clip_on=False, zorder=3)
         else:
-            look = {
-                "s": sphere * domains.spheres[chosen],
-                "color": "black",
-                "lw": 0,
-                "alpha": 0.7 if sphere > 2 else 0.35,
-                "rasterized": domains.number > MOST_LINES,
-            }
-        if chosen.any():
-            label = f"{name}\n{spheres[name]:,} spheres\ndomains: {int(chosen.sum()):,}"
-            axes.scatter(turn[chosen, 0], height[chosen], marker=MARKS[name], label=label, **look)
+            alpha, many = 0.7 if sphere > 2 else 0.35, domains.number > lattice.MOST_LINES
+            draw(s=sphere * domains.spheres[chosen], color="black", lw=0, alpha=alpha, rasterized=many)
     names = [AXES[component] for component in domains.spin_axes]
     labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
     axes.set(xlabel=labels[0], ylabel=labels[1] if plane else "spheres of the domain")

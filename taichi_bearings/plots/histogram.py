@@ -7,15 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
-from taichi_bearings.plots.style import (
-    BLUE,
-    DOUBLE,
-    in_our_style,
-    label_in_plain_text,
-    new_figure,
-    plain_figure,
-    shades,
-)
+from taichi_bearings.plots import style
+from taichi_bearings.plots.style import BLUE, in_our_style, new_figure
 from taichi_bearings.plots.symbols import as_text, over
 
 POWER_SYMBOL = "P_{ij}"
@@ -35,22 +28,15 @@ def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = N
 @in_our_style
 def draw_histogram(histogram: PowerHistogram) -> Figure:
     """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
-    figure = plain_figure()
+    figure = style.plain_figure()
     axes = figure.add_subplot()
     axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
-    label_in_plain_text(axes.xaxis, axes.yaxis)
+    style.label_in_plain_text(axes.xaxis, axes.yaxis)
     filled = histogram.count > 0
     if filled.any():
         centre, count, error = _centre(histogram)[filled], histogram.count[filled], histogram.standard_error[filled]
-        axes.bar(
-            histogram.edges[:-1][filled],
-            count,
-            np.diff(histogram.edges)[filled],
-            align="edge",
-            color=BLUE,
-            alpha=0.25,
-            linewidth=0,
-        )
+        low, width = histogram.edges[:-1][filled], np.diff(histogram.edges)[filled]
+        axes.bar(low, count, width, align="edge", color=BLUE, alpha=0.25, linewidth=0)
         axes.errorbar(centre, count, error, fmt="o", ms=2.5, color=BLUE, elinewidth=0.8)
         axes.set_ylim(0.5, 2 * histogram.count.max())
     else:
@@ -66,11 +52,11 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
 def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
     """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
-    figure = new_figure(DOUBLE if len(histograms) > 8 else 5.0, 3.0 + 0.15 * rows)
+    figure = new_figure(style.DOUBLE if len(histograms) > 8 else 5.0, 3.0 + 0.15 * rows)
     axes = figure.add_subplot()
     first = next(iter(histograms.values()))
     axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")
-    for (value, found), colour in zip(histograms.items(), shades(len(histograms)), strict=True):
+    for (value, found), colour in zip(histograms.items(), style.shades(len(histograms)), strict=True):
         filled = found.count > 0
         centre, density, error = (v[filled] for v in (_centre(found), found.density, found.density_error))
         label = f"{as_text(value)}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
 
-from taichi_bearings.plots.page import AXES, VIEW, View
+from taichi_bearings.plots.page import AXES, BELOW, VIEW, View
 from taichi_bearings.plots.style import GREEN
 from taichi_bearings.plots.symbols import larger_spin
 
@@ -38,15 +38,15 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
     return speed
 
 
-def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
+def draw_speed_bar(
+    figure: Any, axes: Any, spin_top: float, spin_bottom: float, below: bool = False, shrink: float = 0.8
+) -> None:
     """The colour bar of spheres coloured by :func:`speed_of`."""
+    look = BELOW if below else {}
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
-    figure.colorbar(ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=axes, label=label, **look)
-
-
-def seen(points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of the lattice from where it is mostly seen: to the right, up, nearer."""
-    return VIEW.seen(points)
+    figure.colorbar(
+        ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=axes, label=label, shrink=shrink, pad=0.02, **look
+    )
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:

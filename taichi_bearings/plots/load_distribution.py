@@ -24,7 +24,7 @@ def draw_load_distribution(samples: Sequence[Loads], page: Page = PAGE) -> Figur
     columns = columns_on(page, 2)
     figure = new_figure(page.inches("double"), 2.8 if columns == 2 else 4.6, page.dpi)
     joined = [(share, current) for share, current in samples if current.any()]
-    panels: Any = figure.subplots(*((1, 2) if columns == 2 else (2, 1)), sharex=True, sharey=True)
+    panels: Any = figure.subplots(3 - columns, columns, sharex=True, sharey=True)
     for axes, name, colour, parts in (
         (panels[0], "shortest paths", BLUE, [share for share, _ in joined]),
         (panels[1], "current", ORANGE, [current for _, current in joined]),

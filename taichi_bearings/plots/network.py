@@ -9,26 +9,12 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.plots.lattice import (
-    MOST_LINES,
-    SPIN_COLOURS,
-    box_driven_rows,
-    draw_path,
-    draw_speed_bar,
-    frame_block,
-    frame_plane,
-    line_on_site,
-    paint_block,
-    paint_plane,
-    paint_spheres,
-    site_on_paper,
-    speed_of,
-)
-from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, grid
-from taichi_bearings.plots.style import GREEN, GREY, in_our_style, new_figure
+from taichi_bearings.plots import lattice
+from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on
+from taichi_bearings.plots.style import GREEN, GREY, in_our_style, panels
 
 NO_PATH = "they do not join the planes"
-REACHED_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.05), "top": colormaps[SPIN_COLOURS](0.95)}
+REACHED_COLOURS = {"bottom": colormaps[lattice.SPIN_COLOURS](0.05), "top": colormaps[lattice.SPIN_COLOURS](0.95)}
 
 
 @in_our_style
@@ -42,17 +28,14 @@ def draw_network(
     spin : laboratory frame, N or (*N, 3), 1/time. Where no path joins bottom and top the figure says so, and contacts
     joined to the bottom are blue, those joined to the top red.
     """
-    path, speed = network.shortest_path, speed_of(spin, spin_top, spin_bottom)
+    path, speed = network.shortest_path, lattice.speed_of(spin, spin_top, spin_bottom)
     drawn = ["spheres"] * (spin.ndim == 4) + ["contacts"] + ["path"] * (len(path) > 0)
-    columns, view = columns_on(page, len(drawn)), page.view or VIEW
-    width = min(page.inches("double") / columns, page.inches("single"))
-    rows = -(-len(drawn) // columns)
-    figure = new_figure(columns * width, rows * (0.9 * width + 0.5) + (0.4 if columns == 1 else 0.0), page.dpi)
-    panels = grid(figure, page, len(drawn))
-    for number, (panel, axes) in enumerate(zip(drawn, panels, strict=True)):
+    below, view = columns_on(page, len(drawn)) == 1, page.view or VIEW
+    figure, each, width = panels(page, len(drawn), (0.9, 0.5), 0.4 if below else 0.0, widest="single")
+    for number, (panel, axes) in enumerate(zip(drawn, each, strict=True)):
         letter = f"({'abc'[number]}) " if len(drawn) > 1 else ""
         if panel == "spheres":
-            paint_block(axes, colormaps[SPIN_COLOURS](speed), view)
+            lattice.paint_block(axes, colormaps[lattice.SPIN_COLOURS](speed), view)
             axes.set_title(letter + "from outside")
         elif panel == "contacts":
             shown = _draw_contacts(axes, network, view, 0.85 * width)
@@ -62,8 +45,7 @@ def draw_network(
             _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
             axes.set_title(letter + "spheres of the path, their spins")
     if len(drawn) > 1:
-        look = {"location": "bottom", "aspect": 30} if columns == 1 else {}
-        draw_speed_bar(figure, panels, spin_top, spin_bottom, shrink=0.6, pad=0.02, **look)
+        lattice.draw_speed_bar(figure, each, spin_top, spin_bottom, below, shrink=0.6)
     return figure
 
 
@@ -91,25 +73,25 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
     points = np.stack(np.unravel_index(network.ends, shape), axis=-1).swapaxes(0, 1)
     colour, words = contact_colours(network), ""
     if len(shape) == 2:
-        frame_plane(axes, shape)
-        box_driven_rows(axes, shape)
+        lattice.frame_plane(axes, shape)
+        lattice.box_driven_rows(axes, shape)
         lines, trace = points, path
-        line = line_on_site(site_on_paper(width, shape, width), 0.12, 0.2)
+        line = lattice.line_on_site(lattice.site_on_paper(width, shape, width), 0.12, 0.2)
     else:
-        frame_block(axes, shape, view)
-        if len(points) > MOST_LINES:
+        lattice.frame_block(axes, shape, view)
+        if len(points) > lattice.MOST_LINES:
             chosen = behind(points, shape, view)
             points, colour, words = points[chosen], colour[chosen], "; drawn: the sides behind"
         placed = view.seen(points)
         order = np.argsort(placed[..., 2].mean(axis=1))
         lines, colour = placed[order][..., :2], colour[order]
         near = np.linspace(0.0, 1.0, len(order))
-        line = line_on_site(72 * width / max(shape) / 1.6, 0.12, 0.3, 1.0)
+        line = lattice.line_on_site(72 * width / max(shape) / 1.6, 0.12, 0.3, 1.0)
         colour[:, 3] = 0.2 + 0.6 * near if not words else 0.7
         trace = view.seen(path)[:, :2]
-    many = len(lines) > MOST_LINES
+    many = len(lines) > lattice.MOST_LINES
     axes.add_collection(LineCollection(list(lines), colors=colour, lw=line, rasterized=many, label="slipless contacts"))
-    draw_path(axes, trace, max(shape))
+    lattice.draw_path(axes, trace, max(shape))
     return words
 
 
@@ -118,22 +100,22 @@ def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: 
     on the bottom."""
     path, shape = network.shortest_path, network.lattice.shape
     on_path = tuple(path.T)
-    colour = colormaps[SPIN_COLOURS](speed[on_path])
+    colour = colormaps[lattice.SPIN_COLOURS](speed[on_path])
     if len(shape) == 2:
         every = np.ones((*shape, 4))
         every[on_path] = colour
-        paint_plane(axes, every)
-        box_driven_rows(axes, shape)
+        lattice.paint_plane(axes, every)
+        lattice.box_driven_rows(axes, shape)
         for (x, y), value in zip(path, spin[on_path], strict=True):
             turn = "" if value == 0 else "↺" if value > 0 else "↻"
             axes.text(x, y, turn, ha="center", va="center", fontsize=max(3.0, 60 / max(shape)))
         return
-    frame_block(axes, shape, view)
+    lattice.frame_block(axes, shape, view)
     shadow = view.seen(np.column_stack([path[:, :2], np.full(len(path), -0.5)]))
     axes.plot(*shadow[:, :2].T, color=GREEN, alpha=0.4, lw=1.0, zorder=1)
     placed = view.seen(path)
     order = np.argsort(placed[:, 2])
-    paint_spheres(axes, placed[order][:, :2], colour[order])
+    lattice.paint_spheres(axes, placed[order][:, :2], colour[order])
     arrow = 1.6 * view.seen(spin[on_path])[order]
     axes.quiver(
         *placed[order][:, :2].T, *arrow[:, :2].T, angles="xy", scale_units="xy", scale=1, zorder=5, units="xy",

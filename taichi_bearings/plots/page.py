@@ -16,6 +16,7 @@ COARSEST_DOTS, FINEST_DOTS = 30, 2400  # dots an inch
 AXES = "xyz"
 MOST_PLANES = 12
 BROAD, NARROW = 1.9, 1.6  # inches of a panel with a long title, and of one with a short
+BELOW: dict[str, Any] = {"location": "bottom", "aspect": 30}  # a colour bar below the panels
 
 
 @dataclass(frozen=True)

@@ -8,20 +8,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.plots.lattice import (
-    SPIN_COLOURS,
-    box_driven_rows,
-    contacts_in_plane,
-    draw_contacts,
-    draw_speed_bar,
-    line_on_site,
-    name_cut,
-    paint_plane,
-    site_on_paper,
-    speed_of,
-)
-from taichi_bearings.plots.page import PAGE, Page, columns_on, grid, middle_planes
-from taichi_bearings.plots.style import GREEN, in_our_style, new_figure
+from taichi_bearings.plots import lattice
+from taichi_bearings.plots.page import PAGE, Page, columns_on, middle_planes
+from taichi_bearings.plots.style import GREEN, in_our_style, panels
 
 PLANES = 3
 TOWARDS_READER = (1, -1, 1)  # along x for planes across x, against y for those across y, along z for those across z
@@ -37,25 +26,25 @@ def draw_plane_cuts(
     middle ones if there is none. A circle marks where the path leaves the plane: with a dot towards the reader, with a
     cross away.
     """
-    speed, path = speed_of(spin, spin_top, spin_bottom), network.shortest_path
+    speed, path = lattice.speed_of(spin, spin_top, spin_bottom), network.shortest_path
     slipless = network.lattice.by_axis(network.slipless)
     if speed.ndim == 2:
-        figure, (axes,), width = _panels([speed.shape], page)
+        figure, (axes,), width = _panels([speed], page)
         joined = np.stack([path[:-1], path[1:]], axis=1)
         _draw_plane(axes, speed, slipless, joined, np.empty((0, 3), dtype=int), width)
         axes.set_title(_title(len(joined), len(joined)))
     else:
         cuts = page.planes or (planes_of(path) if len(path) else middle_planes(speed.shape))
         planes = [np.take(speed, index, axis) for axis, index in cuts]
-        figure, panels, width = _panels([plane.shape for plane in planes], page)
-        for axes, plane, (axis, index) in zip(panels, planes, cuts, strict=True):
+        figure, each, width = _panels(planes, page)
+        for axes, plane, (axis, index) in zip(each, planes, cuts, strict=True):
             joined, leaves = path_in_plane(path, axis, index)
-            _draw_plane(axes, plane, contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
-            name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
+            _draw_plane(axes, plane, lattice.contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
+            lattice.name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
         if len(path):
             figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
-    below = {"location": "bottom", "aspect": 30} if columns_on(page, len(figure.axes)) < 2 < speed.ndim else {}
-    draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, shrink=0.8, pad=0.02, **below)
+    below = columns_on(page, len(figure.axes)) < 2 < speed.ndim
+    lattice.draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, below)
     return figure
 
 
@@ -99,30 +88,27 @@ def _title(held: int, length: int) -> str:
     return f"{held} of {length} contacts of the path" if length > 0 else "no path joins bottom and top"
 
 
-def _panels(shapes: list[tuple[int, ...]], page: Page) -> tuple[Figure, list[Any], float]:
+def _panels(planes: list[np.ndarray], page: Page) -> tuple[Figure, list[Any], float]:
     """A figure, its panels, and how many inches wide a plane in them is."""
-    tall = float(np.clip(max(shape[1] / shape[0] for shape in shapes), 0.4, 2.0))
-    columns = columns_on(page, len(shapes))
-    width = min(page.inches("double") / columns, page.inches("single"))
-    rows = -(-len(shapes) // columns)
-    figure = new_figure(columns * width, rows * (0.85 * width * tall + 0.4) + 0.25, page.dpi)
-    return figure, grid(figure, page, len(shapes)), 0.8 * width
+    tall = float(np.clip(max(plane.shape[1] / plane.shape[0] for plane in planes), 0.4, 2.0))
+    figure, each, width = panels(page, len(planes), (0.85 * tall, 0.4), 0.25, widest="single")
+    return figure, each, 0.8 * width
 
 
 def _draw_plane(
     axes: Any,
     speed: np.ndarray,
-    slipless: tuple[np.ndarray, ...],
+    slipless: Any,
     joined: np.ndarray,
     leaves: np.ndarray,
     width: float,
     upright: bool = True,
 ) -> None:
-    site = site_on_paper(width, speed.shape)
-    paint_plane(axes, colormaps[SPIN_COLOURS](speed))
-    draw_contacts(axes, slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
+    site = lattice.site_on_paper(width, speed.shape)
+    lattice.paint_plane(axes, colormaps[lattice.SPIN_COLOURS](speed))
+    lattice.draw_contacts(axes, slipless, colors="0.35", lw=lattice.line_on_site(site, 0.1, 0.3), zorder=2)
     for colour, share in (("white", 0.5), (GREEN, 0.3)):
-        line = line_on_site(site, share, 4 * share, 12 * share)
+        line = lattice.line_on_site(site, share, 4 * share, 12 * share)
         axes.add_collection(LineCollection(list(joined), colors=colour, lw=line, zorder=3, capstyle="round"))
     size = float(np.clip(0.75 * site, 3.0, 9.0))
     axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)
@@ -131,4 +117,4 @@ def _draw_plane(
         ms = size * (0.3 if side > 0 else 0.5)
         axes.plot(*chosen[:, :2].T, mark, color=GREEN, ms=ms, mew=0.12 * size, zorder=5)
     if upright:
-        box_driven_rows(axes, speed.shape)
+        lattice.box_driven_rows(axes, speed.shape)

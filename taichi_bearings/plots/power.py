@@ -8,17 +8,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import (
-    MOST_LINES,
-    contacts_in_plane,
-    draw_contacts,
-    frame_plane,
-    line_on_site,
-    name_cut,
-    site_on_paper,
-)
-from taichi_bearings.plots.page import PAGE, Page, columns_on, grid, middle_planes
-from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots import lattice
+from taichi_bearings.plots.page import BELOW, PAGE, Page, columns_on, middle_planes
+from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
 from taichi_bearings.plots.symbols import describe, over, power_unit
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
@@ -40,7 +32,7 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
     unit, symbol = power_unit(scene)
     slipping = solution.state[replica] == ContactState.SLIPPING
     power = scene.lattice.by_axis(np.where(slipping, solution.power_per_contact[replica] / unit, 0.0))
-    lines = sum(int((p > 0).sum()) for p in power) <= MOST_LINES or len(shape) == 3
+    lines = sum(int((p > 0).sum()) for p in power) <= lattice.MOST_LINES or len(shape) == 3
     label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
     title = describe(scene, replica)
     if len(shape) == 2:
@@ -51,16 +43,11 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
         figure = new_figure(width, height + 0.3, page.dpi)
         axes = figure.add_subplot(title=title)
         if lines:
-            _draw_plane(axes, power, shape, norm, site_on_paper(width - 0.8, shape, height))
+            _draw_plane(axes, power, shape, norm, lattice.site_on_paper(width - 0.8, shape, height))
         else:
-            axes.imshow(
-                np.where(shown[0] > 0, shown[0], np.nan).T,
-                origin="lower",
-                cmap=POWER_COLOURS,
-                norm=norm,
-                interpolation="nearest",
-            )
-            frame_plane(axes, shape)
+            image = np.where(shown[0] > 0, shown[0], np.nan).T
+            axes.imshow(image, origin="lower", cmap=POWER_COLOURS, norm=norm, interpolation="nearest")
+            lattice.frame_plane(axes, shape)
         figure.colorbar(ScalarMappable(norm, POWER_COLOURS), ax=axes, label=label, shrink=0.9, pad=0.02, extend="min")
         return figure
     figure = _draw_cuts(power, shape, _norm(power), label, page)
@@ -89,16 +76,15 @@ def _at_spheres(power: Arrays, shape: tuple[int, ...]) -> np.ndarray:
 def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str, page: Page) -> Figure:
     """Planes of a cubic lattice, and the power of the contacts in each layer and to the next one."""
     planes, nz = page.planes or middle_planes(shape), shape[-1]
-    columns = columns_on(page, 1 + len(planes))
-    width, rows = page.inches("double") / columns, -(-(1 + len(planes)) // columns)
     tall = float(np.clip(nz / max(shape[:2]), 0.5, 2.0))
-    figure = new_figure(columns * width, rows * (0.85 * width * tall + 0.35) + 0.2, page.dpi)
-    *cuts, layers = grid(figure, page, 1 + len(planes))
+    figure, (*cuts, layers), width = panels(page, 1 + len(planes), (0.85 * tall, 0.35), 0.2)
     for cut, (axis, index) in zip(cuts, planes, strict=True):
         size = tuple(n for a, n in enumerate(shape) if a != axis)
-        _draw_plane(cut, contacts_in_plane(power, axis, index), size, norm, site_on_paper(0.8 * width, size))
-        name_cut(cut, axis, index)
-    look = {"location": "left"} if columns > 1 else {"location": "bottom", "aspect": 30}
+        _draw_plane(
+            cut, lattice.contacts_in_plane(power, axis, index), size, norm, lattice.site_on_paper(0.8 * width, size)
+        )
+        lattice.name_cut(cut, axis, index)
+    look = {"location": "left"} if columns_on(page, len(figure.axes)) > 1 else BELOW
     figure.colorbar(
         ScalarMappable(norm, POWER_COLOURS), ax=cuts, label=label, shrink=0.8, pad=0.02, extend="min", **look
     )
@@ -113,9 +99,15 @@ def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str,
 def _draw_plane(axes: Any, power: Arrays, shape: tuple[int, ...], norm: LogNorm, site: float) -> None:
     """Contacts of one plane as lines between the centres: slipping ones by power, the rest in grey if there is room."""
     if site > 3:
-        draw_contacts(axes, [values == 0 for values in power], colors=IDLE_GREY, lw=line_on_site(site, 0.06, 0.25))
-    drawn = draw_contacts(
-        axes, [values > 0 for values in power], cmap=POWER_COLOURS, norm=norm, lw=line_on_site(site, 0.3, 0.8, 3.0)
+        lattice.draw_contacts(
+            axes, [values == 0 for values in power], colors=IDLE_GREY, lw=lattice.line_on_site(site, 0.06, 0.25)
+        )
+    drawn = lattice.draw_contacts(
+        axes,
+        [values > 0 for values in power],
+        cmap=POWER_COLOURS,
+        norm=norm,
+        lw=lattice.line_on_site(site, 0.3, 0.8, 3.0),
     )
     drawn.set_array(np.concatenate([values[values > 0] for values in power]))
-    frame_plane(axes, shape)
+    lattice.frame_plane(axes, shape)

@@ -54,12 +54,12 @@ class Look:
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     """Points with bars, joined along each curve, or with a broken line where one is fitted."""
     width = page.inches("single")
-    entries = len(curves) * (1 + any(curve.fit for curve in curves)) if len(curves) > 1 or curves[0].fit else 0
-    across = max(1, min(entries, int(width / (2.4 if any(curve.fit for curve in curves) else 1.1))))
+    fitted = any(curve.fit for curve in curves)
+    entries = len(curves) * (1 + fitted) if fitted or len(curves) > 1 else 0
+    across = max(1, min(entries, int(width / (2.4 if fitted else 1.1))))
     rows = -(-entries // across) + (entries > 0)
-    title = [
-        line for part in as_text(look.title).split("\n") for line in textwrap.wrap(part, int(LETTERS_AN_INCH * width))
-    ]
+    letters = int(LETTERS_AN_INCH * width)
+    title = [line for part in as_text(look.title).split("\n") for line in textwrap.wrap(part, letters)]
     figure = new_figure(width, 0.68 * min(width, 5.0) + 0.15 * (rows + len(title)), page.dpi)
     axes = figure.add_subplot()
     for name in look.log:
@@ -95,10 +95,8 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
 def formula(found: Fit, symbol: str) -> str:
     """What a line is, with its slope, the error of that and its range, as mathematics."""
     is_guide = math.isnan(found.error)
-    slope = (
-        f"{found.slope:g}"
-        if is_guide or found.error < EXACT
-        else with_error(found.slope, found.error).replace("+-", r"\pm")
-    )
+    slope = f"{found.slope:g}"
+    if not is_guide and found.error >= EXACT:
+        slope = with_error(found.slope, found.error).replace("+-", r"\pm")
     fitted = " (guide)" if is_guide else rf", ${found.low:g} \leq {symbol} \leq {found.high:g}$"
     return rf"${{{symbol}}}^s$, $s = {slope}${fitted}"

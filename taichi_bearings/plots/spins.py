@@ -7,21 +7,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import (
-    SPIN_COLOURS,
-    box_driven_rows,
-    contacts_in_plane,
-    draw_speed_bar,
-    draw_walls,
-    line_on_site,
-    name_cut,
-    paint_block,
-    paint_plane,
-    site_on_paper,
-    speed_of,
-)
-from taichi_bearings.plots.page import NARROW, PAGE, VIEW, Page, columns_on, grid, middle_planes
-from taichi_bearings.plots.style import in_our_style, new_figure
+from taichi_bearings.plots import lattice
+from taichi_bearings.plots.page import NARROW, PAGE, VIEW, Page, columns_on, middle_planes
+from taichi_bearings.plots.style import in_our_style, new_figure, panels
 from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
@@ -42,8 +30,8 @@ def draw_spins(
     spin : laboratory frame, (*N) or (*N, 3). state : of the contacts, one array (*contacts) an axis.
     note : what black lines mean.
     """
-    speed = speed_of(spin, *scene.imposed)
-    colour = colormaps[SPIN_COLOURS](speed)
+    speed = lattice.speed_of(spin, *scene.imposed)
+    colour = colormaps[lattice.SPIN_COLOURS](speed)
     slips = tuple(values == ContactState.SLIPPING for values in state)
     slipping = sum(int(values.sum()) for values in slips)
     movable = sum(int((values != ContactState.DRIVEN).sum()) for values in state)
@@ -53,11 +41,8 @@ def draw_spins(
         slips = tuple(np.zeros_like(values) for values in slips)
     figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)
     figure.suptitle(f"{title or describe(scene)}\n{note}")
-    axes = figure.axes
-    top, bottom = scene.imposed
-    below = speed.ndim == 3 and columns_on(page, len(axes), NARROW) < 3
-    look = {"location": "bottom", "aspect": 30} if below else {}
-    draw_speed_bar(figure, axes, top, bottom, shrink=0.8, pad=0.02, **look)
+    below = speed.ndim == 3 and columns_on(page, len(figure.axes), NARROW) < 3
+    lattice.draw_speed_bar(figure, figure.axes, *scene.imposed, below)
     return figure
 
 
@@ -67,31 +52,32 @@ def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -
     height = (width - BAR) * min(2.0, max(0.4, ny / nx))
     figure = new_figure(width, height + 0.45, page.dpi)
     axes = figure.add_subplot()
-    _paint(axes, colour, slips, site_on_paper(width - BAR, (nx, ny), height))
-    box_driven_rows(axes, (nx, ny))
+    _paint(axes, colour, slips, lattice.site_on_paper(width - BAR, (nx, ny), height))
+    lattice.box_driven_rows(axes, (nx, ny))
     return figure
 
 
 def _paint(axes: Any, colour: np.ndarray, slips: tuple[np.ndarray, ...], site: float) -> None:
     """Discs of one plane and the slipping contacts between them."""
-    paint_plane(axes, colour)
-    draw_walls(axes, slips, colors="black", lw=line_on_site(site, 0.15))
+    lattice.paint_plane(axes, colour)
+    lattice.draw_walls(axes, slips, colors="black", lw=lattice.line_on_site(site, 0.15))
 
 
 def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:
     """The block of spheres from outside, and cuts with the slipping contacts."""
     shape = colour.shape[:3]
     planes = page.planes or middle_planes(shape)
-    columns = columns_on(page, 1 + len(planes), NARROW)
-    width = page.inches("double") / columns
-    rows = -(-(1 + len(planes)) // columns)
     tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
-    figure = new_figure(columns * width, rows * (0.85 * width * tall + 0.25) + 0.4, page.dpi)
-    block, *cuts = grid(figure, page, 1 + len(planes), NARROW)
-    paint_block(block, colour, page.view or VIEW)
+    figure, (block, *cuts), width = panels(page, 1 + len(planes), (0.85 * tall, 0.25), 0.4, NARROW)
+    lattice.paint_block(block, colour, page.view or VIEW)
     block.set_title("from outside")
     for axes, (axis, index) in zip(cuts, planes, strict=True):
         plane = np.take(colour, index, axis)
-        _paint(axes, plane, contacts_in_plane(slips, axis, index), site_on_paper(0.85 * width, plane.shape[:2]))
-        name_cut(axes, axis, index)
+        _paint(
+            axes,
+            plane,
+            lattice.contacts_in_plane(slips, axis, index),
+            lattice.site_on_paper(0.85 * width, plane.shape[:2]),
+        )
+        lattice.name_cut(axes, axis, index)
     return figure

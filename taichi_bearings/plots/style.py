@@ -11,37 +11,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.plots.page import PAGE
+from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on, grid
 
 RC: dict[Any, Any] = {
-    "font.size": 8,  # points on paper; nothing is smaller than 7 but indices
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "figure.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "legend.title_fontsize": 7,
-    "axes.titlepad": 4,
-    "axes.labelpad": 2,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 1.0,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-    "xtick.minor.size": 1.6,
-    "ytick.minor.size": 1.6,
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "savefig.dpi": "figure",
-    "pdf.fonttype": 42,  # letters stay letters, in a font that is embedded
-    "ps.fonttype": 42,
-    "svg.fonttype": "none",
+    # points on paper; nothing is smaller than 7 but indices
+    **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize", "figure.titlesize"), 8),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize", "legend.title_fontsize"), 7),
+    **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.6),
+    **dict.fromkeys(("xtick.minor.width", "ytick.minor.width"), 0.4),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 3),
+    **dict.fromkeys(("xtick.minor.size", "ytick.minor.size", "legend.handlelength"), 1.6),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
+    **{"axes.titlepad": 4, "axes.labelpad": 2, "lines.linewidth": 1.0, "savefig.dpi": "figure"},
+    # letters stay letters, in a font that is embedded
+    **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
 in_our_style = rc_context(RC)  # decorates what makes a figure
@@ -73,6 +56,20 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
     figure = NotebookFigure(figsize=(width, height), dpi=dpi, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr, call-arg]
     return figure
+
+
+def panels(
+    page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
+) -> tuple[Figure, list[Any], float]:
+    """A figure of so many panels in rows, their axes, and the width that each has, in inches.
+
+    row : height of a row, as a share of the width of a panel, and inches to add. more : inches beside the rows.
+    least : inches that a panel needs. widest : column of the page that no panel exceeds.
+    """
+    columns = columns_on(page, number, least)
+    width = min(page.inches("double") / columns, page.inches(widest))
+    figure = new_figure(columns * width, -(-number // columns) * (row[0] * width + row[1]) + more, page.dpi)
+    return figure, grid(figure, page, number, least), width
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
@@ -121,9 +118,11 @@ def _png(figure: Figure) -> bytes:
 
 def save_small(figure: Figure, stem: Path) -> Path:
     """Write `stem`.pdf, or `stem`.png where the former had more than MOST_VECTOR bytes; returns which."""
-    drawn = _vectors(figure, "pdf")
-    path = stem.with_name(f"{stem.name}.{'pdf' if len(drawn) <= MOST_VECTOR else 'png'}")
-    replace_file(path, drawn if path.suffix == ".pdf" else _png(figure))
+    drawn, ending = _vectors(figure, "pdf"), "pdf"
+    if len(drawn) > MOST_VECTOR:
+        drawn, ending = _png(figure), "png"
+    path = stem.with_name(f"{stem.name}.{ending}")
+    replace_file(path, drawn)
     return path
 
 
@@ -136,7 +135,4 @@ def _vectors(figure: Figure, kind: str) -> bytes:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
-    if path.suffix == ".png":
-        replace_file(path, _png(figure))
-        return
-    replace_file(path, _vectors(figure, path.suffix[1:]))
+    replace_file(path, _png(figure) if path.suffix == ".png" else _vectors(figure, path.suffix[1:]))

@@ -70,9 +70,6 @@ def column_label(name: str, exponent: float = 0.0) -> str:
     if len(parts) == 1:
         unit = f" ({units[0]})" if units[0] else ""
         return f"${symbols[0]}{scale}${unit}"
-    unit = (
-        ""
-        if len(set(units)) == 1
-        else " ({} / {})".format(*(f"({unit})" if " " in unit else unit or 1 for unit in units))
-    )
+    above, below = (f"({unit})" if " " in unit else unit or "1" for unit in units)
+    unit = "" if above == below else f" ({above} / {below})"
     return rf"$\langle {symbols[0]} \rangle\,/\,\langle {symbols[1]} \rangle{scale}${unit}"

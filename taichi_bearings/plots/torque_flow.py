@@ -9,8 +9,8 @@ from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.torque_flow import Counted, FrictionLoad
 from taichi_bearings.plots.lattice import draw_contacts, frame_plane, site_on_paper
-from taichi_bearings.plots.page import PAGE, Page, columns_on, grid
-from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
+from taichi_bearings.plots.page import PAGE, Page
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, panels
 from taichi_bearings.proof.contact_state import ContactState
 
 FLOW_COLOURS = (
@@ -36,10 +36,7 @@ def draw_torque_flow(
     torque, state : of the contacts in the plane, (m - 1, H) sideways and (m, H - 1) upright; values of ContactState.
     title : of the third panel.
     """
-    columns = columns_on(page, 3)
-    width = page.inches("double") / columns
-    figure = new_figure(columns * width, -(-3 // columns) * 1.2 * width, page.dpi)
-    saturation, forces, current = grid(figure, page, 3)
+    figure, (saturation, forces, current), width = panels(page, 3, (1.2, 0.0))
     _draw_saturation(saturation, load)
     _draw_distribution(forces, distribution)
     _draw_current(current, torque, state, 0.9 * width)
@@ -76,8 +73,7 @@ def _draw_distribution(axes: Any, distribution: Counted) -> None:
         filled = density > 0
         if filled.any():
             axes.plot(middle[filled], density[filled], color=colour, marker=marker, ms=3, lw=1, label=label)
-    axes.set(yscale="log", xlabel=r"force over its mean, $f\,/\,\langle f \rangle$")
-    axes.set(ylabel=r"probability density")
+    axes.set(yscale="log", xlabel=r"force over its mean, $f\,/\,\langle f \rangle$", ylabel="probability density")
     axes.set_xlim(left=0)
     if axes.lines:
         axes.legend()

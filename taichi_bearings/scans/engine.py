@@ -90,10 +90,7 @@ class Engine(Protocol):
 
 
 def run_samples(
-    units: Sequence[tuple[T, ...]],
-    engine: Engine,
-    retry: Callable[[T, str], None],
-    failure: Callable[[T, str], Record],
+    units: Sequence[tuple[T, ...]], engine: Engine, retry: Callable[[T, str], None], failure: Callable[[T, str], Record]
 ) -> Iterator[list[Record]]:
     """Solve all units; gives records of finished samples, failed ones too, as they come, and often none of them.
 
@@ -208,12 +205,8 @@ class LocalEngine:
         if not self._pool:
             return []
         ready = multiprocessing.connection.wait([worker.pipe for worker in self._pool], seconds)
-        outcomes = []
-        for worker in list(self._pool):
-            outcome = self._hear(worker) if worker.pipe in ready else self._overdue(worker)
-            if outcome is not None:
-                outcomes.append(outcome)
-        return outcomes
+        found = [self._hear(w) if w.pipe in ready else self._overdue(w) for w in list(self._pool)]
+        return [outcome for outcome in found if outcome is not None]
 
     def _hear(self, worker: _Worker) -> Outcome | None:
         """What a worker has sent, or that it is gone."""

@@ -5,11 +5,11 @@ The model gives times on one core of a common server, good to a factor of three;
 """
 
 import heapq
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.runs.run import row_of
@@ -29,7 +29,6 @@ KIND_KEYS = (
     "stiffness", "time_step", "error_tolerance", "arch", "precision",
 )  # fmt: skip
 """Settings of which the time of a sample depends most."""
-NOTHING: Mapping[Any, float] = MappingProxyType({})
 PRIOR = 0.2  # samples of a kind that weigh as much as what is known of other kinds
 OVERDUE = 1.25  # a unit that takes longer than expected is expected to take so many times what it has taken
 KNOWN = 0.5  # share of the remaining work whose kinds are measured, from which on a time left is known
@@ -199,7 +198,7 @@ class WorkLeft:
 
     def expected(self, workers: int, now: float = 0.0) -> float | None:
         """Time left as far as can be said; None if nothing can: of methods without an estimate and not yet measured."""
-        each, late, cost = self._seconds_each(), defaultdict[_Kind, float](float), defaultdict[_Kind, float](float)
+        each, late = self._seconds_each(), list[tuple[_Kind, float, float]]()
         waiting = {kind: kind.remaining - kind.alone for kind in each}
         busy = [0.0] * (workers - len(self.begun))
         for begun in self.begun.values():
@@ -207,11 +206,10 @@ class WorkLeft:
             seconds = len(begun.unit) * each[kind]
             if OVERDUE * taken > seconds:
                 seconds = OVERDUE * taken
-                late[kind] += seconds
-                cost[kind] += len(begun.unit) * kind.cost
+                late.append((kind, seconds, len(begun.unit) * kind.cost))
             waiting[kind] -= len(begun.unit)
             busy.append(seconds - taken)
-        each = self._seconds_each(late, cost)
+        each = self._seconds_each(late)
         if any(kind.remaining and seconds == math.inf for kind, seconds in each.items()):
             return None
         pieces = [(kind, *divmod(number, kind.together)) for kind, number in waiting.items() if number > 0]
@@ -219,19 +217,18 @@ class WorkLeft:
         shared += [(1, rest * each[kind]) for kind, _, rest in pieces]
         return _shared(busy, shared) + math.fsum(kind.alone * each[kind] for kind in each if kind.alone)
 
-    def _seconds_each(
-        self, late: Mapping[_Kind, float] = NOTHING, cost: Mapping[_Kind, float] = NOTHING
-    ) -> dict[_Kind, float]:
+    def _seconds_each(self, late: Sequence[tuple[_Kind, float, float]] = ()) -> dict[_Kind, float]:
         """Seconds of a sample of each kind; few samples are drawn towards the ratio of all of their method.
 
-        late, cost : seconds and cost of units in work that count as measured. Infinite where nothing is estimated or
+        late : kind, seconds and cost of units in work that count as measured. Infinite where nothing is estimated or
         measured.
         """
         measured, estimated = defaultdict[_Kind | str, float](float), defaultdict[_Kind | str, float](float)
-        for kind in self.kinds.values():
+        known = ((kind, kind.measured, kind.estimated) for kind in self.kinds.values())
+        for kind, seconds, cost in itertools.chain(known, late):
             for key in (kind, kind.method):
-                measured[key] += kind.measured + late.get(kind, 0.0)
-                estimated[key] += kind.estimated + cost.get(kind, 0.0)
+                measured[key] += seconds
+                estimated[key] += cost
         each = {}
         for kind in self.kinds.values():
             unmeasured, prior = 1.0 if kind.has_estimate else math.inf, PRIOR * kind.cost

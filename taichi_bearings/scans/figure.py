@@ -10,14 +10,7 @@ import numpy as np
 
 from taichi_bearings.analysis.census import Census
 from taichi_bearings.analysis.fit import Fit, fit, read_fit
-from taichi_bearings.analysis.statistics import (
-    LEAST_SAMPLES,
-    QUANTILES,
-    describe,
-    groups,
-    independent,
-    ratio_interval,
-)
+from taichi_bearings.analysis.statistics import LEAST_SAMPLES, QUANTILES, describe, groups, independent, ratio_interval
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
@@ -192,10 +185,8 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         used = rows[reasons[rows] == ""]
         own = [independent(values[used], disorder[used]) for values in terms]
         statistics = _statistics(own)
-        plot: Plotted = (
-            float(x) if isinstance(x, (int, float)) else place[x],
-            *_shown(statistics, len(own[0]), request),
-        )
+        at = float(x) if isinstance(x, (int, float)) else place[x]
+        plot: Plotted = (at, *_shown(statistics, len(own[0]), request))
         if request.collapse:
             if len(sizes := set(columns[SIZE][rows].tolist())) > 1:
                 raise InputError(f"a point has samples of several L ({sizes}); add --by L")

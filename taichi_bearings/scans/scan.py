@@ -21,25 +21,9 @@ from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runtime import available_threads, refuse_absent
+from taichi_bearings.scans import estimate as cost
+from taichi_bearings.scans import parts
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, run_samples
-from taichi_bearings.scans.estimate import (
-    WORKER_START,
-    WorkLeft,
-    bytes_of,
-    paying_workers,
-    seconds_of,
-    units_of,
-    unused_keys,
-)
-from taichi_bearings.scans.parts import (
-    Part,
-    incomplete_parts,
-    is_analysed,
-    is_failed,
-    journal_bytes,
-    part_of,
-    read_journals,
-)
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 from taichi_bearings.scans.sample import STATES, failure, solve_samples, state_path
 from taichi_bearings.scans.stored_scans import outdated_figures
@@ -89,7 +73,9 @@ class ScanProgress:
 Monitor = Callable[[ScanProgress], None]
 
 
-def missing_samples(plan: ScanPlan, folder: Path, part: Part | None = None) -> tuple[list[Sample], dict[str, Record]]:
+def missing_samples(
+    plan: ScanPlan, folder: Path, part: parts.Part | None = None
+) -> tuple[list[Sample], dict[str, Record]]:
     """The samples, of one part or of all, that a folder lacks or that have failed there; and the records that it has.
 
     FileError if the folder holds samples that the plan does not ask for, or is something else altogether.
@@ -97,7 +83,7 @@ def missing_samples(plan: ScanPlan, folder: Path, part: Part | None = None) -> t
     names = [file.name for file in folder.iterdir() if file.name[0] != "."] if folder.is_dir() else []
     if names and JOURNAL not in names and not any(name.startswith("scan.toml") for name in names):
         raise FileError(f"{folder} is not the folder of a scan and not empty; choose another --out")
-    records = read_journals(folder)
+    records = parts.read_journals(folder)
     others = len(records.keys() - {sample.key for sample in plan.samples})
     if others:
         raise FileError(
@@ -107,11 +93,11 @@ def missing_samples(plan: ScanPlan, folder: Path, part: Part | None = None) -> t
 
     def is_kept(sample: Sample) -> bool:
         record, wishes = records.get(sample.key), plan.wishes
-        if record is None or is_failed(record) or (wishes.get("analyse") and not is_analysed(record)):
+        if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
             return False
         return not wishes.get("keep_states") or _is_whole(state_path(folder / STATES, sample.key))
 
-    return [sample for sample in part_of(plan, part).samples if not is_kept(sample)], records
+    return [sample for sample in parts.part_of(plan, part).samples if not is_kept(sample)], records
 
 
 def _is_whole(state: Path) -> bool:
@@ -128,37 +114,37 @@ def _is_whole(state: Path) -> bool:
 
 def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
     """InputError for what no sample uses; a scan that a folder holds already goes on with a warning."""
-    for sentence in unused_keys(plan):
+    for sentence in cost.unused_keys(plan):
         if not (folder / "scan.toml").is_file():
             raise InputError(sentence)
         _say(f"{sentence}: it changes nothing here")
 
 
-def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: Part | None = None) -> dict[str, Any]:
+def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
     for group in groups_of(plan.samples):
         row_of(group[0].settings)  # refuses what cannot be
-    ours = part_of(plan, part).samples
+    ours = parts.part_of(plan, part).samples
     missing: Sequence[Sample] = ours
     if folder is not None:
         plan = plan.going_on_in(folder)
         missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
-    seconds = WorkLeft(units_of(missing, analyse, number), {}, analyse).expected(number)
+    seconds = cost.WorkLeft(cost.units_of(missing, analyse, number), {}, analyse).expected(number)
     return {
         "samples": len(ours),
         "scanned": list(plan.scanned),
         "missing": len(missing),
         "workers": number,
-        "seconds": seconds + WORKER_START if seconds else seconds,
-        "bytes": number * max((bytes_of(group[0].settings) for group in groups_of(missing)), default=0.0),
+        "seconds": seconds + cost.WORKER_START if seconds else seconds,
+        "bytes": number * max((cost.bytes_of(group[0].settings) for group in groups_of(missing)), default=0.0),
     }
 
 
 def _number_of_workers(missing: Sequence[Sample], workers: int, analyse: bool) -> int:
     on_device = any(sample.settings.arch != "cpu" for sample in missing)
-    return paying_workers(missing, workers or (1 if on_device else available_threads()), analyse)
+    return cost.paying_workers(missing, workers or (1 if on_device else available_threads()), analyse)
 
 
 def scan(
@@ -168,7 +154,7 @@ def scan(
     monitor: Monitor = lambda _: None,
     engine: Engine | None = None,
     client: "Client | None" = None,
-    part: Part | None = None,
+    part: parts.Part | None = None,
 ) -> dict[str, Any]:
     """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
 
@@ -219,7 +205,7 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
         if not course.records:
             raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
         course.write_files()
-        return course.report(False) | {"incomplete_parts": incomplete_parts(plan, folder, course.records)}
+        return course.report(False) | {"incomplete_parts": parts.incomplete_parts(plan, folder, course.records)}
 
 
 def _engine(plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None") -> Engine:
@@ -236,7 +222,7 @@ def _engine(plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: in
 def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
     if sample_timeout is not None:
         return sample_timeout * len(unit)
-    return max(LEAST_ALLOWED, ALLOWED * sum(seconds_of(sample.settings, analyse) for sample in unit))
+    return max(LEAST_ALLOWED, ALLOWED * sum(cost.seconds_of(sample.settings, analyse) for sample in unit))
 
 
 def _say(text: str) -> None:
@@ -247,13 +233,13 @@ class _Course:
     """A scan on its way: what it has, and who wants to hear of it."""
 
     def __init__(
-        self, plan: ScanPlan, folder: Path, part: Part | None = None, monitor: Monitor = lambda _: None
+        self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
         self.began = self.written = time.monotonic()
-        self.plan, self.folder, self.monitor = part_of(plan, part), folder, monitor
+        self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor
         self.journal = folder / (JOURNAL if part is None else part.journal)
         self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
-        self.others = (journal_bytes(folder) or 0) - self._own_bytes()
+        self.others = (parts.journal_bytes(folder) or 0) - self._own_bytes()
         missing, self.records = missing_samples(plan, folder, part)
         self.missing = {sample.key: sample for sample in missing}
         self.open = set(self.missing)  # samples that still lack something
@@ -272,8 +258,8 @@ class _Course:
     def follow(self, engine: Engine, journal: Journal, stopped: threading.Event) -> None:
         """Have the missing samples solved and written down, until all are or it is stopped."""
         analyse = bool(self.plan.wishes.get("analyse"))
-        units = units_of(list(self.missing.values()), analyse, engine.workers or 1)
-        work = WorkLeft(units, self.records, analyse)
+        units = cost.units_of(list(self.missing.values()), analyse, engine.workers or 1)
+        work = cost.WorkLeft(units, self.records, analyse)
 
         def retry(sample: Sample, reason: str) -> None:
             _say(f"sample {sample.label} failed and is tried again: {reason}")
@@ -287,14 +273,14 @@ class _Course:
             if stopped.is_set():
                 return
 
-    def _keep(self, finished: Sequence[Record], work: WorkLeft, journal: Journal) -> None:
-        news = [record for record in finished if not (is_failed(record) and self._has_result(record["key"]))]
+    def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
+        news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
         journal.append(news)
         self.records |= {record["key"]: record for record in news}
         for record in finished:
             sample = self.missing[record["key"]]
             work.finish(sample)
-            if is_failed(record):
+            if parts.is_failed(record):
                 self.progress.failed += 1
                 _say(f"sample {sample.label} failed: {record['scalars']['error']}")
             else:
@@ -302,7 +288,7 @@ class _Course:
                 self.open.discard(sample.key)
         self.progress.note(time.monotonic() - self.began)
 
-    def _look(self, work: WorkLeft, engine: Engine) -> None:
+    def _look(self, work: cost.WorkLeft, engine: Engine) -> None:
         """Tell where the scan stands, and write its files now and then."""
         self.progress.seconds = now = time.monotonic() - self.began
         running = engine.running
@@ -313,16 +299,13 @@ class _Course:
             self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
         self.monitor(self.progress)
         if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
-            self._write_meanwhile()
+            began = time.monotonic()
+            write_files(self.plan, self.folder, self.records, self._journals())
+            self.written = time.monotonic()
+            self.writing = self.written - began
 
     def _has_result(self, key: str) -> bool:
-        return key in self.records and not is_failed(self.records[key])
-
-    def _write_meanwhile(self) -> None:
-        began = time.monotonic()
-        write_files(self.plan, self.folder, self.records, self._journals())
-        self.written = time.monotonic()
-        self.writing = self.written - began
+        return key in self.records and not parts.is_failed(self.records[key])
 
     def write_files(self) -> None:
         if self.files:
@@ -333,25 +316,23 @@ class _Course:
                 write_files(self.plan, self.folder, self.records, self._journals())
 
     def report(self, interrupted: bool) -> dict[str, Any]:
-        statuses = [self.records[s.key]["scalars"]["status"] for s in self.plan.samples if s.key in self.records]
-        failed = [s for s in self.plan.samples if s.key in self.records and is_failed(self.records[s.key])]
+        known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
+        solved = [record for _, record in known if not parts.is_failed(record)]
+        failed = [(sample, record["scalars"]["error"]) for sample, record in known if parts.is_failed(record)]
         lacking = sum(map(self._has_result, self.open))
-        solved = [s.key for s in self.plan.samples if self._has_result(s.key)]
-        analysed = sum(is_analysed(self.records[key]) for key in solved)
+        analysed, missing = sum(map(parts.is_analysed, solved)), len(self.plan.samples) - len(known)
         return {
             "samples": len(self.plan.samples),
-            "done": len(statuses) - len(failed),
+            "done": len(solved),
             "solved_now": self.progress.done - self.progress.before,
-            "reached": sum(status in REACHED_STATUS for status in statuses),
+            "reached": sum(record["scalars"]["status"] in REACHED_STATUS for record in solved),
             "failed": len(failed),
-            "warned": sum("warnings" in self.records[key]["scalars"] for key in solved),
-            "missing": len(self.plan.samples) - len(statuses),
+            "warned": sum("warnings" in record["scalars"] for record in solved),
+            "missing": missing,
             "lacking": lacking,
             "unanalysed": len(solved) - analysed if analysed else 0,
-            "failures": [
-                {"sample": sample.label, "error": self.records[sample.key]["scalars"]["error"]} for sample in failed
-            ],
-            "interrupted": interrupted and (len(statuses) < len(self.plan.samples) or lacking > 0),
+            "failures": [{"sample": sample.label, "error": error} for sample, error in failed],
+            "interrupted": interrupted and (missing > 0 or lacking > 0),
             "seconds": time.monotonic() - self.began,
             "scan": str(self.folder),
             "files": [str(file) for file in self.files or [self.journal]],

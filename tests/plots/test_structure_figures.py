@@ -14,8 +14,9 @@ from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import colour_of_turn, draw_domains
-from taichi_bearings.plots.lattice import SPIN_COLOURS, box_edges, seen, walls_between
+from taichi_bearings.plots.lattice import SPIN_COLOURS, box_edges, walls_between
 from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
+from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
 from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE
 from taichi_bearings.plots.thresholds import draw_thresholds
@@ -130,20 +131,20 @@ def test_the_network_figure_has_a_segment_for_each_slipless_contact_and_the_path
     left, right = draw_network(network, case.spin, *case.driving).axes[0 if flat else 1 :][:2]
     (grey,) = [c for c in left.collections if c.get_label() == "slipless contacts"]
     ends = np.stack(np.unravel_index(network.ends, shape), axis=-1).swapaxes(0, 1)
-    expected = ends if flat else seen(ends)[..., :2]
+    expected = ends if flat else VIEW.seen(ends)[..., :2]
     drawn = np.array(grey.get_segments())
     assert drawn.shape == (network.ends.shape[1], 2, 2)
     key = lambda lines: sorted(map(tuple, np.round(lines.reshape(-1, 4), 9) + 0.0))  # noqa: E731
     assert np.allclose(key(drawn), key(expected))
     (green,) = [line for line in left.lines if line.get_label() == "path"]
     path = network.shortest_path
-    assert np.allclose(green.get_xydata(), path if flat else seen(path)[:, :2])
+    assert np.allclose(green.get_xydata(), path if flat else VIEW.seen(path)[:, :2])
     if not flat:
         (arrows,) = [c for c in right.collections if hasattr(c, "XY")]
-        order = np.argsort(seen(path)[:, 2])
-        assert np.allclose(arrows.XY, seen(path)[order, :2])
+        order = np.argsort(VIEW.seen(path)[:, 2])
+        assert np.allclose(arrows.XY, VIEW.seen(path)[order, :2])
         spins = case.spin[tuple(path[order].T)] / case.driving[0]
-        assert np.allclose(np.column_stack([arrows.U, arrows.V]), 1.6 * seen(spins)[:, :2])
+        assert np.allclose(np.column_stack([arrows.U, arrows.V]), 1.6 * VIEW.seen(spins)[:, :2])
 
 
 def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():

@@ -89,7 +89,7 @@ def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
         return [tuple(samples[start : start + 2]) for start in range(0, len(samples), 2)]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taichi_bearings.scans.scan.units_of", units)
+        patch.setattr("taichi_bearings.scans.estimate.units_of", units)
         report = scan(plan, tmp_path / "scan", engine=engine, monitor=kill_once)
     assert len(kills) == 1
     assert (report["reached"], report["failed"], report["missing"]) == (40, 0, 0)
@@ -134,7 +134,7 @@ def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(plan, tmp_path):
                 cluster.close()
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("taichi_bearings.scans.scan.units_of", lambda samples, *_: [(s,) for s in samples])
+            patch.setattr("taichi_bearings.scans.estimate.units_of", lambda samples, *_: [(s,) for s in samples])
             with pytest.raises(BearingsError, match="connection to the Dask scheduler is lost"):
                 scan(plan, tmp_path / "scan", engine=engine, monitor=leave)
     report = scan(plan, tmp_path / "scan")
