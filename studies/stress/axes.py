@@ -334,7 +334,7 @@ class Cell:
         return AXES[self.axis].change(base, self.value, self.row)
 
 
-QUICK = 22  # of so many cells the short sweep takes one
+QUICK = 23  # of so many cells the short sweep takes one
 FIRST = {"sides": 3, "drift": 1}  # values that it takes of axes that need patience
 
 

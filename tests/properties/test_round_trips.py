@@ -45,6 +45,7 @@ VALUES = {  # what an option of each kind can be
     options.TEXT: WORDS,
     options.FILE: WORDS,
     keys.SHAPE: st.lists(st.integers(-5, 10**9), min_size=2, max_size=3),
+    keys.BEARING_STATE: st.one_of(*(st.lists(SIGNED, min_size=n, max_size=n) for n in (1, 3, 4))),
     keys.THREE_NUMBERS: st.lists(st.floats(**NORMAL), min_size=3, max_size=3),
     keys.TIME_LIST: TIMES,
 }
