@@ -207,7 +207,9 @@ def _under_torque(summary: dict[str, Any]) -> list[str]:
     holds = f"friction holds torques of up to {between}{high:.12g}" if high > 0 else "friction holds no torque"
     if not summary["yields"]:
         return [f"{holds}: {'this one is held' if amplitude == 0 else 'whether it holds this one is not proven'}"]
-    motion = "nothing limits the motion" if amplitude is None else f"its strength is {amplitude:.12g}"
+    runs_away = not LAWS[summary["law"]].flows or summary["power"] == 0
+    unknown = "nothing limits the motion" if runs_away else "the strength of its motion is not known"
+    motion = unknown if amplitude is None else f"the strength of its motion is {amplitude:.12g}"
     return [f"{holds}: the top moves, and {motion}"]
 
 

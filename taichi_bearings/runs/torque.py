@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.law import COULOMB
 
 Solve = Callable[[Scene], Solution]
@@ -41,7 +41,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
     yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
     force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
-    the torque is proven to be held, NaN where nothing limits the motion or neither is proven.
+    the torque is proven to be held, NaN where nothing limits the motion or it is not known.
     """
     scene = solution.scene
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
@@ -50,10 +50,10 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
         low, high = friction.lower_bound, friction.power
     yields, held = np.abs(torque) > high * SURELY, np.abs(torque) <= low
     amplitude = np.where(held, 0.0, np.nan)
-    if scene.law.flows:
-        with np.errstate(divide="ignore"):
-            amplitude = np.where(yields, np.abs(torque) / solution.power, amplitude)
-        for number in np.flatnonzero(yields) if scene.law.holds else ():
+    limited = yields & (solution.power > 0) & scene.law.flows
+    amplitude[limited] = np.abs(torque) / solution.power[limited]
+    if scene.law.holds:
+        for number in np.flatnonzero(limited):
             viscous = scene.law.power(scene.contact, friction.slip)[number].sum() - friction.power[number]
             least = (abs(torque) - high[number]) / (2 * viscous)
             amplitude[number] = _strength(scene.sample(int(number)), abs(torque), least, solve)
@@ -67,24 +67,25 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
 
 def _strength(scene: Scene, torque: float, least: float, solve: Solve) -> float:
-    """Strength a of the motion of one sample that the torque keeps up, above what friction holds; NaN if Ctrl-C came.
+    """Strength a of the motion of one sample that the torque keeps up, above what friction holds; NaN if a solve falls
+    short of its tolerance.
 
     least : a strength that is too small. P(a) / a is at most P_f + 2 a Q, with P_f the least power of friction and Q
     what viscosity adds in that motion: the potential is convex and no larger than a P_f + a^2 Q / 2.
     """
-    stopped = False
+    short = False
 
     def excess(strength: float) -> float:
-        nonlocal stopped
+        nonlocal short
         found = solve(_scaled(scene, strength))
-        stopped |= found.interrupted
-        return 0.0 if stopped else float(found.power[0]) / strength - torque
+        short |= found.status is not Status.CERTIFIED
+        return 0.0 if short else float(found.power[0]) / strength - torque
 
     most = 2 * least
     while excess(most) < 0:
         least, most = most, 2 * most
     found = brentq(excess, least, most, rtol=AMPLITUDE_ERROR, xtol=AMPLITUDE_ERROR * most)
-    return float("nan") if stopped else float(found)
+    return float("nan") if short else float(found)
 
 
 def _scaled(scene: Scene, strength: float) -> Scene:

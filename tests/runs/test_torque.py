@@ -76,6 +76,16 @@ def test_the_motion_of_that_strength_takes_that_torque(law, driving):
     assert least * (high - low) / (2e-4 * strength) == pytest.approx(torque, rel=1e-6)
 
 
+def test_a_strength_that_is_not_known_is_none():
+    """Without frustration nothing limits the motion, and a solve that ends early does not tell how fast it is."""
+    alike = Scene.random((3, 3, 4), law="coulomb-viscous", direction=(0.0, 0.0, 1.0))
+    early = Scene.random((3, 3, 4), law="coulomb-viscous")
+    for scene, options in ((alike, {}), (early, {"iterations": 1})):
+        found = solve(scene, torque=1e3, **options).findings
+        assert found["yields"]
+        assert np.isnan(found["amplitude"])
+
+
 def test_several_samples_and_a_forged_word(tmp_path):
     scene = Scene.random((3, 3, 4), seed=3, replicas=3)
     limits = np.sort(solve(scene).power)
