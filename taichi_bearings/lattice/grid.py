@@ -3,8 +3,9 @@
 A value on the contacts is a flat array (..., E): all contacts along x, then along y (, then along z), each axis in C
 order of the lower spheres. A vector on the contacts is (C, ..., E), one row a spin component, 0 in the component along
 the contact, which it does not feel. Files and figures have one array an axis instead, one shorter than the lattice
-along it: entry [i, j, k] is the contact of sphere (i, j, k) with its upper neighbour. `by_axis` and `flat` lead from
-one form to the other.
+along it: entry [i, j, k] is the contact of sphere (i, j, k) with its upper neighbour. Along a periodic axis the last
+sphere is followed by the first, so the array is as long as the lattice. `by_axis` and `flat` lead from one form to the
+other.
 
 The last axis is the height; its first and last planes are driven. Spins are kept by component: ``spin_axes`` names the
 components a computation carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice driven in the xy plane.
@@ -14,12 +15,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.words import shown
 
+Index = tuple[Any, ...]
+AXIS_NAMES = ("x", "y", "z")
 MOST_SITES = 2**31 - 1  # Taichi indexes with 32-bit integers and would silently run nothing beyond
 
 
@@ -29,10 +33,13 @@ class Lattice:
 
     shape : number of spheres along each axis, height last.
     radius : length; half the lattice spacing.
+    periodic : axes that close on themselves: the last sphere along them touches the first. Not the height, and even in
+        length: an odd ring of spheres has no staggered spins.
     """
 
     shape: tuple[int, ...]
     radius: float = 0.5
+    periodic: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.shape) not in (2, 3):
@@ -45,6 +52,19 @@ class Lattice:
             raise InputError(f"shape is {shown(list(self.shape))}; at most {MOST_SITES // 8} spheres can be indexed")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius is {self.radius}; it must be a positive number")
+        for axis in self.periodic:
+            self._check_periodic(axis)
+
+    def _check_periodic(self, axis: int) -> None:
+        name = AXIS_NAMES[axis]
+        if axis >= self.height_axis:
+            allowed = " and ".join(AXIS_NAMES[: self.height_axis])
+            raise InputError(f"periodic is {name}; with shape {shown(list(self.shape))} it can only be {allowed}")
+        if self.shape[axis] % 2:
+            raise InputError(
+                f"periodic is {name}, along which shape {shown(list(self.shape))} has {self.shape[axis]} spheres; the "
+                "number must be even, or neighbours cannot turn in opposite ways all around"
+            )
 
     @property
     def dimension(self) -> int:
@@ -69,7 +89,7 @@ class Lattice:
         return (2,) if self.dimension == 2 else (0, 1, 2)
 
     def contact_shape(self, axis: int) -> tuple[int, ...]:
-        return tuple(n - (a == axis) for a, n in enumerate(self.shape))
+        return tuple(n - (a == axis and a not in self.periodic) for a, n in enumerate(self.shape))
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
@@ -97,11 +117,22 @@ class Lattice:
         """(E,) axis along which each contact lies."""
         return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
 
+    def along(self, axis: int) -> tuple[Index, Index]:
+        """Where the lower and the upper spheres of the contacts of `axis` are, in arrays whose last axes are those of
+        the lattice. No sphere is there twice."""
+        if axis in self.periodic:
+            low: Any = slice(None)
+            high: Any = np.roll(np.arange(self.shape[axis]), -1)
+        else:
+            low, high = slice(None, -1), slice(1, None)
+        after = (slice(None),) * (self.dimension - 1 - axis)
+        return (..., low, *after), (..., high, *after)
+
     @cached_property
     def ends(self) -> np.ndarray:
         """(2, E) lower and upper sphere of each contact, as numbers in C order."""
         sphere = np.arange(self.sites).reshape(self.shape)
-        pairs = [(sphere[_part(a, slice(-1))], sphere[_part(a, slice(1, None))]) for a in range(self.dimension)]
+        pairs = [[sphere[end] for end in self.along(axis)] for axis in range(self.dimension)]
         return np.stack([self.flat(end) for end in zip(*pairs, strict=True)])
 
     @cached_property
@@ -141,9 +172,9 @@ class Lattice:
         return int((~self.between_driven).sum())
 
 
-def _part(axis: int, part: slice) -> tuple:
-    """Index of a part along an axis, all of the axes before it."""
-    return (slice(None),) * axis + (part,)
+def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
+    """Of axes that are given by name."""
+    return tuple(map(AXIS_NAMES.index, names))
 
 
 def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:

@@ -1,8 +1,8 @@
 """The one difference operator of a lattice: contacts <- spheres, and its transpose.
 
-Whole arrays are differenced where they lie: the two ends of all contacts of an axis are views of one array over the
-spheres, and a sum over the contacts of a sphere is written through the same views. Graphs and sparse matrices are made
-from the ends of an array of numbers (`number_free`, `number_bodies`).
+Whole arrays are differenced where they lie: `Lattice.along` says where the two ends of all contacts of an axis are in an
+array over the spheres, and a sum over the contacts of a sphere is written to the same places. Graphs and sparse matrices
+are made from the ends of an array of numbers (`number_free`, `number_bodies`).
 """
 
 import numpy as np
@@ -10,29 +10,18 @@ import numpy as np
 from taichi_bearings.lattice.grid import Lattice, tangential
 
 
-def ends(field: np.ndarray, axis: int, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    """Views of the values at the lower and at the upper sphere of each contact of `axis`; the lattice axes of `field`
-    are its last ones."""
-    index = [slice(None)] * field.ndim
-    along = field.ndim - dimension + axis
-    views = []
-    for part in (slice(None, -1), slice(1, None)):
-        index[along] = part
-        views.append(field[tuple(index)])
-    return views[0], views[1]
+def difference(field: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
+    """Value at the upper sphere less that at the lower one of each contact of `axis`; the lattice axes of `field` are
+    its last ones."""
+    low, high = lattice.along(axis)
+    return np.asarray(field[high] - field[low])
 
 
-def difference(field: np.ndarray, axis: int, dimension: int) -> np.ndarray:
-    """Value at the upper sphere less that at the lower one of each contact of `axis`."""
-    lower, upper = ends(field, axis, dimension)
-    return upper - lower
-
-
-def add_pull(total: np.ndarray, force: np.ndarray, axis: int, dimension: int) -> None:
+def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) -> None:
     """Minus the transpose of :func:`difference`: the contacts of `axis` pull at their lower spheres, and back."""
-    lower, upper = ends(total, axis, dimension)
-    lower += force
-    upper -= force
+    low, high = lattice.along(axis)
+    total[low] += force
+    total[high] -= force
 
 
 def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -44,8 +33,8 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
     found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
     for axis, across in enumerate(lattice.by_axis(found)):
         for slot in tangential(axis, spin_axes):
-            lower, upper = ends(staggered[slot], axis, lattice.dimension)
-            np.subtract(upper, lower, out=across[slot])
+            low, high = lattice.along(axis)
+            np.subtract(staggered[slot][high], staggered[slot][low], out=across[slot])
     return found
 
 
@@ -57,7 +46,7 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
     total = np.zeros((*force.shape[:-1], *lattice.shape))
     for axis, vectors in enumerate(lattice.by_axis(force)):
         for slot in tangential(axis, spin_axes):
-            add_pull(total[slot], vectors[slot], axis, lattice.dimension)
+            add_pull(total[slot], vectors[slot], axis, lattice)
     return total
 
 
@@ -66,8 +55,8 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
     for axis, values in enumerate(lattice.by_axis(coefficient)):
         for slot in tangential(axis, spin_axes):
-            for end in ends(total[slot], axis, lattice.dimension):
-                end += values
+            for end in lattice.along(axis):
+                total[slot][end] += values
     return total
 
 

@@ -1,10 +1,12 @@
 """Eigenvalues and modes of the lattice Laplacian, driven planes held at zero.
 
 A spin component is coupled only by the contacts that are not along it, and along each axis the Laplacian is that of a
-chain: with free ends sideways, between two resting neighbours along the height.
+chain: with free ends sideways or closed to a ring, between two resting neighbours along the height.
 """
 
 import numpy as np
+
+from taichi_bearings.lattice.grid import Lattice
 
 
 def chain_modes(side: int, is_held: bool) -> np.ndarray:
@@ -22,18 +24,20 @@ def chain_eigenvalues(side: int, is_held: bool) -> np.ndarray:
     return 2 - 2 * np.cos(np.pi * (np.arange(1, side + 1) / (side + 1) if is_held else np.arange(side) / side))
 
 
-def eigenvalues(free: tuple[int, ...], component: int, weight: tuple[float, ...] | None = None) -> np.ndarray:
-    """Of the Laplacian of one spin component, by modes: shape `free`, 1 along the component.
+def ring_eigenvalues(side: int) -> np.ndarray:
+    """Of the waves around a ring of so many spheres, (side,), in the order of a discrete Fourier transform."""
+    return 2 - 2 * np.cos(2 * np.pi * np.arange(side) / side)
 
-    free : free spheres along each axis. weight : of the contacts of each axis; default 1.
-    """
+
+def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
+    """Of the Laplacian of one spin component over the free spheres, by modes: one a free sphere, 1 along the component."""
+    free = lattice.free_shape
     total = np.zeros((1,) * len(free))
     for axis, side in enumerate(free):
         if axis != component:
-            values = chain_eigenvalues(side, axis == len(free) - 1)
-            total = total + (1.0 if weight is None else weight[axis]) * values.reshape(
-                [-1 if a == axis else 1 for a in range(len(free))]
-            )
+            is_ring, is_held = axis in lattice.periodic, axis == lattice.height_axis
+            values = ring_eigenvalues(side) if is_ring else chain_eigenvalues(side, is_held)
+            total = total + values.reshape([-1 if a == axis else 1 for a in range(len(free))])
     return total
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from taichi_bearings.lattice import incidence
+from taichi_bearings.lattice import Lattice, incidence
 from taichi_bearings.numerics.planar import minimum_cuts
 
 TIED_WEIGHTS = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
@@ -96,12 +96,12 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
     one, so the lightest other one is the lightest of those that spare some contact of `cut`: a flow for each of them,
     so for small lattices.
     """
-    sides = np.empty_like(cut.above)
+    sides, lattice = np.empty_like(cut.above), _lattice_of(weight)
     for replica in range(len(sides)):
         sample = tuple(values[[replica]] for values in weight)
         others = []
         for axis, values in enumerate(sample):
-            for contact in np.argwhere(np.diff(cut.above[replica], axis=axis) & (values[0] > 0)):
+            for contact in np.argwhere(_parted(cut.above[replica], axis, lattice) & (values[0] > 0)):
                 spared = tuple(part[0].copy() for part in sample)
                 spared[axis][tuple(contact)] = np.inf
                 others.append(_cut_lattice(spared)[0])
@@ -111,8 +111,8 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
 
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
     """Weight (R,) of the contacts between the sides (R, *N)."""
-    replicas = range(len(above))
-    parts = ([values[r][np.diff(above[r], axis=a)].sum() for r in replicas] for a, values in enumerate(weight))
+    replicas, lattice = range(len(above)), _lattice_of(weight)
+    parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
     return np.sum(list(parts), axis=0)
 
 
@@ -136,7 +136,7 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 
 def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, float]:
     """Sides N, what lies between ties N, and proven weight of one lattice; weight : one array of contacts an axis."""
-    node, ends = _network(weight[-1].shape)
+    node, ends = _network(_lattice_of(weight))
     edges, lightest = _edges(weight), weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
     above[node[..., lightest + 1 :]] = True
@@ -160,22 +160,35 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray
 
 def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
     """Spheres N that neither the bottom nor the top reaches through other contacts than these; one mask an axis."""
-    node, ends = _network(apart[-1].shape)
+    node, ends = _network(_lattice_of(apart))
     left_over = np.tile(~_edges(apart), (2, 1))
     return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
 
 
-def _network(gaps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The graph of bodies of a lattice; gaps : shape of the contacts along the height.
+def _lattice_of(parts: tuple[np.ndarray, ...]) -> Lattice:
+    """That whose contacts they are, one array an axis: as long as the lattice along it where it is periodic."""
+    *sides, gaps = parts[-1].shape[-len(parts) :]
+    closed = (axis for axis, side in enumerate(sides) if parts[axis].shape[axis - len(parts)] == side)
+    return Lattice((*sides, gaps + 1), periodic=tuple(closed))
+
+
+def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
+    """True for the contacts along an axis whose ends are on either side, N."""
+    low, high = lattice.along(axis)
+    return np.asarray(above[low] != above[high])
+
+
+def _network(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
+    """The graph of bodies of a lattice.
 
     returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
     """
-    *sides, height = gaps
-    node = incidence.number_bodies((*sides, height + 1))
-    pairs = (
-        incidence.ends(node if axis == len(sides) else node[..., 1:-1], axis, len(gaps)) for axis in range(len(gaps))
-    )
-    return node, np.concatenate([np.stack([end.ravel() for end in pair]) for pair in pairs], axis=1)
+    node = incidence.number_bodies(lattice.shape)
+    pairs = []
+    for axis in range(lattice.dimension):
+        inner = node if axis == lattice.height_axis else node[..., 1:-1]
+        pairs.append(np.stack([inner[end].ravel() for end in lattice.along(axis)]))
+    return node, np.concatenate(pairs, axis=1)
 
 
 def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -243,6 +256,9 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     31, 1985). Edges that no flow can fill are cut down to a little more than it.
     """
     nodes = int(ends.max()) + 1
+    pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
+    if pairs.shape[1] < ends.shape[1]:  # rings of two spheres have two contacts between the same pair
+        return _shared_out(ends, capacity, pairs, own.ravel(), at_most)
     row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
     left_over = np.tile(capacity, 2)  # of both directions
     while True:
@@ -256,3 +272,19 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
         below = _reached(ends, graph - sent, 0)
         cut = int(left_over[below[row] & ~below[column]].sum())
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
+
+
+def _shared_out(
+    ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int
+) -> np.ndarray:
+    """A largest flow by SciPy where edges join the same nodes: that of the pairs, of which each edge takes what it can.
+
+    pairs : (2, P) nodes. own : (edges,) the pair of each edge.
+    """
+    total = np.zeros(pairs.shape[1], dtype=np.int64)
+    np.add.at(total, own, capacity)
+    flow, order = flow_by_scipy(pairs, total, at_most), np.argsort(own, kind="stable")
+    before = np.empty_like(capacity)  # capacity of the edges of the same pair that come first
+    before[order] = np.cumsum(capacity[order]) - capacity[order] - (np.cumsum(total) - total)[own[order]]
+    taken = np.sign(flow)[own] * np.clip(np.abs(flow)[own] - before, 0, capacity)
+    return np.where(ends[0] > ends[1], -taken, taken)

@@ -18,7 +18,7 @@ and the power, not to the much larger sum of all forces times the imposed jump.
 import numpy as np
 
 from taichi_bearings.lattice.grid import tangential
-from taichi_bearings.lattice.incidence import contact_differences, ends, torques
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.poisson import solve_poisson
 from taichi_bearings.scene.scene import Scene, vector_length
 
@@ -206,15 +206,16 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
     it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
     """
-    dimension = scene.lattice.dimension
     total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
     lost = np.zeros_like(total)
     for axis, vectors in enumerate(scene.lattice.by_axis(force)):
         for slot in tangential(axis, spin_axes):
-            both = (ends(part[slot], axis, dimension) for part in (total, lost))
-            for before, rest, pull in zip(*both, (vectors[slot], -vectors[slot]), strict=True):
+            for end, pull in zip(scene.lattice.along(axis), (vectors[slot], -vectors[slot]), strict=True):
+                before, rest = total[slot][end], lost[slot][end]
                 for part in _in_cache(before):
                     _add(before[part], rest[part], pull[part])
+                if axis in scene.lattice.periodic:  # these were copies
+                    total[slot][end], lost[slot][end] = before, rest
     return total + lost
 
 
@@ -278,7 +279,7 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     pull = torques(force, lattice, spin_axes)
     potential = np.zeros_like(pull)
     for slot, component in enumerate(spin_axes):
-        potential[slot][..., 1:-1] = solve_poisson(pull[slot][..., 1:-1], lattice.dimension, component)
+        potential[slot][..., 1:-1] = solve_poisson(pull[slot][..., 1:-1], lattice, component)
     return _without_driven_contacts(scene, force + contact_differences(potential, lattice, spin_axes))
 
 

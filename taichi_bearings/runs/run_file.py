@@ -14,7 +14,8 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
-from taichi_bearings.lattice.grid import friction_by_axis
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES, SPHERES
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
@@ -149,12 +150,12 @@ def read_run_file(run: Path) -> StoredRun:
 class _Arrays:
     """Data sets of a run file, with an axis of replicas. Their shapes are checked before they are read."""
 
-    def __init__(self, path: Path, file: h5py.File, shape: tuple[int, ...]) -> None:
-        self.path, self.file, self.shape = path, file, shape
+    def __init__(self, path: Path, file: h5py.File, lattice: Lattice) -> None:
+        self.path, self.file, self.lattice, self.shape = path, file, lattice, lattice.shape
         first = file["coefficient/x"]
-        self.one = first.ndim == len(shape)
+        self.one = first.ndim == lattice.dimension
         self.replicas = 1 if self.one else len(first)
-        self.vector = () if len(shape) == 2 else (3,)
+        self.vector = () if lattice.dimension == 2 else (3,)
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
         """expected : the shape without the axis of replicas, None for any length."""
@@ -171,7 +172,7 @@ class _Arrays:
         names = [name.format(axis) for axis in AXES[: len(self.shape)]]
         if lacking := [name for name in names if name not in self.file]:
             raise KeyError(f"it lacks {lacking[0]}")
-        contacts = [[side - (a == axis) for a, side in enumerate(self.shape)] for axis in range(len(self.shape))]
+        contacts = map(self.lattice.contact_shape, range(self.lattice.dimension))
         return tuple(self.get(name, *sides, *parts) for name, sides in zip(names, contacts, strict=True))
 
     def of_contacts(self, key: str, *parts: int) -> np.ndarray:
@@ -188,9 +189,11 @@ class _Arrays:
 
 def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Solution:
     """What the run came to, with a replica axis."""
-    arrays = _Arrays(path, file, tuple(int(side) for side in attributes["shape"]))
+    settings = _settings(path, attributes)
+    shape = tuple(int(side) for side in attributes["shape"])
+    arrays = _Arrays(path, file, Lattice(shape, periodic=axis_numbers(settings.periodic)))
     viscosity = arrays.by_axis("viscosity/{}") if "viscosity" in file else ()
-    scene = _scene(path, attributes, arrays.by_axis("coefficient/{}"), viscosity)
+    scene = _scene(path, attributes, settings, arrays.by_axis("coefficient/{}"), viscosity)
     there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
     sets = {name: arrays.of_contacts(name) for name in there}
     sets.setdefault("proven", nothing_proven(sets["state"]))
@@ -230,12 +233,23 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
 OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the same for all replicas
 
 
+def _settings(path: Path, attributes: Mapping[str, Any]) -> RunSettings:
+    """Those of a run file; FileError if they cannot be."""
+    try:
+        return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
+    except (InputError, KeyError) as error:
+        raise FileError(f"{path} is damaged or was changed: {error}") from None
+
+
 def _scene(
-    path: Path, attributes: Mapping[str, Any], coefficient: tuple[np.ndarray, ...], viscosity: tuple[np.ndarray, ...]
+    path: Path,
+    attributes: Mapping[str, Any],
+    settings: RunSettings,
+    coefficient: tuple[np.ndarray, ...],
+    viscosity: tuple[np.ndarray, ...],
 ) -> Scene:
     """The scene of a run file; FileError if it cannot be one."""
     try:
-        settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
         seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
         given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
         scene = Scene(coefficient, viscosity=viscosity, seeds=seeds, **given)

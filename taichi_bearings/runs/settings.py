@@ -35,6 +35,7 @@ from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import lattice_shape, read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
+from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions
 from taichi_bearings.words import meant
 
@@ -56,10 +57,18 @@ def _state(value: Any) -> tuple[float, ...]:
     return (*parts, 0.0) if len(parts) == 3 else parts
 
 
+def _sides(value: Any) -> tuple[str, ...]:
+    try:
+        return periodic_axes(value)
+    except InputError as error:
+        raise ValueError from error
+
+
 SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
 BEARING_STATE = Kind(
     _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
 )
+SIDES = Kind(_sides, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
 THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
@@ -103,6 +112,9 @@ class RunSettings:
     )
     bottom: tuple[float, ...] | None = option(
         None, BEARING_STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
+    )
+    periodic: tuple[str, ...] = option(
+        (), SIDES, "Axes, not the height, along which the last spheres touch the first; their lengths must be even."
     )
     torque: float | None = how(
         None,

@@ -108,8 +108,8 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
 
 def lattice_shape(coefficients: tuple[np.ndarray, ...]) -> tuple[int, ...]:
     """Spheres along each axis of the lattice that coefficients, one array an axis, belong to."""
-    along_x = coefficients[0].shape[-len(coefficients) :]
-    return along_x[0] + 1, *along_x[1:]
+    upward = coefficients[-1].shape[-len(coefficients) :]
+    return *upward[:-1], upward[-1] + 1
 
 
 def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
@@ -117,4 +117,5 @@ def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
     if len(x) != len(y) or len(x) not in (dimension, dimension + 1):
         return False
     more = [along_y - along_x for along_x, along_y in zip(x, y, strict=True)]
-    return more[-dimension:] == [1, -1, 0][:dimension] and not any(more[:-dimension])
+    first, second, *others = more[-dimension:]  # along a periodic axis there is one more contact
+    return first in (0, 1) and second in ((-1,) if dimension == 2 else (0, -1)) and not any(more[:-dimension] + others)

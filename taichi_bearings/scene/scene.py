@@ -11,7 +11,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import MOST_SITES
+from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import Pair, add
 from taichi_bearings.options import SEED
@@ -21,7 +21,6 @@ from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
 from taichi_bearings.words import shown
 
-AXIS_NAMES = ("x", "y", "z")
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 # of the mean coefficient: what stands for an absent contact where a method must divide by it
@@ -42,6 +41,8 @@ class Scene:
     direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
     top, bottom : bearing states (A_x, A_y, A_z, C) imposed instead: staggered spins A + C x, with x from the centre of
         sphere (0, 0, 0); C, 1/(time length), may be left out. In 2D one number. One of the two alone: the other is 0.
+    periodic : names of the axes that close on themselves, ("x",), ("y",) or both, not the height. The array of such an
+        axis is as long as the lattice: entry [i] is of the contact of i with i + 1 mod n, n even.
     normal_force : force at every contact, of laws with friction. radius : of the spheres, length.
     seeds : seed of each sample, for the record and for random initial spins. Default: 0, 1, ...
     viscosity : like the coefficients, of a law that has both, else empty; force * time / length.
@@ -59,10 +60,11 @@ class Scene:
     viscosity: tuple[np.ndarray, ...] = ()
     top: tuple[float, ...] | None = None
     bottom: tuple[float, ...] | None = None
+    periodic: tuple[str, ...] = ()
     drawn: Mapping[str, str] = field(init=False, default_factory=dict)
     DRAWN: ClassVar = ("distribution", "viscosity")
     BY_SPINS: ClassVar = ("spin_top", "spin_bottom", "direction")
-    PARAMETERS: ClassVar = (*BY_SPINS, "top", "bottom", "normal_force", "radius")  # settings of a run too
+    PARAMETERS: ClassVar = (*BY_SPINS, "top", "bottom", "periodic", "normal_force", "radius")  # settings of a run too
 
     @classmethod
     def random(
@@ -82,7 +84,7 @@ class Scene:
         distribution : "uniform:low,high", "lognormal:median,sigma", "power-law:low,high,exponent",
             "bimodal:low,high,fraction" or "constant:value", or a function (rng, shape) -> array of coefficients.
         others : `replicas`, for the seeds seed ... seed + replicas - 1; `viscosity`, the distribution of the second
-            coefficient of "coulomb-viscous"; `normal_force`, `radius`, and the states `top` and `bottom`.
+            coefficient of "coulomb-viscous"; `normal_force`, `radius`, `periodic`, and the states `top` and `bottom`.
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
         try:
@@ -98,7 +100,9 @@ class Scene:
             raise InputError(f"viscosity is {shown(viscosity)}, but the law {law} does not use it; it needs law {laws}")
         if seed < 0:
             raise InputError(f"seed is {seed}; it must be 0 or more")
-        lattice = Lattice(sides, finite_number("radius", others.get("radius", cls.radius)))
+        others["periodic"] = periodic_axes(others.get("periodic", ()))
+        radius = finite_number("radius", others.get("radius", cls.radius))
+        lattice = Lattice(sides, radius, axis_numbers(others["periodic"]))
         if not 1 <= replicas <= MOST_SITES // 8 // lattice.sites:
             most = MOST_SITES // 8 // lattice.sites
             raise InputError(
@@ -129,6 +133,7 @@ class Scene:
         if self.normal_force <= 0:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
         object.__setattr__(self, "direction", _direction(self.direction))
+        object.__setattr__(self, "periodic", periodic_axes(self.periodic))
         self._read_states()
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
         object.__setattr__(self, "viscosity", _arrays("viscosities", self.viscosity))
@@ -191,12 +196,13 @@ class Scene:
         shape, seeds = "x".join(map(str, self.lattice.shape)), f"seed {self.seeds[0]}"
         seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
         top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
-        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}>"
+        closed = f", periodic along {' and '.join(self.periodic)}" if self.periodic else ""
+        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{closed}>"
 
     @cached_property
     def lattice(self) -> Lattice:
-        along_x = self.coefficients[0].shape[-len(self.coefficients) :]
-        return Lattice((along_x[0] + 1, *along_x[1:]), self.radius)
+        upward = self.coefficients[-1].shape[-len(self.coefficients) :]
+        return Lattice((*upward[:-1], upward[-1] + 1), self.radius, axis_numbers(self.periodic))
 
     @cached_property
     def coefficient(self) -> np.ndarray:
@@ -445,6 +451,14 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
         return (*parts, 0.0) if len(parts) == 3 else parts if len(parts) == 4 else (0.0,) * 4
     needed = "one number, the spin about z" if dimension == 2 else "A_x, A_y, A_z, and C if it is not 0"
     raise InputError(f"{name} is {shown(given)}; the state of a plane must be {needed}")
+
+
+def periodic_axes(given: Any) -> tuple[str, ...]:
+    """Names of axes in their order, of several in a list or in one text, x,y."""
+    parts = tuple(given.split(",") if given else ()) if isinstance(given, str) else tuple(given)
+    if any(part not in AXIS_NAMES[:2] for part in parts) or len(set(parts)) < len(parts):
+        raise InputError(f"periodic is {shown(given)}; it must be x, y or x,y, the axes that close on themselves")
+    return tuple(name for name in AXIS_NAMES if name in parts)
 
 
 def _seeds(given: Any) -> tuple[int, ...]:

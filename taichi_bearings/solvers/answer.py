@@ -190,6 +190,7 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
         scene.direction, scene.normal_force, scene.lattice.radius, spin, spin_rounding,
         friction_by_axis(friction, scene.lattice),
         by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (), scene.top, scene.bottom,
+        scene.lattice.periodic,
     )  # fmt: skip
     return Judgement(samples) if samples.can_be_judged else None
 

@@ -89,7 +89,7 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
 @lru_cache(maxsize=64)
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """Largest eigenvalue of the unweighted lattice Laplacian of any carried component, driven planes held (exact)."""
-    return max(float(eigenvalues(lattice.free_shape, component).max()) for component in spin_axes)
+    return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)
 
 
 def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:

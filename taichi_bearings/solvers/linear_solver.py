@@ -14,7 +14,8 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference, ends
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 from taichi_bearings.scene import Progress, Scene
@@ -66,28 +67,36 @@ class LinearSolverMethod:
                 self._solve(slot, planes)
         self.iteration = min(self.iteration + steps, len(self.bundles))
 
+    def _plane(self, component: int) -> Lattice:
+        """One of the planes across a spin component."""
+        lattice = self.scene.lattice
+        axes = [axis for axis in range(lattice.dimension) if axis != component]
+        closed = tuple(number for number, axis in enumerate(axes) if axis in lattice.periodic)
+        return Lattice(tuple(lattice.shape[axis] for axis in axes), periodic=closed)
+
     def _solve(self, slot: int, planes: Planes) -> None:
         """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
         scene, component = self.scene, self.spin_axes[slot]
+        plane = self._plane(component)
         first, second = (
             self._by_plane(values, slot)[planes]
             for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))
             if axis != component
         )
         try:
-            factor = factorised(_laplacian(first, second))
+            factor = factorised(_laplacian(plane, first, second))
         except RuntimeError:  # a contrast beyond float64: these spins stay as they are
             return
         spins, rests = self._by_plane(self.spin[slot], slot), self._by_plane(self.rest[slot], slot)
         spin, rest = spins[planes], rests[planes]
-        load = _free_torques(first, second, spin, rest)
+        load = _free_torques(plane, first, second, spin, rest)
         size = _total(load)
         for _ in range(MOST_SOLUTION_REFINEMENTS):
             new_spin, new_rest = spin.copy(), rest.copy()
             new_spin[..., 1:-1], new_rest[..., 1:-1] = _add(
                 spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load.ravel()).reshape(load.shape)
             )
-            new_load = _free_torques(first, second, new_spin, new_rest)
+            new_load = _free_torques(plane, first, second, new_spin, new_rest)
             new_size = _total(new_load)
             better = new_size < size  # False for NaN
             halved = new_size < 0.5 * size
@@ -115,21 +124,23 @@ class LinearSolverMethod:
         )
 
 
-def _laplacian(first: np.ndarray, second: np.ndarray) -> csc_array:
+def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_array:
     """Of the free nodes of planes (B, m, n), whose weights along either axis are given."""
-    shape = (*second.shape[:2], first.shape[2])
+    shape = (len(first), *plane.shape)
     node, held = np.arange(np.prod(shape)).reshape(shape), np.ones(shape, dtype=bool)
     held[..., 1:-1] = False
-    pairs = zip((ends(node, axis, 2) for axis in range(2)), (first, second), strict=True)
-    edges = ((low.ravel(), high.ravel(), weight.ravel()) for (low, high), weight in pairs)
+    pairs = zip((plane.along(axis) for axis in range(2)), (first, second), strict=True)
+    edges = ((node[low].ravel(), node[high].ravel(), weight.ravel()) for (low, high), weight in pairs)
     return graph_laplacian(edges, node.size, held.ravel())
 
 
-def _free_torques(first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _free_torques(
+    plane: Lattice, first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray
+) -> np.ndarray:
     """Sum of coefficient * difference at each free node (B, m, n - 2) of planes (B, m, n); unit radius."""
     pull = np.zeros_like(spin)
     for axis, coefficient in enumerate((first, second)):
-        add_pull(pull, coefficient * (difference(spin, axis, 2) + difference(rest, axis, 2)), axis, 2)
+        add_pull(pull, coefficient * (difference(spin, axis, plane) + difference(rest, axis, plane)), axis, plane)
     return pull[..., 1:-1]
 
 

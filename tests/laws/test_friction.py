@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.lattice.grid import friction_by_axis, laboratory_forces, staggered_forces
-from taichi_bearings.lattice.incidence import ends
 from taichi_bearings.proof.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
@@ -43,14 +42,14 @@ def in_three_dimensions(scene, friction, spin):
 def test_stored_friction_balances_torques_and_does_the_work_of_the_drive(name, law, shape, tolerance, needs_f64):
     scene, solution = solved(name, law, shape, tolerance)
     friction, spin = in_three_dimensions(scene, solution.friction, solution.spin)
-    dimension, radius = scene.lattice.dimension, scene.lattice.radius
+    radius = scene.lattice.radius
     torque, dissipated = np.zeros((*shape, 3)), 0.0
     for axis, force in enumerate(friction):
         normal = np.eye(3)[axis]
         arm = np.cross(radius * normal, -force)  # on the lower sphere, r_ij x F; the upper one has -r_ij and -F
-        for end in ends(np.moveaxis(torque, -1, 0), axis, dimension):
-            end += np.moveaxis(arm, -1, 0)
-        below, above = (np.moveaxis(end, 0, -1) for end in ends(np.moveaxis(spin, -1, 0), axis, dimension))
+        for end in scene.lattice.along(axis):
+            torque[end[1:]] += arm
+        below, above = (spin[end[1:]] for end in scene.lattice.along(axis))
         slip = -radius * np.cross(below + above, normal)  # paper Eq. 2
         dissipated -= float((force * slip).sum())
         length, limit = np.linalg.norm(force, axis=-1), scene.strength * scene.coefficients[axis][0]
