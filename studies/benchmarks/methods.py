@@ -165,7 +165,7 @@ def factorisation(scene: Scene) -> tuple[float, int]:
     system = lattice_system(scene.lattice, axes, scene.top_spin(axes) / (scene.jump or 1.0))
     small = scene.lattice.sites < InteriorPoint.alike_in_a_block
     price = tuning.LAUNCH_PRICE if small else tuning.CALLS_PRICE
-    pattern = analyse(dissect(scene.lattice.free_shape, axes), *system.couplings(), price)
+    pattern = analyse(dissect(scene.lattice, axes), *system.couplings(), price)
     return pattern.operations, pattern.factor_entries
 
 

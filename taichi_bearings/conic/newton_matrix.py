@@ -172,7 +172,7 @@ def _compile(engine: Engine, samples: int) -> None:
     """Compile the kernels of one or of several samples, on a tiny lattice: they are the same for all."""
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))
-    matrix = NewtonMatrix(system, dissect(lattice.free_shape, spin_axes), engine=engine)
+    matrix = NewtonMatrix(system, dissect(lattice, spin_axes), engine=engine)
     rows = matrix.rows(samples)
     matrix.factorise_rows(rows, np.zeros(samples, dtype=bool))
     matrix.solve_rows(rows)

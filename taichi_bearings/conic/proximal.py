@@ -71,7 +71,7 @@ class ProximalSteps:
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float, inertia: float) -> None:
         self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
         self._system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
-        self._matrix = NewtonMatrix(self._system, dissect(scene.lattice.free_shape, spin_axes))
+        self._matrix = NewtonMatrix(self._system, dissect(scene.lattice, spin_axes))
         compile_passes()
         acting = [self._system.gather(scene.positive_coefficient, replica) for replica in range(scene.replicas)]
         mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])

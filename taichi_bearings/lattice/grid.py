@@ -140,6 +140,12 @@ class Lattice:
         """(E,) number, in C order, of the sphere of the top plane above the upper end of each contact."""
         return self.ends[1] // self.shape[-1]
 
+    def across(self, component: int) -> "Lattice":
+        """One of the planes that a spin component couples: those across it; all of a square lattice."""
+        axes = [axis for axis in range(self.dimension) if axis != component]
+        closed = tuple(number for number, axis in enumerate(axes) if axis in self.periodic)
+        return Lattice(tuple(self.shape[axis] for axis in axes), self.radius, closed)
+
     def felt(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """(C, E) True for the components that make a contact slip: all but the one along it."""
         return np.array(spin_axes)[:, None] != self.axis

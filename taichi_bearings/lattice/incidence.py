@@ -1,8 +1,8 @@
 """The one difference operator of a lattice: contacts <- spheres, and its transpose.
 
-Whole arrays are differenced where they lie: `Lattice.along` says where the two ends of all contacts of an axis are in an
-array over the spheres, and a sum over the contacts of a sphere is written to the same places. Graphs and sparse matrices
-are made from the ends of an array of numbers (`number_free`, `number_bodies`).
+Whole arrays are differenced where they lie: `Lattice.along` says where the two ends of all contacts of an axis are in
+an array over the spheres, and a sum over the contacts of a sphere is written to the same places. Graphs and sparse
+matrices are made from the ends of an array of numbers (`number_free`, `number_bodies`).
 """
 
 import numpy as np

@@ -30,7 +30,7 @@ def ring_eigenvalues(side: int) -> np.ndarray:
 
 
 def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
-    """Of the Laplacian of one spin component over the free spheres, by modes: one a free sphere, 1 along the component."""
+    """Of the Laplacian of one spin component, by modes: as many as there are free spheres, 1 along the component."""
     free = lattice.free_shape
     total = np.zeros((1,) * len(free))
     for axis, side in enumerate(free):

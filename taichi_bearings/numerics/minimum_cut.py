@@ -4,7 +4,7 @@ If every sphere turns either with the bottom or with the top, the contacts betwe
 jump d without its component along the contact n, all others not at all. The power of such a state is the weight of a
 cut, and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
 contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar/ cuts exactly. Any
-other cubic lattice takes a largest flow, by OR-tools where it is installed, else by SciPy.
+other lattice, and every periodic one, takes a largest flow, by OR-tools where it is installed, else by SciPy.
 
 Weights are rounded down to multiples of a unit, 2^-51 to 2^-52 of the lightest level cut, so a flow is a number of
 units below 2^53 and exact. A largest flow of rounded weights is a flow of the true ones, hence a proven lower bound,
@@ -16,7 +16,7 @@ than some weight left is below every cut that is heavier by no more than this we
 and Queyranne, Math. Program. Study 13, 1980).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from taichi_bearings.lattice import Lattice, incidence
-from taichi_bearings.numerics.planar import minimum_cuts
+from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 
 TIED_WEIGHTS = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
 ROUNDED_WEIGHT = 2.0**-16  # weight of a cut over that of one known before, below which its rounding matters
@@ -64,7 +64,8 @@ def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
     """
     *sideways, upward = weight
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
-    if not (upward > 0).all() or (len(sideways) == 2 and idle is None):
+    closed = set(_lattice_of(weight).periodic) - {idle}
+    if closed or not (upward > 0).all() or (len(sideways) == 2 and idle is None):
         return flow_cut(weight)
     if len(sideways) == 1:
         above, between, bound, following = _cut_planes(sideways[0][:, None], upward[:, None])
@@ -84,9 +85,28 @@ def flow_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
     For planar grids slower, but it shares no code with the shortest paths.
     """
     cuts = [_cut_lattice(tuple(values[replica] for values in weight)) for replica in range(len(weight[-1]))]
-    above, between, bound = (np.stack(parts) for parts in zip(*cuts, strict=True))
+    above, between, bound = (np.stack([getattr(cut, name) for cut in cuts]) for name in ("above", "between", "weight"))
     found = weight_of_cut(above, weight)
     return MinimumCut(above, between, found, np.minimum(bound, found), np.full(len(found), np.nan))
+
+
+def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
+    """Cuts of least weight between the bottom row and the top row of grids whose rows close on themselves, as
+    :func:`minimum_cuts` gives those of others: the lightest rings around them.
+
+    sideways : weights (B, w, h), those at the end of the contacts of the last column with the first. upward : weights
+    (B, w, h - 1).
+    Contacts are tied if cuts that are heavier by 1e-12 at most differ in them; the next weight is not known (NaN).
+    """
+    for grid in range(len(upward)):
+        weight = sideways[grid], upward[grid]
+        cut, lattice = _cut_lattice(weight), _lattice_of(weight)
+        touched = [cut.between[low] | cut.between[high] for low, high in map(lattice.along, range(2))]
+        ring = np.zeros(sideways.shape[1:])
+        inner, rising = np.split(cut.flow * cut.unit, [ring[:, 1:-1].size])
+        ring[:, 1:-1] = inner.reshape(ring[:, 1:-1].shape)
+        found = cut.above, ring, rising.reshape(upward.shape[1:]), *touched, np.array(cut.weight), np.array(np.nan)
+        yield slice(grid, grid + 1), MinimumCuts(*(values[None] for values in found))
 
 
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +124,7 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
             for contact in np.argwhere(_parted(cut.above[replica], axis, lattice) & (values[0] > 0)):
                 spared = tuple(part[0].copy() for part in sample)
                 spared[axis][tuple(contact)] = np.inf
-                others.append(_cut_lattice(spared)[0])
+                others.append(_cut_lattice(spared).above)
         sides[replica] = min(others, key=lambda above: float(weight_of_cut(above[None], sample)[0]))
     return sides, weight_of_cut(sides, weight)
 
@@ -134,8 +154,24 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
     return above.reshape(stack), between.reshape(stack), weight, weight + further.min(axis=1)
 
 
-def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, float]:
-    """Sides N, what lies between ties N, and proven weight of one lattice; weight : one array of contacts an axis."""
+@dataclass(frozen=True)
+class _Cut:
+    """That of one lattice: sides N, what lies between ties N, and a largest flow (edges,) in units of weight."""
+
+    above: np.ndarray
+    between: np.ndarray
+    flow: np.ndarray
+    unit: float
+    units: int
+
+    @property
+    def weight(self) -> float:
+        """Proven."""
+        return self.units * self.unit
+
+
+def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
+    """The cut of one lattice; weight : one array of contacts an axis."""
     node, ends = _network(_lattice_of(weight))
     edges, lightest = _edges(weight), weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
@@ -155,7 +191,7 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray
     units = int(capacity[cut].sum())
     tie = int(TIED_WEIGHTS * units) + int(cut.sum())
     from_bottom, from_top = _reached(ends, left_over, 0, tie), _reached(ends, left_over[::-1], node.max(), tie)
-    return above[node], ~(from_bottom | from_top)[node], units * unit
+    return _Cut(above[node], ~(from_bottom | from_top)[node], flow, float(unit), units)
 
 
 def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -274,9 +310,7 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
 
 
-def _shared_out(
-    ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int
-) -> np.ndarray:
+def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int) -> np.ndarray:
     """A largest flow by SciPy where edges join the same nodes: that of the pairs, of which each edge takes what it can.
 
     pairs : (2, P) nodes. own : (edges,) the pair of each edge.

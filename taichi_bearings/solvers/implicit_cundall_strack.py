@@ -78,7 +78,7 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
 
     def _set_stage(self) -> None:
         scene = self.scene
-        matrix = NewtonMatrix(self.system, dissect(scene.lattice.free_shape, self.spin_axes))
+        matrix = NewtonMatrix(self.system, dissect(scene.lattice, self.spin_axes))
         replicas = range(scene.replicas)
         self.strength = [
             scene.strength * self.system.gather(scene.positive_coefficient, replica) for replica in replicas

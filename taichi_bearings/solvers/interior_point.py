@@ -115,7 +115,7 @@ def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
 
 def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
     top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
-    system, order = lattice_system(lattice, spin_axes, top), dissect(lattice.free_shape, spin_axes)
+    system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
     if not top.any():  # nothing turns, and nothing is to be solved
         return system, order, None
     return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)

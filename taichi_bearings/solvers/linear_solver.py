@@ -67,17 +67,10 @@ class LinearSolverMethod:
                 self._solve(slot, planes)
         self.iteration = min(self.iteration + steps, len(self.bundles))
 
-    def _plane(self, component: int) -> Lattice:
-        """One of the planes across a spin component."""
-        lattice = self.scene.lattice
-        axes = [axis for axis in range(lattice.dimension) if axis != component]
-        closed = tuple(number for number, axis in enumerate(axes) if axis in lattice.periodic)
-        return Lattice(tuple(lattice.shape[axis] for axis in axes), periodic=closed)
-
     def _solve(self, slot: int, planes: Planes) -> None:
         """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
         scene, component = self.scene, self.spin_axes[slot]
-        plane = self._plane(component)
+        plane = scene.lattice.across(component)
         first, second = (
             self._by_plane(values, slot)[planes]
             for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))

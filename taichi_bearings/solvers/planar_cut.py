@@ -5,12 +5,14 @@ of a cubic one, is a grid of its own. With one component the power is a sum of w
 minimiser takes no other values than the two driven ones (equations.md, 5): all slip happens at the interface between
 the spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
 proves it and is the friction (planar/cuts.py). Every minimum is a mixture of lightest cuts, grid by grid: a contact
-slips at all minima if it is in all of these cuts, and at some if it is in some.
+slips at all minima if it is in all of these cuts, and at some if it is in some. On a periodic grid the cut is the
+lightest ring around it, and a general largest flow finds it.
 """
 
 import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.numerics.minimum_cut import ring_cuts
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
@@ -52,13 +54,14 @@ class PlanarCutMethod:
         replica, plane = (index.ravel() for index in np.indices((self.scene.replicas, len(self.top))))
         replica, plane = replica[self.top[plane] != 0], plane[self.top[plane] != 0]
         weights = [self._by_plane(coefficient[axis])[replica, plane] for axis in (sideways, height)]
-        for part, cuts in minimum_cuts(*weights) if len(plane) else ():
+        grid = self.scene.lattice.across(self.component)
+        cuts_of = ring_cuts if grid.periodic else minimum_cuts
+        for part, cuts in cuts_of(*weights) if len(plane) else ():
             where = replica[part], plane[part]
             self._by_plane(self.staggered[0])[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
-            self._store(
-                sideways, where, cuts.above[:, 1:] != cuts.above[:, :-1], cuts.sideways_flow, cuts.sideways_tied
-            )
-            self._store(height, where, cuts.above[..., 1:] != cuts.above[..., :-1], cuts.upward_flow, cuts.upward_tied)
+            beside, rising = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
+            self._store(sideways, where, beside, cuts.sideways_flow, cuts.sideways_tied)
+            self._store(height, where, rising, cuts.upward_flow, cuts.upward_tied)
             self._note(where, cuts)
 
     def _store(

@@ -18,7 +18,7 @@ def test_refining_a_step_whose_last_corrector_was_rejected_leaves_no_torques(mon
     monkeypatch.setattr(central_path, "LEAST_GAIN", 0.3)  # and correctors seldom good enough
     scene = make_scene((7, 8, 9), seeds=(seed,))
     system = lattice_system(scene.lattice, (0, 1), np.ones(2))
-    path = Path(NewtonMatrix(system, dissect(scene.lattice.free_shape, (0, 1))))
+    path = Path(NewtonMatrix(system, dissect(scene.lattice, (0, 1))))
     friction = system.gather(scene.positive_coefficient, 0)
     path.put(0, Iterate.start(system, np.zeros(system.unknowns), friction, 0.1))
     for _ in range(14):

@@ -40,7 +40,7 @@ def tied(system):
 
 @pytest.fixture(scope="module")
 def order():
-    return dissect(LATTICE.free_shape, AXES)
+    return dissect(LATTICE, AXES)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_sets_dissected_anew_take_fewer_operations(monkeypatch):
     scene = make_scene((16, 16, 16))
     whole = lattice_system(scene.lattice, AXES, np.array([1.0, 0.0]))
     tied = whole.gather(minimum_of(scene).state == ContactState.SLIPLESS, 0)
-    contraction, operations = Contraction(whole, dissect(scene.lattice.free_shape, AXES), tied), []
+    contraction, operations = Contraction(whole, dissect(scene.lattice, AXES), tied), []
     for many in (np.inf, 1):
         monkeypatch.setattr("taichi_bearings.conic.contraction.OWN_ORDER_UNKNOWNS", many)
         pattern = analyse(contraction.order(0), *contraction.system.couplings(), tuning.CALLS_PRICE)

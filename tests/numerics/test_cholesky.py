@@ -11,6 +11,7 @@ from taichi_bearings.conic.contact_system import lattice_system, stacked
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.interrupts import GivenUp, while_wanted
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect, factor, tuning
 from taichi_bearings.numerics.cholesky.dense import DenseFront
 from taichi_bearings.numerics.cholesky.fronts import analyse
@@ -77,7 +78,7 @@ def test_solutions_equal_those_of_scipy(monkeypatch, options, leaf, engine, narr
     scene = make_scene(**options)
     system = system_of(scene)
     stiffness = random_stiffness(system, rng)
-    order = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf)
+    order = dissect(scene.lattice, scene.minimum_spin_axes, leaf)
     matrix = NewtonMatrix(system, order, engine=engine)
     matrix.factorise(stiffness)
     right = rng.standard_normal(system.unknowns)
@@ -107,7 +108,7 @@ def test_three_components_with_a_spring_at_every_spin(shape, engine):
     scene = make_scene(shape)
     system = lattice_system(scene.lattice, (0, 1, 2), np.ones(3))
     stiffness = random_stiffness(system, rng)
-    matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, (0, 1, 2), 30), engine=engine)
+    matrix = NewtonMatrix(system, dissect(scene.lattice, (0, 1, 2), 30), engine=engine)
     matrix.factorise(stiffness, 0.3)
     right = rng.standard_normal(system.unknowns)
     expected = spsolve(assembled(system, stiffness) + 0.3 * sparse.identity(system.unknowns, format="csc"), right)
@@ -119,7 +120,7 @@ def test_a_second_factorisation_leaves_nothing_of_the_first(engine):
     rng = np.random.default_rng(3)
     scene = make_scene((5, 6, 7))
     system = system_of(scene)
-    order = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, 30)
+    order = dissect(scene.lattice, scene.minimum_spin_axes, 30)
     first, second = random_stiffness(system, rng), random_stiffness(system, rng)
     right = rng.standard_normal(system.unknowns)
     used, fresh = (NewtonMatrix(system, order, engine=engine) for _ in range(2))
@@ -134,7 +135,7 @@ def test_a_second_factorisation_leaves_nothing_of_the_first(engine):
 def test_every_unknown_is_eliminated_once_and_separators_separate(price):
     scene = make_scene((7, 6, 8))
     system = system_of(scene)
-    pattern = analyse(dissect(scene.lattice.free_shape, scene.minimum_spin_axes, 20), *system.couplings(), price)
+    pattern = analyse(dissect(scene.lattice, scene.minimum_spin_axes, 20), *system.couplings(), price)
     assert sorted(pattern.order) == list(range(system.unknowns))
     owner = np.repeat(np.arange(len(pattern.own)), pattern.own)
     ancestors = {}
@@ -150,7 +151,7 @@ def test_every_unknown_is_eliminated_once_and_separators_separate(price):
 
 def test_the_middle_plane_separates_with_one_component_alone():
     """Contacts along y do not feel the component along y: half an ordinary separator."""
-    last = dissect((32, 32, 30), (0, 1))[-32 * 30 :]
+    last = dissect(Lattice((32, 32, 32)), (0, 1))[-32 * 30 :]
     x, y, component = last // 2 // 30 // 32, last // 2 // 30 % 32, last % 2
     assert len(set(component.tolist())) == 1
     assert len({(x, y)[1 - c][n] for n, c in enumerate(component.tolist())}) == 1
@@ -160,7 +161,7 @@ def test_the_middle_plane_separates_with_one_component_alone():
 def test_an_indefinite_matrix_is_refused(engine):
     scene = make_scene((4, 4, 5))
     system = system_of(scene)
-    matrix = NewtonMatrix(system, dissect(scene.lattice.free_shape, scene.minimum_spin_axes), engine=engine)
+    matrix = NewtonMatrix(system, dissect(scene.lattice, scene.minimum_spin_axes), engine=engine)
     with pytest.raises(NotPositiveDefinite):
         matrix.factorise(-random_stiffness(system, np.random.default_rng(0)))
 
@@ -169,7 +170,7 @@ def test_stacked_stiffnesses_reach_the_entries_they_belong_to():
     scene = make_scene((3, 4, 5))
     system = system_of(scene)
     stiffness = random_stiffness(system, np.random.default_rng(5))
-    pattern = analyse(dissect(scene.lattice.free_shape, (0, 1), 10), *system.couplings(), tuning.LAUNCH_PRICE)
+    pattern = analyse(dissect(scene.lattice, (0, 1), 10), *system.couplings(), tuning.LAUNCH_PRICE)
     first, second, source, sign = system.terms()
     values = np.bincount(pattern.entry(first, second), stacked(stiffness)[source] * sign, pattern.entries)
     expected = assembled(system, stiffness)
@@ -179,7 +180,7 @@ def test_stacked_stiffnesses_reach_the_entries_they_belong_to():
 def random_system(shape=(6, 7, 8), leaf=20, memory=None):
     scene = make_scene(shape)
     system = system_of(scene)
-    order = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf)
+    order = dissect(scene.lattice, scene.minimum_spin_axes, leaf)
     matrix = NewtonMatrix(system, order, memory, Engine.CALLS)
     return matrix, random_stiffness(system, np.random.default_rng(4)), np.ones(system.unknowns)
 
@@ -234,7 +235,7 @@ def products_of(front):
 
 def pattern_of(free_shape):
     scene = make_scene((*free_shape[:2], free_shape[2] + 2))
-    return analyse(dissect(free_shape, (0, 1)), *system_of(scene).couplings(), tuning.CALLS_PRICE)
+    return analyse(dissect(scene.lattice, (0, 1)), *system_of(scene).couplings(), tuning.CALLS_PRICE)
 
 
 @pytest.mark.parametrize(("grove", "unit", "apart"), [(0, 1, True), (3000, 1, True), (10**9, 1, True), (0, 8, False)])

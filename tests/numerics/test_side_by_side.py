@@ -19,7 +19,7 @@ def matrices_of(options, leaf, samples=8, seed=4):
     scene, rng = make_scene(**options), np.random.default_rng(seed)
     system = system_of(scene)
     stiffness = [random_stiffness(system, rng) for _ in range(samples)]
-    order = dissect(scene.lattice.free_shape, scene.minimum_spin_axes, leaf)
+    order = dissect(scene.lattice, scene.minimum_spin_axes, leaf)
     matrices = NewtonMatrix(system, order, engine=Engine.LAUNCH)
     return system, matrices, stiffness, rng.standard_normal((system.unknowns, samples))
 

@@ -78,7 +78,7 @@ def test_dense_blocks_hold_few_zeros(shape, price, most_operations, most_entries
     """Planes of the dissection as blocks: 6.6, 121 and 10 600 million operations."""
     lattice = Lattice(shape)
     system = lattice_system(lattice, (0, 1), np.ones(2))
-    pattern = analyse(dissect(lattice.free_shape, (0, 1)), *system.couplings(), price)
+    pattern = analyse(dissect(lattice, (0, 1)), *system.couplings(), price)
     assert pattern.operations < most_operations
     assert pattern.factor_entries < most_entries
     assert len(pattern.own) < fronts

@@ -2,23 +2,26 @@
 
 An unknown is a spin component of a free sphere. Contacts along axis a couple all components but the one along a, so the
 unknowns of a plane normal to a, *without component a*, separate what lies below from what lies above; component a of
-that plane may stay with either side. A region is therefore one box for each component.
+that plane may stay with either side. A region is therefore one box for each component. A periodic axis is first cut
+open at its first plane.
 """
 
 import numpy as np
 
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky.tuning import LEAF_UNKNOWNS
 
 Box = tuple[tuple[int, ...], tuple[int, ...]]  # lower corner, upper corner (exclusive)
 Region = dict[int, Box]  # spin component -> box of spheres
 
 
-def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNOWNS) -> np.ndarray:
-    """Order of elimination (unknowns,) for a cubic lattice of free spheres: regions before what separates them.
+def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNOWNS) -> np.ndarray:
+    """Order of elimination (unknowns,) for the free spheres of a lattice: regions before what separates them.
 
-    shape : free spheres along each axis; unknown number = sphere * components + position in `spin_axes`.
-    leaf : regions of at most so many unknowns are not divided.
+    Unknown number = free sphere * components + position in `spin_axes`. leaf : regions of at most so many unknowns are
+    not divided.
     """
+    shape = lattice.free_shape
     sphere = np.arange(int(np.prod(shape))).reshape(shape)
     known: dict[tuple, np.ndarray] = {}
 
@@ -45,7 +48,16 @@ def dissect(shape: tuple[int, ...], spin_axes: tuple[int, ...], leaf: int = LEAF
         below, separator, above = division
         return np.concatenate([*(eliminated(side) for side in (below, above) if side), numbers(separator)])
 
-    return eliminated({component: ((0,) * len(shape), tuple(shape)) for component in spin_axes})
+    inside = {c: _opened({axis for axis in lattice.periodic if axis != c}, shape) for c in spin_axes}
+    order = eliminated(_without_empty(inside))
+    last = np.ones(len(spin_axes) * sphere.size, dtype=bool)
+    last[order] = False
+    return np.concatenate([order, np.flatnonzero(last)])
+
+
+def _opened(closed: set[int], shape: tuple[int, ...]) -> Box:
+    """The free spheres but those of the first plane across each of the axes `closed`."""
+    return tuple(int(axis in closed) for axis in range(len(shape))), tuple(shape)
 
 
 def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
