@@ -48,8 +48,8 @@ def test_stored_friction_balances_torques_and_does_the_work_of_the_drive(name, l
         normal = np.eye(3)[axis]
         arm = np.cross(radius * normal, -force)  # on the lower sphere, r_ij x F; the upper one has -r_ij and -F
         for end in scene.lattice.along(axis):
-            torque[end[1:]] += arm
-        below, above = (spin[end[1:]] for end in scene.lattice.along(axis))
+            np.moveaxis(torque, -1, 0)[end] += np.moveaxis(arm, -1, 0)
+        below, above = (np.moveaxis(np.moveaxis(spin, -1, 0)[end], 0, -1) for end in scene.lattice.along(axis))
         slip = -radius * np.cross(below + above, normal)  # paper Eq. 2
         dissipated -= float((force * slip).sum())
         length, limit = np.linalg.norm(force, axis=-1), scene.strength * scene.coefficients[axis][0]
