@@ -40,7 +40,7 @@ class Samples:
     friction : (R, *contacts, 3) an axis, on the upper sphere; in 2D the component along z x n.
     top, bottom : states (A_x, A_y, A_z, C) that are imposed, in 2D (A_z,), x from the first sphere; spin_top and
     spin_bottom are then their largest sizes on the planes. None: spins along `direction`.
-    periodic : axes along which the last spheres touch the first; the arrays of their contacts are as long as the lattice.
+    periodic : axes along which the last spheres touch the first; arrays of their contacts are as long as the lattice.
     """
 
     shape: tuple[int, ...]
