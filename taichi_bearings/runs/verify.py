@@ -63,7 +63,7 @@ def _coefficients(run: StoredRun) -> list[str]:
 
 
 def _redrawn(run: StoredRun, kind: str, key: str, draw: Draw, values: tuple[np.ndarray, ...]) -> list[str]:
-    lattice = Lattice(run.samples.shape)
+    lattice = Lattice(run.samples.shape, periodic=run.samples.periodic)
     try:
         distribution = Distribution.parse(str(run.settings[key]))
         samples = [draw(lattice, distribution, int(seed)) for seed in run.claimed("seed")]

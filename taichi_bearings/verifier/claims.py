@@ -19,7 +19,8 @@ CHECKED = {
 }  # fmt: skip
 """Attributes that are recomputed, or that others of the file leave no choice."""
 CHECKED_SETTINGS = {
-    "law", "shape", "spin_top", "spin_bottom", "top", "bottom", "normal_force", "radius", "seed", "replicas",
+    "law", "shape", "periodic", "spin_top", "spin_bottom", "top", "bottom", "normal_force", "radius", "seed",
+    "replicas",
 }  # fmt: skip
 ON_HOST = {"arch": "cpu", "precision": "f64"}
 DESCRIPTIONS = "units and descriptions"

@@ -59,9 +59,9 @@ class Motion:
         for axis, still in enumerate(self.still):
             low, high = self.samples.ends(axis)
             own = np.flatnonzero(~still)
-            lower = sphere[low].ravel()[own]
-            step = int(sphere[high].flat[0])
-            found.append(Slips(own, lower, lower + step, lower // self.samples.sublattice.size))
+            lower, step = sphere[low].ravel()[own], math.prod(self.samples.shape[axis + 1 :])
+            upper = sphere[high].ravel()[own] if axis in self.samples.periodic else lower + step
+            found.append(Slips(own, lower, upper, lower // self.samples.sublattice.size))
         return tuple(found)
 
     @cached_property

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ DIGITS = 300
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
 LEAST_JUMP = 1e-140  # component of the jump, of the whole
 SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
-Slices = tuple[slice, ...]
+Index = tuple[Any, ...]
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""
 
@@ -39,7 +40,7 @@ class Samples:
     friction : (R, *contacts, 3) an axis, on the upper sphere; in 2D the component along z x n.
     top, bottom : states (A_x, A_y, A_z, C) that are imposed, in 2D (A_z,), x from the first sphere; spin_top and
     spin_bottom are then their largest sizes on the planes. None: spins along `direction`.
-    periodic : axes along which the last spheres touch the first; the arrays of their contacts are as long as the lattice.
+    periodic : axes along which the last spheres touch the first; arrays of their contacts are as long as the lattice.
     """
 
     shape: tuple[int, ...]
@@ -318,10 +319,17 @@ class Samples:
         """The same, and those that are absent: with a coefficient of 0."""
         return self.between_driven(axis) | (self.coefficient[axis] == 0)
 
-    def ends(self, axis: int) -> tuple[Slices, Slices]:
-        """Selections of the lower and of the upper spheres of the contacts along `axis`."""
-        low, high = [slice(None)] * (1 + self.dimension), [slice(None)] * (1 + self.dimension)
-        low[1 + axis], high[1 + axis] = slice(None, -1), slice(1, None)
+    def ends(self, axis: int) -> tuple[Index, Index]:
+        """Selections of the lower and of the upper spheres of the contacts along `axis`, no sphere twice in either.
+
+        Along a periodic axis the first sphere is above the last; a selection of what is above is a copy there.
+        """
+        low: list[Any] = [slice(None)] * (1 + self.dimension)
+        high: list[Any] = low.copy()
+        if axis in self.periodic:
+            high[1 + axis] = np.roll(np.arange(self.shape[axis]), -1)
+        else:
+            low[1 + axis], high[1 + axis] = slice(None, -1), slice(1, None)
         return tuple(low), tuple(high)
 
 

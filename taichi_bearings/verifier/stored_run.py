@@ -45,8 +45,9 @@ WHOLE_ATTRIBUTES = (
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
 REPORTED_SETS = ("slip", "power", "force", "state")
 MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
-A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z)|#|\Z)""")
-"""A key without dots and its value, which is no table: keys of many dots take memory like their length squared."""
+A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z|\[["xyz, ]*\]\Z)|#|\Z)""")
+"""A key without dots and its value, which is no table: keys of many dots take memory like their length squared. Words
+in a list are axes."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,10 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     if count < 1:
         raise FileError(f"{path} holds no sample")
     parts = () if len(shape) == 2 else (3,)
-    contacts = [tuple(n - (a == axis) for a, n in enumerate(shape)) for axis in range(len(shape))]
+    settings = _settings(path, str(attributes["scene"]))
+    periodic = _periodic(path, settings.get("periodic", []), shape)
+    shorter = [int(axis not in periodic) for axis in range(len(shape))]
+    contacts = [tuple(n - (a == axis) * shorter[axis] for a, n in enumerate(shape)) for axis in range(len(shape))]
 
     get = partial(_array, path, file, count)
     number = partial(_number, path, attributes)
@@ -134,7 +138,6 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     def by_axis(name: str, parts: tuple[int, ...] = ()) -> tuple[np.ndarray, ...]:
         return tuple(get(name.format(axis), (*n, *parts)) for axis, n in zip(axes, contacts, strict=True))
 
-    settings = _settings(path, str(attributes["scene"]))
     spin = get("spin", (*shape, *parts))
     law = attributes["law"]
     if not isinstance(law, str) or law not in LAWS:
@@ -154,6 +157,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
         viscosity=by_axis("viscosity/{}") if all(LAWS[law]) else (),
         top=_state(path, settings, "top", len(shape)),
         bottom=_state(path, settings, "bottom", len(shape)),
+        periodic=periodic,
     )
     last = f"contact/{axes[-1]}"
     names = [*REPORTED_SETS, *(name for name in ("slip_bound", "proven") if f"{last}/{name}" in file)]
@@ -174,6 +178,19 @@ def _shape(path: Path, stored: Any) -> tuple[int, ...]:
     if len(shape) not in (2, 3) or min(shape) < 2 or shape[-1] < 3:
         raise FileError(f"{path} has the shape {list(shape)}; a lattice has two or three sides of 2 or more, height 3")
     return shape
+
+
+def _periodic(path: Path, stored: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of the axes that close on themselves, in their order."""
+    allowed = AXES[: len(shape) - 1]
+    periodic = tuple(axis for axis, name in enumerate(allowed) if isinstance(stored, list) and name in stored)
+    if not isinstance(stored, list) or len(stored) != len(periodic):
+        words = " and ".join(allowed)
+        raise FileError(f"the scene in {path} has {stored!r} for periodic; it must be a list of axes, of {words}")
+    for axis in periodic:
+        if shape[axis] % 2:
+            raise FileError(f"{path} has {shape[axis]} spheres along the periodic axis {AXES[axis]}; they must be even")
+    return periodic
 
 
 def _number(path: Path, attributes: dict[str, Any], name: str) -> float:
