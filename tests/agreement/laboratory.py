@@ -3,8 +3,8 @@
     python -m tests.agreement.laboratory --scenes 500 --seed 0
 
 Nothing is shared with the package but the scene: no staggered spins, no reduction to the components that a minimum
-needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with ties and
-contrasts, and compares bounds, power and contact states. Prints what is false; the exit code is 1 if anything is.
+needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and without
+periodic sides, with ties and contrasts, and compares bounds, power and contact states. Prints what is false; the exit code is 1 if anything is.
 """
 
 import argparse
@@ -60,7 +60,13 @@ def laboratory_minimum(scene):
     free = [site for site in np.ndindex(*shape) if not is_driven(site, shape)]
     column = {(site, k): len(components) * n + slot for n, site in enumerate(free) for slot, k in enumerate(components)}
     spins, contacts, slips, known = len(column), [], [], []
-    for lower, upper, axis in neighbours(shape):
+    seam = (
+        (site, (*site[:axis], 0, *site[axis + 1 :]), axis)
+        for axis in map("xyz".index, scene.periodic)
+        for site in np.ndindex(*shape)
+        if site[axis] == shape[axis] - 1
+    )
+    for lower, upper, axis in (*neighbours(shape), *seam):
         if is_driven(lower, shape) and is_driven(upper, shape):
             continue
         contacts.append((lower, axis))
@@ -120,6 +126,8 @@ def draw_scene(seed, number):
         given |= {"spin_top": 1.0, "spin_bottom": float(rng.choice(parts))}
         if len(shape) == 3:
             given["direction"] = tuple(float(part) for part in rng.choice(parts[1:], 3))
+    even = [name for name, side in zip("xy", shape[:-1], strict=False) if side % 2 == 0]
+    given["periodic"] = tuple(name for name in even if rng.random() < 0.5)
     given |= {"radius": float(rng.choice([0.5, 2.0]))}
     given |= {"normal_force": float(rng.choice([1.0, 50.0]))} if law.holds else {}
     return Scene.random(shape, seed=int(rng.integers(2**31)), **given)
@@ -156,6 +164,7 @@ def main():
         scene = draw_scene(given.seed, number)
         best, truth = tb.solve(scene, threads=1), laboratory_minimum(scene)
         counts[f"{scene.lattice.dimension}D {scene.law.name}"] += 1
+        counts["periodic"] += bool(scene.periodic)
         counts["not solved by Clarabel"] += not truth.solved
         said, compared = falsehoods(scene, best, truth) if truth.solved else ([], 0)
         counts["certified"] += int(best.gap <= 1e-8)
