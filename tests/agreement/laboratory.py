@@ -3,8 +3,9 @@
     python -m tests.agreement.laboratory --scenes 500 --seed 0
 
 Nothing is shared with the package but the scene: no staggered spins, no reduction to the components that a minimum
-needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and without
-periodic sides, with ties and contrasts, and compares bounds, power and contact states. Prints what is false; the exit code is 1 if anything is.
+needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and
+without periodic sides, with ties and contrasts, and compares bounds, power and contact states. Prints what is false;
+the exit code is 1 if anything is.
 """
 
 import argparse

@@ -37,13 +37,14 @@ def test_random_scenes_of_all_laws():
 
 def sheets(scene, k):
     """Power P_k of component k alone: the cuts of all layers x_k = const, each a lattice of discs."""
+    closed = ("x",) if "xy"[1 - k] in scene.periodic else ()
     state_top, state_bottom, other = scene.top or (0.0,) * 4, scene.bottom or (0.0,) * 4, 1 - k
     total = 0.0
     for i in range(scene.lattice.shape[k]):
         sides = tuple(np.take(scene.coefficients[axis], i, axis=k) for axis in (other, 2))
         at = 2 * scene.lattice.radius * i
         jump = state_top[k] - state_bottom[k] + (state_top[3] - state_bottom[3]) * at
-        layer = Scene(sides, spin_top=1.0, radius=scene.lattice.radius, normal_force=scene.normal_force)
+        layer = Scene(sides, radius=scene.lattice.radius, normal_force=scene.normal_force, periodic=closed)
         total += abs(jump) * solve(layer, "planar-cut").power
     return total
 

@@ -1,0 +1,102 @@
+"""Sides that close on themselves: against rings, flows, free lattices, and the symmetry that free sides break."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.errors import InputError
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene import Scene
+from tests.agreement.test_bearing_states import sheets
+from tests.agreement.winding import SAME, differences
+
+pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+solve = partial(tb.solve, threads=1)
+LATTICES = [((6, 5), "x"), ((2, 4), "x"), ((4, 3, 4), "x"), ((3, 2, 4), "y"), ((4, 4, 4), "x,y"), ((2, 2, 3), "x,y")]
+
+
+@pytest.mark.parametrize(("shape", "seeds"), [((10, 10), 20), ((2, 5), 5), ((4, 4), 5)], ids=str)
+def test_the_cut_of_discs_is_the_shortest_ring(shape, seeds):
+    """`python -m tests.agreement.winding` runs more."""
+    for seed in range(seeds):
+        assert max(differences(Scene.random(shape, seed=seed, periodic=("x",)))) <= SAME, seed
+
+
+@pytest.mark.parametrize(("shape", "periodic"), LATTICES, ids=str)
+@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+def test_the_same_state_on_both_sides_dissipates_nothing(shape, periodic, law):
+    state = (0.7,) if len(shape) == 2 else (1.0, -0.5, 0.3, 0.2)
+    scene = Scene.random(shape, seed=5, law=law, periodic=periodic, top=state, bottom=state)
+    best = solve(scene)
+    assert best.power <= 1e-24
+    assert best.gap == 0
+
+
+def without_seam(values, axis, periodic):
+    """The values of a lattice that is open there."""
+    return np.delete(values, -1, axis) if "xyz"[axis] in periodic else values
+
+
+@pytest.mark.parametrize(("shape", "periodic"), LATTICES, ids=str)
+def test_where_the_seam_is_absent_nothing_is_periodic(shape, periodic):
+    """Contacts without friction across the seam: the same power and states as without them."""
+    state = {} if len(shape) == 2 else {"top": (1.0, 0.5, 0.0, 0.1)}
+    closed = [np.array(values) for values in Scene.random(shape, seed=6, periodic=periodic, **state).coefficients]
+    for axis in map("xyz".index, periodic.split(",")):
+        np.moveaxis(closed[axis], axis, 0)[-1] = 0.0
+    opened = [without_seam(values, axis, periodic) for axis, values in enumerate(closed)]
+    first, second = solve(Scene(tuple(closed), periodic=periodic, **state)), solve(Scene(tuple(opened), **state))
+    assert first.power == pytest.approx(second.power, rel=1e-13)
+    assert second.states_proven
+    for axis, (one, other) in enumerate(zip(first.state, second.state, strict=True)):
+        own = without_seam(one, axis, periodic)
+        assert ((own == other) | ((own == ContactState.UNDECIDED) & (len(shape) == 3))).all()
+
+
+@pytest.mark.parametrize(("shape", "periodic"), LATTICES, ids=str)
+def test_it_does_not_matter_where_the_ring_begins(shape, periodic):
+    """A sample that is shifted by two spheres has its own answer, shifted; C then changes A."""
+    scene = Scene.random(shape, seed=7, periodic=periodic)
+    for name in periodic.split(","):
+        axis = "xyz".index(name)
+        shifted = Scene(tuple(np.roll(values, 2, axis) for values in scene.coefficients), periodic=periodic)
+        first, second = solve(scene), solve(shifted)
+        assert first.power == pytest.approx(second.power, rel=1e-13)
+        for one, other in zip(first.state, second.state, strict=True):
+            assert (np.roll(one, 2, axis) == other).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sheets_bound_the_minimum_from_both_sides(seed):
+    scene = Scene.random((4, 4, 4), seed=seed, periodic="x,y", top=(1.0, 0.3, 0.0, 0.25 * seed))
+    of_x, of_y, best = sheets(scene, 0), sheets(scene, 1), solve(scene)
+    assert np.hypot(of_x, of_y) <= best.power * (1 + 1e-12)
+    assert best.lower_bound <= (of_x + of_y) * (1 + 1e-12)
+
+
+def test_adding_one_state_to_both_sides_changes_nothing():
+    first, second = (
+        solve(Scene.random((4, 4, 4), seed=3, periodic="x,y", top=top, bottom=bottom))
+        for top, bottom in (
+            ((1.0, 0.5, 0.0, 0.25), (0.0, 0.0, 0.0, 0.0)),
+            ((3.0, 0.25, 1.0, 0.75), (2.0, -0.25, 1.0, 0.5)),
+        )
+    )
+    assert first.power == pytest.approx(second.power, rel=1e-13)
+    assert all((a == b).all() for a, b in zip(first.state, second.state, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("shape", "periodic", "sentence"),
+    [
+        ((5, 6), "x", "has 5 spheres; the number must be even"),
+        ((4, 6), "y", "can only be x"),
+        ((4, 4, 4), "z", "it must be x, y or x,y"),
+        ((4, 4, 4), "x,x", "it must be x, y or x,y"),
+    ],
+)
+def test_sides_that_cannot_close_are_refused(shape, periodic, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Scene.random(shape, periodic=periodic)
