@@ -54,8 +54,10 @@ class Judgement:
     def slip(self) -> tuple[np.ndarray, ...]:
         """Speeds (R, *contacts) an axis of the slips of these spins, to the nearest doubles."""
         found = tuple(np.zeros(still.shape) for still in self.motion.still)
-        for values, still, size in zip(found, self.motion.still, self.motion.size, strict=True):
-            values[~still] = size.value * self._speed
+        moving = zip(self.motion.slips, self.motion.size, strict=True)
+        for values, *of_axis in zip(found, moving, self.motion.loose, strict=True):
+            for slips, size in of_axis:
+                values.put(slips.own, size.value * self._speed)
         return found
 
     @cached_property
