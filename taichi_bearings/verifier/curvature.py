@@ -157,7 +157,7 @@ class Slipping:
 def _touched(motion: Motion, component: int, domain: np.ndarray) -> np.ndarray:
     """Mask of the numbers of domains that have a contact that slips. Where some are absent, others turn freely."""
     found = np.bincount(domain.ravel()) > 0
-    if any(absent.any() for absent in motion.samples.absent):
+    if motion.samples.lacks:
         ends = [[domain.take(end) for end in (slips.lower, slips.upper)]
                 for axis, slips in enumerate(motion.slips) if component in motion.samples.felt(axis)]  # fmt: skip
         lower, upper = np.concatenate(ends, axis=1)

@@ -54,9 +54,8 @@ class Judgement:
     def slip(self) -> tuple[np.ndarray, ...]:
         """Speeds (R, *contacts) an axis of the slips of these spins, to the nearest doubles."""
         found = tuple(np.zeros(still.shape) for still in self.motion.still)
-        moving = zip(self.motion.slips, self.motion.size, strict=True)
-        for values, *of_axis in zip(found, moving, self.motion.loose, strict=True):
-            for slips, size in of_axis:
+        for of_axes in (zip(self.motion.slips, self.motion.size, strict=True), self.motion.loose):
+            for values, (slips, size) in zip(found, of_axes, strict=False):
                 values.put(slips.own, size.value * self._speed)
         return found
 

@@ -45,8 +45,13 @@ class Motion:
         return tuple(even & ~absent for even, absent in zip(self._even, self.samples.absent, strict=True))
 
     @cached_property
+    def moving(self) -> tuple[np.ndarray, ...]:
+        """The same of those with a difference."""
+        return tuple(~(even | absent) for even, absent in zip(self._even, self.samples.absent, strict=True))
+
+    @cached_property
     def _even(self) -> tuple[np.ndarray, ...]:
-        """The same with the absent ones."""
+        """Those without a difference, absent or not."""
         found = []
         for axis, coefficient in enumerate(self.samples.coefficient):
             low, high = self.samples.ends(axis)
@@ -59,17 +64,19 @@ class Motion:
 
     @cached_property
     def slips(self) -> tuple[Slips, ...]:
-        """The others that are not absent, an entry an axis."""
-        return self._of([~(even | absent) for even, absent in zip(self._even, self.samples.absent, strict=True)])
+        """Those that are `moving`, an entry an axis."""
+        return self._of(self.moving)
 
     @cached_property
     def loose(self) -> tuple[tuple[Slips, Enclosure], ...]:
-        """Absent contacts with a difference, and its length, an entry an axis."""
-        of_all = self._of([~even & absent for even, absent in zip(self._even, self.samples.absent, strict=True)])
+        """Absent contacts with a difference, and its length, an entry an axis; empty where none is absent."""
+        if not self.samples.lacks:
+            return ()
+        of_all = self._of(tuple(~even & absent for even, absent in zip(self._even, self.samples.absent, strict=True)))
         felt = map(self.samples.felt, range(self.samples.dimension))
         return tuple((s, length([self._differences(k, s) for k in of])) for s, of in zip(of_all, felt, strict=True))
 
-    def _of(self, some: list[np.ndarray]) -> tuple[Slips, ...]:
+    def _of(self, some: tuple[np.ndarray, ...]) -> tuple[Slips, ...]:
         """Contacts by their masks (R, *contacts) an axis."""
         sphere, found = numbers_of(self.samples), []
         for axis, mask in enumerate(some):

@@ -320,6 +320,11 @@ class Samples:
         """Masks (R, *contacts) an axis of contacts with a coefficient of 0."""
         return tuple(values == 0 for values in self.coefficient)
 
+    @property
+    def lacks(self) -> bool:
+        """True if any contact is absent."""
+        return any(bool(absent.any()) for absent in self.absent)
+
     def idle(self, axis: int) -> np.ndarray:
         """Those between driven spheres, and those that are absent."""
         return self.between_driven(axis) | self.absent[axis]

@@ -196,10 +196,7 @@ def _of_one(motion: Motion) -> States:
 
 def _as_stored(motion: Motion, number: int) -> States:
     """What slips in the file slips at the only minimum, and nothing else."""
-    found = [np.full(still.shape, SLIPLESS) for still in motion.still]
-    for states, slips in zip(found, motion.slips, strict=True):
-        states.put(slips.own, SLIPPING)
-    return States(tuple(states[number] for states in found), True)
+    return States(tuple(np.where(moving[number], SLIPPING, SLIPLESS) for moving in motion.moving), True)
 
 
 def _repeats(motion: Motion) -> bool:
