@@ -42,8 +42,8 @@ class BalanceKernels:
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
         """What the kernels must know of the lattice."""
-        _, _, _, stride_x, stride_y = layout.measures
-        return layout.sites, stride_x, stride_y, layout.sites // layout.replicas, longest
+        _, _, _, stride_x, stride_y, sites = layout.measures
+        return layout.sites, stride_x, stride_y, sites, longest
 
     @ti.func
     def height(self, stride_x, stride_y):
