@@ -99,10 +99,11 @@ def load_around(values: ti.template(), place, step, ring, position, block: ti.te
         return values[place + (position + step) % ring - position]
     result = load(values, in_range(place + step), block)
     if ti.min(position, position + step) < 0 or ti.max(position, position + step) + block > ring:
+        at, end = position, values.shape[0] - 1  # a block may go on behind the last site
         for m in range(block):
-            at = (position + m) % ring
-            further = place + m + (at + step) % ring - at
-            result[m] = values[ti.min(further, values.shape[0] - 1)]  # a block may go on behind the last site
+            around = ti.select(at + step < 0, ring, 0) - ti.select(at + step >= ring, ring, 0)
+            result[m] = values[ti.min(place + m + step + around, end)]
+            at = ti.select(at + 1 == ring, 0, at + 1)
     return result
 
 
