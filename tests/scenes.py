@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import axis_numbers
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.scene.law import law_named
@@ -20,15 +21,16 @@ def make_scene(
     distribution="uniform:0.1,1.0",
     radius=0.5,
     viscosity="uniform:0.1,1.0",
+    periodic=(),
     **driving,
 ):
-    lattice = Lattice(tuple(shape), radius)
+    lattice = Lattice(tuple(shape), radius, axis_numbers(periodic))
     given = {"coefficients": (draw_coefficients, distribution), "viscosity": (draw_viscosities, viscosity)}
     found = {}
     for _, (name, (draw, text)) in zip(law_named(law).quantities, given.items(), strict=False):
         drawn = [draw(lattice, Distribution.parse(text), seed) for seed in seeds]
         found[name] = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
-    return Scene(law=law, radius=radius, seeds=tuple(seeds), **found, **driving)
+    return Scene(law=law, radius=radius, seeds=tuple(seeds), periodic=periodic, **found, **driving)
 
 
 def axis_of(scene):

@@ -16,9 +16,9 @@ LEAST_WORKER_NUMBERS = 2_000  # site values a worker must have, or meeting the o
 MOST_FIELD_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
 
 
-def make_layout(replicas: int, shape: tuple[int, ...]) -> Layout:
+def make_layout(replicas: int, shape: tuple[int, ...], periodic: tuple[int, ...] = ()) -> Layout:
     """The flat layout for the running device: blocks for SIMD on a CPU, one site a thread on a GPU."""
-    return Layout(replicas, shape, block=1 if runtime.current().is_gpu else CPU_BLOCK)
+    return Layout(replicas, shape, 1 if runtime.current().is_gpu else CPU_BLOCK, periodic)
 
 
 def number_type() -> np.dtype:

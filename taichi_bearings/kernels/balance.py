@@ -2,7 +2,7 @@
 
 A spin component is coupled only across the height and one other axis. The sines of a chain with held ends separate the
 height; what is left is a chain along the other axis for each of them, whose equations are solved from end to end and
-back. docs/decisions/0010 counts why. Every sum runs in one order, whatever the number of workers or replicas.
+back. A ring is a chain with one more spring, which takes one more sum. docs/decisions/0010 counts why. Every sum runs in one order, whatever the number of workers or replicas.
 """
 
 from functools import lru_cache
@@ -31,7 +31,8 @@ class BalanceKernels:
 
     modes : (C, R, *N) and a block more.
     sines : (m, m), the modes of the m free spheres along the height.
-    chains : (C, longest side, height + block), the factors of each chain; rows go on from their begin at the end.
+    chains : (C, longest side, height + block), the factors of each chain, and after them with periodic axes as many
+        numbers that close it to a ring; rows go on from their begin at the end.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
@@ -39,11 +40,12 @@ class BalanceKernels:
         self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
         self.ahead = AHEAD if self.block == 1 else 1
+        self.closed = tuple(side in stencil.periodic for side in stencil.coupled_sides)
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
         """What the kernels must know of the lattice."""
-        _, _, _, stride_x, stride_y = layout.measures
-        return layout.sites, stride_x, stride_y, layout.sites // layout.replicas, longest
+        _, _, _, stride_x, stride_y, sites = layout.measures
+        return layout.sites, stride_x, stride_y, sites, longest
 
     @ti.func
     def height(self, stride_x, stride_y):
@@ -157,8 +159,9 @@ class BalanceKernels:
         along = group % across * self.block
         first = slot * count + group // across * stride * side + along
         factors, rest = slot * longest * pitch + along % height, stride - along
+        closures = factors + self.components * longest * pitch
         ahead = ti.static(range(self.ahead))
-        carried = zero(self.block)
+        carried, across_ends = zero(self.block), zero(self.block)
         for begin in range((side + self.ahead - 1) // self.ahead):
             s = [ti.min(begin * self.ahead + u, side - 1) for u in ahead]
             at = [in_range(first + s[u] * stride) for u in ahead]
@@ -168,6 +171,8 @@ class BalanceKernels:
                 carried = (read[u] + weight * carried) * factor[u]
                 if begin * self.ahead + u < side:
                     self.write(modes, at[u], carried, rest)
+                    if ti.static(self.closed[slot]):
+                        across_ends += read[u] * load(chains, in_range(closures + s[u] * pitch), self.block)
         carried = zero(self.block)
         for begin in range((side + self.ahead - 1) // self.ahead):
             s = [ti.max(side - 1 - begin * self.ahead - u, 0) for u in ahead]
@@ -177,7 +182,10 @@ class BalanceKernels:
             for u in ti.static(ahead):
                 carried = read[u] + weight * factor[u] * carried
                 if begin * self.ahead + u < side:
-                    self.write(modes, at[u], carried, rest)
+                    new = carried
+                    if ti.static(self.closed[slot]):
+                        new = carried - across_ends * load(chains, in_range(closures + s[u] * pitch), self.block)
+                    self.write(modes, at[u], new, rest)
 
     @ti.kernel
     def chains_on_cpu(

@@ -11,7 +11,7 @@ from math import comb
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length, viscous_force
-from taichi_bearings.kernels.memory import in_range, load, load_each, places, store, store_each
+from taichi_bearings.kernels.memory import in_range, load, load_each, load_neighbours, minus, places, store, store_each
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 
@@ -41,7 +41,7 @@ class CundallStrackSteps(Sweeps):
     parts, numbers = 2, 8
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
-        super().__init__(stencil.block)
+        super().__init__(stencil.block, stencil.periodic)
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
         self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
@@ -64,12 +64,10 @@ class CundallStrackSteps(Sweeps):
         )
 
     @ti.func
-    def difference(self, values: ti.template(), lower: ti.template(), upper: ti.template()):
-        """The numbers that begin at `upper` minus those that begin at `lower`."""
-        return [
-            load(values, upper[k], self.block) - load(values, lower[k], self.block)
-            for k in ti.static(range(len(lower)))
-        ]
+    def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
+        """Of the numbers of these rows, those of the upper neighbours minus those of the block of sites itself."""
+        up = load_neighbours(values, rows, row, first, side, 1, self.block)
+        return minus(up, load_each(values, places(rows, row, first), self.block))
 
     @ti.func
     def spring(
@@ -104,12 +102,6 @@ class CundallStrackSteps(Sweeps):
         return [ti.select(slips, left[t], stretch[t]) for t in ti.static(range(len(left)))] + force
 
     @ti.func
-    def pull(self, values: ti.template(), below: ti.template(), above: ti.template()):
-        """Sum of the contact forces that pull on one component of a sphere."""
-        pulled = self.difference(values, below, above)
-        return pulled[0] + pulled[1]
-
-    @ti.func
     def motion(self, old: ti.template(), pull, is_free, response):
         """One component of spheres: the corrected spin and its derivatives, the prediction and its mean.
 
@@ -141,19 +133,15 @@ class CundallStrackSteps(Sweeps):
         numbers: ti.template(),
     ):
         """Forces of the contacts above the block of sites from `first` on. row: length of a row of numbers."""
-        above = [first + strides[axis] for axis in ti.static(range(self.stencil.dimension))]
         if ti.static(self.tally):
-            self.add_work(values, blocks, row, first, above)
+            self.add_work(values, blocks, row, first, strides)
         for axis in ti.static(self.stencil.slipping_axes):
             coefficients = load_each(values, places(self.coefficients[axis], row, first), self.block)
-            spin, force = places(self.predicted[axis], row, first), places(self.force[axis], row, first)
-            speed = self.difference(values, spin, places(self.predicted[axis], row, above[axis]))
+            force, side = places(self.force[axis], row, first), strides[axis::3]
+            speed = self.difference(values, self.predicted[axis], row, first, side)
             if ti.static(self.holds):
-                integral, elongation = (
-                    places(self.integral[axis], row, first),
-                    places(self.elongation[axis], row, first),
-                )
-                moved = self.difference(values, integral, places(self.integral[axis], row, above[axis]))
+                elongation = places(self.elongation[axis], row, first)
+                moved = self.difference(values, self.integral[axis], row, first, side)
                 before = load_each(values, elongation, self.block)
                 new = self.spring(moved, speed, before, coefficients, numbers)
                 store_each(values, blocks, elongation + force, self.block, new)
@@ -162,30 +150,34 @@ class CundallStrackSteps(Sweeps):
                 store_each(values, blocks, force, self.block, [coefficients[0] * damping * d for d in ti.static(speed)])
 
     @ti.func
-    def add_work(self, values: ti.template(), blocks: ti.template(), row, first, above: ti.template()):
+    def add_work(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
         """To what the contacts above a block of spheres have taken, add the power at the end of the last step."""
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
             force = load_each(values, places(self.force[axis], row, first), self.block)
-            spin, spin_above = places(self.spin[axis], row, first), places(self.spin[axis], row, above[axis])
-            speed = self.difference(values, spin, spin_above)
+            speed = self.difference(values, self.spin[axis], row, first, strides[axis::3])
             for t in ti.static(range(len(force))):
                 total += force[t] * speed[t]
         store(values, blocks, work, self.block, total)
+
+    @ti.func
+    def pull(
+        self, values: ti.template(), row, first, strides: ti.template(), axes: ti.template(), rows: ti.template(), c
+    ):
+        """What the contacts of one axis pull on component c of spheres, given axis and row for each component."""
+        side = [chosen([strides[n + axis] for axis in axes], c) for n in ti.static(range(0, len(strides), 3))]
+        force = [chosen(rows, c)]
+        below = load_neighbours(values, force, row, first, side, -1, self.block)
+        return load_each(values, places(force, row, first), self.block)[0] - below[0]
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
         """Spins of one block. A loop over the components at run time is compiled and read once."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
-            forces = [chosen(self.pulls[k], c) * row + first for k in ti.static(range(2))]
-            above = [in_range(force) for force in ti.static(forces)]
-            below = [
-                in_range(forces[k] - chosen([strides[axis] for axis in ti.static(self.felt[k])], c))
-                for k in ti.static(range(2))
-            ]
-            pull = self.pull(values, below, above)
+            pulls = [self.pull(values, row, first, strides, self.felt[k], self.pulls[k], c) for k in ti.static(range(2))]
+            pull = pulls[0] + pulls[1]
             gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
             new = self.motion(load_each(values, gear, self.block), pull, is_free, response)
             store_each(values, blocks, gear + ahead, self.block, new)

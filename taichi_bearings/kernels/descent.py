@@ -5,7 +5,7 @@ from functools import lru_cache
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import FORCES, clamp
-from taichi_bearings.kernels.memory import in_range, last, load, load_each, minus, places, pushed, store, zero
+from taichi_bearings.kernels.memory import in_range, last, load, load_each, load_neighbours, minus, places, pushed, store, zero
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 
@@ -37,7 +37,7 @@ class DescentSweeps(Sweeps):
     repeats, numbers = 2, 9
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
-        super().__init__(stencil.block)
+        super().__init__(stencil.block, stencil.periodic)
         self.slot = slot = first_slots(spec)
         self.stencil, self.force_law = stencil, FORCES[law]
         self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
@@ -58,26 +58,14 @@ class DescentSweeps(Sweeps):
             self.force_sum = stencil.force_rows(slot["force_sum"])
 
     @ti.func
-    def force(
-        self,
-        values: ti.template(),
-        lower: ti.template(),
-        upper: ti.template(),
-        own: ti.template(),
-        block: ti.template(),
-        sharpness,
-    ):
-        """Forces of a block of contacts between spheres with these points."""
-        return self.force_law(minus(upper, lower), load_each(values, own, block), sharpness)
-
-    @ti.func
     def enter(self, values: ti.template(), row, first, numbers: ti.template(), sweep):
         """Force of the contact below the site `first` along the height."""
         height = ti.static(self.stencil.height)
         source = first + (sweep & 1) * self.apart * row
         lower = load_each(values, places(self.kept[height], row, source - 1), 1)
         upper = load_each(values, places(self.kept[height], row, source), 1)
-        return self.force(values, lower, upper, places(self.coefficients[height], row, first - 1), 1, numbers[1])
+        own = load_each(values, places(self.coefficients[height], row, first - 1), 1)
+        return self.force_law(minus(upper, lower), own, numbers[1])
 
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
@@ -114,19 +102,19 @@ class DescentSweeps(Sweeps):
                 self.sum_up(values, blocks, places(self.spin_sum, row, first), point)
         pulled = [zero(self.block) for _ in self.components]
         for axis in ti.static(self.stencil.slipping_axes):
-            here = [point[c] for c in ti.static(self.stencil.kept[axis])]
-            up = load_each(values, places(self.kept[axis], row, source + strides[axis]), self.block)
-            own = places(self.coefficients[axis], row, first)
-            above = self.force(values, here, up, own, self.block, sharpness)
+            here, side = [point[c] for c in ti.static(self.stencil.kept[axis])], strides[axis::3]
+            up = load_neighbours(values, self.kept[axis], row, source, side, 1, self.block)
+            own = load_each(values, places(self.coefficients[axis], row, first), self.block)
+            above = self.force_law(minus(up, here), own, sharpness)
             if ti.static(self.averages):  # noqa: SIM102
                 if averaging:
                     self.sum_up(values, blocks, places(self.force_sum[axis], row, first), above)
             if ti.static(axis == self.stencil.height):
                 self.add_along_the_height(pulled, above, carried)
             else:
-                down = load_each(values, places(self.kept[axis], row, source - strides[axis]), self.block)
-                lower = places(self.coefficients[axis], row, first - strides[axis])
-                self.add(pulled, axis, above, self.force(values, down, here, lower, self.block, sharpness))
+                down = load_neighbours(values, self.kept[axis], row, source, side, -1, self.block)
+                lower = load_neighbours(values, self.coefficients[axis], row, first, side, -1, self.block)
+                self.add(pulled, axis, above, self.force_law(minus(here, down), lower, sharpness))
         weight, to = places(self.weight, row, first), places(self.point, row, target)
         for c in ti.static(self.components):
             new = clamp(point[c] + step * load(values, weight[c], self.block) * pulled[c], low[c], high[c])

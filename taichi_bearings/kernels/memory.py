@@ -12,6 +12,7 @@ from taichi_bearings.compiler import ti
 
 VALUES = ti.types.ndarray(ndim=1)
 BLOCKS = ti.types.ndarray(dtype=ti.types.vector())  # on a CPU (blocks, sites of a block); on a GPU as VALUES
+ENDLESS = 2**30  # sites of a ring that does not close
 
 
 @ti.func
@@ -63,6 +64,47 @@ def store_each(
     """Write new[k] from the place to[k] on."""
     for k in ti.static(range(len(to))):
         store(values, blocks, to[k], block, new[k])
+
+
+@ti.func
+def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
+    """The strides along the three axes, and on lattices with periodic axes after them how many sites the ring along each
+    has, and where in it a site is, counted from the first: what :func:`load_neighbours` takes of an axis is every third
+    of them. ring : sites of a replica."""
+    if ti.static(len(periodic) == 0):
+        return strides
+    sites = [ring, strides[0], ENDLESS]
+    rings = [sites[axis] if ti.static(axis in periodic) else ENDLESS for axis in ti.static(range(3))]
+    places = [site % sites[axis] if ti.static(axis in periodic) else strides[axis] for axis in ti.static(range(3))]
+    return strides + rings + places
+
+
+@ti.func
+def load_neighbours(
+    values: ti.template(), rows: ti.template(), row, first, side: ti.template(), way: ti.template(), block: ti.template()
+):
+    """The numbers of the neighbours of a block of sites along an axis: of the upper ones (way 1) or the lower ones (-1).
+
+    side : stride, and on lattices with periodic axes the sites of a ring, and where in its ring `first` is.
+    """
+    if ti.static(len(side) == 1):
+        return load_each(values, places(rows, row, first + way * side[0]), block)
+    return [load_around(values, place, way * side[0], side[1], side[2], block) for place in places(rows, row, first)]
+
+
+@ti.func
+def load_around(values: ti.template(), place, step, ring, position, block: ti.template()):
+    """The numbers `step` further on in rings, for a block of sites from `place` on that begins at this position."""
+    if ti.static(block == 1):
+        return values[place + (position + step) % ring - position]
+    result = load(values, in_range(place + step), block)
+    if ti.min(position, position + step) < 0 or ti.max(position, position + step) + block > ring:
+        at, end = position, values.shape[0] - 1  # a block may go on behind the last site
+        for m in range(block):
+            around = ti.select(at + step < 0, ring, 0) - ti.select(at + step >= ring, ring, 0)
+            result[m] = values[ti.min(place + m + step + around, end)]
+            at = ti.select(at + 1 == ring, 0, at + 1)
+    return result
 
 
 @ti.func

@@ -7,7 +7,19 @@ import numpy as np
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots, on_device
 from taichi_bearings.kernels.contact import clamp, length
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, minus, places, store_each, zero
+from taichi_bearings.kernels.memory import (
+    BLOCKS,
+    VALUES,
+    in_range,
+    load,
+    load_each,
+    load_neighbours,
+    minus,
+    places,
+    store_each,
+    with_rings,
+    zero,
+)
 from taichi_bearings.kernels.stencil import Stencil
 
 ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
@@ -42,12 +54,12 @@ class ContactStep:
 
     def rescale(self, fields: Fields, factors: np.ndarray) -> None:
         """Multiply the potential and what friction does not bear of the trial forces, by replica; (R,) factors."""
-        length, margin, _, _, _ = fields.layout.measures
-        self.scale(fields.values, on_device(factors), length, margin, fields.layout.sites)
+        layout = fields.layout
+        self.scale(fields.values, on_device(factors), layout.length, layout.margin, layout.sites)
 
     def compile(self, fields: Fields) -> None:
         """Compile the kernels, on no sites at all."""
-        self.step(fields.values, fields.blocks, *(0,) * 5, *(0.0,) * 3)
+        self.step(fields.values, fields.blocks, *(0,) * 6, *(0.0,) * 3)
         self.scale(fields.values, on_device(np.ones(1)), 0, 0, 0)
 
     @ti.func
@@ -85,7 +97,7 @@ class ContactStep:
         """
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
-            up = load_each(values, places(self.potential[axis], row, first + strides[axis]), self.block)
+            up = load_neighbours(values, self.potential[axis], row, first, strides[axis::3], 1, self.block)
             trial, spring = places(self.trial[axis], row, first), places(self.spring[axis], row, first)
             own = load(values, in_range((self.slot["friction"] + axis) * row + first), self.block)
             weight = numbers[ti.static(1 if axis == self.stencil.height else 0)]
@@ -99,7 +111,7 @@ class ContactStep:
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
-            below = load_each(values, places(self.spring[axis], row, first - strides[axis]), self.block)
+            below = load_neighbours(values, self.spring[axis], row, first, strides[axis::3], -1, self.block)
             for t in ti.static(range(len(above))):
                 pulls[self.stencil.kept[axis][t]] += above[t] - below[t]
         store_each(values, blocks, places(self.pull, row, first), self.block, pulls)
@@ -114,16 +126,19 @@ class ContactStep:
         count: int,
         stride_x: int,
         stride_y: int,
+        ring: int,
         weight_sideways: float,
         weight_height: float,
         relaxation: float,
     ):
         for b in range(count):
-            first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
+            first, sides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
+            strides = with_rings(sides, b * self.block, ring, self.stencil.periodic)
             numbers = [weight_sideways, weight_height, relaxation]
             self.limit_block(values, blocks, row, first, strides, numbers)
         for b in range(count):
-            first, strides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
+            first, sides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
+            strides = with_rings(sides, b * self.block, ring, self.stencil.periodic)
             self.gather_block(values, blocks, row, first, strides)
 
     @ti.kernel

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.lattice.grid import Lattice, tangential
+from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.layout import Layout
 
 
@@ -15,11 +15,13 @@ class Stencil:
     spin_axes : components carried, e.g. (2,) in 2D or (0, 1) in 3D driven in the xy plane.
     dimension : 2 or 3; the height is the last axis and runs along memory.
     block : sites a task updates at a time (see Layout).
+    periodic : axes that close on themselves.
     """
 
     spin_axes: tuple[int, ...]
     dimension: int
     block: int
+    periodic: tuple[int, ...] = ()
 
     @property
     def components(self) -> int:
@@ -81,16 +83,15 @@ class Stencil:
 
     def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
         """Force components at the lower spheres (V, R, *N) -> (C, R, E)."""
-        lattice = Lattice(layout.shape)
-        force = np.zeros((self.components, stored.shape[1], lattice.all_contacts))
-        for axis, values in enumerate(lattice.by_axis(force)):
+        force = np.zeros((self.components, stored.shape[1], layout.lattice.all_contacts))
+        for axis, values in enumerate(layout.lattice.by_axis(force)):
             values[list(self.kept[axis])] = layout.from_lower_sphere(stored[self._of_axis(axis)], axis)
         return force
 
     def forces_at_lower_sphere(self, force: np.ndarray, layout: Layout) -> np.ndarray:
         """Inverse of :meth:`forces_of_contacts`; 0 where there is no contact."""
         stored = np.zeros((self.force_components, force.shape[1], *layout.shape))
-        for axis, values in enumerate(Lattice(layout.shape).by_axis(force)):
+        for axis, values in enumerate(layout.lattice.by_axis(force)):
             layout.from_lower_sphere(stored[self._of_axis(axis)], axis)[...] = values[list(self.kept[axis])]
         return stored
 

@@ -21,7 +21,7 @@ from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
 from taichi_bearings.errors import DeviceError
 from taichi_bearings.fields import Fields, on_device
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, with_rings
 
 COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
@@ -104,13 +104,13 @@ class Sweeps:
     """A kernel that makes turns over all sites. A turn is `repeats` times the same `parts`, one after the other; a part
     reads nothing that it writes at other sites.
 
-    numbers : how many constants it takes. block : sites that are worked on together.
+    numbers : how many constants it takes. block : sites that are worked on together. periodic : axes.
     """
 
     parts, repeats, numbers = 1, 1, 1
 
-    def __init__(self, block: int) -> None:
-        self.block, self.on_gpu = block, runtime.current().is_gpu
+    def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
+        self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
         """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one each."""
@@ -131,19 +131,21 @@ class Sweeps:
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers."""
+        """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers.
+        strides : with rings."""
 
     @ti.kernel
     def turns(
         self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS,
-        row: int, margin: int, count: int, stride_x: int, stride_y: int, constants: VALUES,
+        row: int, margin: int, count: int, stride_x: int, stride_y: int, ring: int, constants: VALUES,
     ):  # fmt: skip
         """Turns `begin` ... `end` - 1 over `count` blocks."""
         if ti.static(self.on_gpu):
             for again, part in ti.static(ti.ndrange(self.repeats, self.parts)):
                 for b in range(count * (end - begin)):
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
-                    strides, first, sweep = [stride_x, stride_y, 1], margin + b, begin * self.repeats + again
+                    first, sweep = margin + b, begin * self.repeats + again
+                    strides = with_rings([stride_x, stride_y, 1], b, ring, self.periodic)
                     carried = self.enter(values, row, first, numbers, sweep)
                     self.walk(part, values, values, row, first, strides, numbers, sweep, carried)
         else:
@@ -151,7 +153,7 @@ class Sweeps:
                 if item % LEAST_CHUNK == 0:
                     worker = item // LEAST_CHUNK
                     low, high = count * worker // workers, count * (worker + 1) // workers
-                    strides = [in_range(stride_x), in_range(stride_y), 1]
+                    sides = [in_range(stride_x), in_range(stride_y), 1]
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
                     met = 0
                     for sweep in range(begin * self.repeats, end * self.repeats):
@@ -159,6 +161,7 @@ class Sweeps:
                             carried = self.enter(values, row, in_range(margin + low * self.block), numbers, sweep)
                             for b in range(low, high):
                                 first = in_range(margin + b * self.block)
+                                strides = with_rings(sides, b * self.block, ring, self.periodic)
                                 self.walk(part, values, blocks, row, first, strides, numbers, sweep, carried)
                             met += workers
                             meet(arrived, met)

@@ -51,3 +51,12 @@ def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
         springs = held + weight * (2 if 0 < s < side - 1 else 1)
         factors[s] = 1 / (springs - (weight**2 * factors[s - 1] if s else 0.0))
     return factors
+
+
+def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
+    """z (side, len(held)): one more spring from end to end of such a chain changes its balance y to y - z (z . pull).
+
+    Sherman and Morrison's formula with the solution for a pull at both ends, from q + 1/q = 2 + held / weight.
+    """
+    decay, s = np.exp(-2 * np.arcsinh(np.sqrt(held / weight) / 2)), np.arange(side)[:, None]
+    return (decay ** (s + 1) - decay ** (side - s)) / np.sqrt(weight * (1 - decay**2) * (1 - decay ** (2 * side)))

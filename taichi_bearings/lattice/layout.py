@@ -3,7 +3,9 @@
 Every field is one-dimensional in sites: p = margin + ((r * nx + i) * ny + j) * nz + k. The upper neighbour along an
 axis is p + stride. A sphere on a side has no upper contact there: its coefficient is 0, so what lies at p + stride (the
 other side, the next replica or the margin) does not matter as long as it is finite. Hence kernels have no branch for
-the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions/0002).
+the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions/0002). Along a
+periodic axis the neighbour is stride less a ring of spheres away where the ring closes; only kernels of such lattices
+ask where that is.
 """
 
 from dataclasses import dataclass
@@ -16,11 +18,16 @@ from taichi_bearings.lattice.grid import Lattice
 
 @dataclass(frozen=True)
 class Layout:
-    """Flat layout of `replicas` lattices of `shape`, walked in blocks of `block` sites."""
+    """Flat layout of `replicas` lattices of `shape`, closed along `periodic`, walked in blocks of `block` sites."""
 
     replicas: int
     shape: tuple[int, ...]
     block: int
+    periodic: tuple[int, ...] = ()
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        return Lattice(self.shape, periodic=self.periodic)
 
     @property
     def sites(self) -> int:
@@ -48,10 +55,11 @@ class Layout:
         return (blocks + (5 - blocks) % 32) * self.block
 
     @cached_property
-    def measures(self) -> tuple[int, int, int, int, int]:
-        """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D the height)."""
+    def measures(self) -> tuple[int, int, int, int, int, int]:
+        """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D the height), and
+        sites of a replica, which are those of a ring along x."""
         stride_x, stride_y = (*self.strides, 1)[:2]
-        return self.length, self.margin, self.blocks, stride_x, stride_y
+        return self.length, self.margin, self.blocks, stride_x, stride_y, self.sites // self.replicas
 
     @property
     def inside(self) -> slice:
@@ -67,11 +75,10 @@ class Layout:
     def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
         """(R, E) -> (D, R, *N): each contact at its lower sphere, 0 where there is none."""
         full = np.zeros((len(self.shape), self.replicas, *self.shape))
-        for axis, values in enumerate(Lattice(self.shape).by_axis(contacts)):
+        for axis, values in enumerate(self.lattice.by_axis(contacts)):
             self.from_lower_sphere(full[axis], axis)[...] = values
         return full
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
         """(..., R, *N) -> (..., R, *contacts of axis)."""
-        sides = tuple(slice(0, n - (a == axis)) for a, n in enumerate(self.shape))
-        return np.asarray(full[(Ellipsis,) + sides])
+        return np.asarray(full[(Ellipsis, *map(slice, self.lattice.contact_shape(axis)))])

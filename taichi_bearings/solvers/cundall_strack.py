@@ -58,7 +58,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
         modes = sticking_modes(scene, self.spin_axes, options, float(np.abs(spin).max()), self.stability_bound)
         self.step_error = StepError(modes, options.gear_order, self.time_step)
-        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
+        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.periodic)
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
         fields.load("is_free", is_free.astype(np.float64))

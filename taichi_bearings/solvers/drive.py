@@ -99,7 +99,7 @@ def uninterrupted(solution: Solution) -> Solution:
 
 def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:
     """The fields of a method."""
-    return Fields(make_layout(scene.replicas, scene.lattice.shape), spec)
+    return Fields(make_layout(scene.replicas, scene.lattice.shape, scene.lattice.periodic), spec)
 
 
 def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:

@@ -69,7 +69,7 @@ class GradientDescentMethod:
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)
         self.box = box.ravel().tolist()
-        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block)
+        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.periodic)
         self.team = Team(team_size(layout, self.stencil.components))
         self.sweeps = descent_sweeps(self.spec, self.stencil, scene.law.name)
         self.sweeps.compile(fields, self.team)

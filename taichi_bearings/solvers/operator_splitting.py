@@ -80,7 +80,7 @@ class OperatorSplittingMethod:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         assert fields is not None
         lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
-        self.stencil = Stencil(self.spin_axes, lattice.dimension, self.layout.block)
+        self.stencil = Stencil(self.spin_axes, lattice.dimension, self.layout.block, self.layout.periodic)
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[lattice.axis]
         self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)

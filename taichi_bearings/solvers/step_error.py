@@ -32,8 +32,9 @@ def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarr
         total = np.zeros(1)
         for axis, side in enumerate(lattice.shape):
             first, last, parts = (1, side - 2, side - 1) if axis == lattice.height_axis else (0, side - 1, side)
+            turn = 2 * np.pi if axis in lattice.periodic else np.pi
             wave = np.linspace(first, last, min(last - first + 1, SAMPLE_MODES))
-            along = 2 - 2 * np.cos(np.pi * wave / parts) if axis != component else np.zeros(len(wave))
+            along = 2 - 2 * np.cos(turn * wave / parts) if axis != component else np.zeros(len(wave))
             total = np.add.outer(total, along).ravel()
         found.append(total)
     return np.maximum(

@@ -17,7 +17,7 @@ from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec, on_device, team_size
 from taichi_bearings.kernels.balance import balance_kernels
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.lattice.laplacian import chain_eigenvalues, chain_factors, chain_modes
+from taichi_bearings.lattice.laplacian import chain_eigenvalues, chain_factors, chain_modes, ring_closures
 from taichi_bearings.numerics.blas import one_thread
 
 SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
@@ -43,9 +43,11 @@ class TorqueBalance:
         modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
         held[1:-1] = weights[-1] * chain_eigenvalues(shape[-1] - 2, is_held=True)
         sides = [shape[axis] for axis in stencil.coupled_sides]
-        chains = np.zeros((len(sides), max(sides), shape[-1]))
-        for slot, side in enumerate(sides):
-            chains[slot, :side, 1:-1] = chain_factors(side, held[1:-1], self.weight)
+        numbers = (chain_factors, ring_closures)[: 2 if stencil.periodic else 1]
+        chains = np.zeros((len(numbers), len(sides), max(sides), shape[-1]))
+        for kind, number in enumerate(numbers):
+            for slot, side in enumerate(sides):
+                chains[kind, slot, :side, 1:-1] = number(side, held[1:-1], self.weight)
         padded = np.arange(shape[-1] + layout.block)  # rows go on from their begin for a block
         self.chains = self._numbers(np.take(chains, padded, axis=-1, mode="wrap").ravel())
         self.modes = self._numbers(np.zeros(len(sides) * layout.sites + layout.block))

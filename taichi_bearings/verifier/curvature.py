@@ -57,7 +57,7 @@ class Slipping:
         samples, domain = motion.samples, domain or motion.domain
         number, unknowns = [], 0
         for k in samples.needed:
-            free = np.bincount(domain[k].ravel()) > 0
+            free = _touched(motion, k, domain[k])
             free[:2] = False
             number.append(np.where(free, np.cumsum(free) - 1 + unknowns, -1)[domain[k]])
             unknowns += int(free.sum())
@@ -152,6 +152,18 @@ class Slipping:
         first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
         graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(self.unknowns,) * 2)
         return connected_components(graph, directed=False)[1]
+
+
+def _touched(motion: Motion, component: int, domain: np.ndarray) -> np.ndarray:
+    """Mask of the numbers of domains that have a contact that slips. Where some are absent, others turn freely."""
+    found = np.bincount(domain.ravel()) > 0
+    if motion.samples.lacks:
+        ends = [[domain.take(end) for end in (slips.lower, slips.upper)]
+                for axis, slips in enumerate(motion.slips) if component in motion.samples.felt(axis)]  # fmt: skip
+        lower, upper = np.concatenate(ends, axis=1)
+        found[:] = False
+        found[lower[lower != upper]] = found[upper[lower != upper]] = True
+    return found
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing

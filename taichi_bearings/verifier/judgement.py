@@ -54,8 +54,9 @@ class Judgement:
     def slip(self) -> tuple[np.ndarray, ...]:
         """Speeds (R, *contacts) an axis of the slips of these spins, to the nearest doubles."""
         found = tuple(np.zeros(still.shape) for still in self.motion.still)
-        for values, still, size in zip(found, self.motion.still, self.motion.size, strict=True):
-            values[~still] = size.value * self._speed
+        for of_axes in (zip(self.motion.slips, self.motion.size, strict=True), self.motion.loose):
+            for values, (slips, size) in zip(found, of_axes, strict=False):
+                values.put(slips.own, size.value * self._speed)
         return found
 
     @cached_property

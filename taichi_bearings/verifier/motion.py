@@ -41,7 +41,17 @@ class Motion:
 
     @cached_property
     def still(self) -> tuple[np.ndarray, ...]:
-        """Masks (R, *contacts) an axis: no difference of signed spins at all."""
+        """Masks (R, *contacts) an axis: no difference of signed spins at all, of contacts that are not absent."""
+        return tuple(even & ~absent for even, absent in zip(self._even, self.samples.absent, strict=True))
+
+    @cached_property
+    def moving(self) -> tuple[np.ndarray, ...]:
+        """The same of those with a difference."""
+        return tuple(~(even | absent) for even, absent in zip(self._even, self.samples.absent, strict=True))
+
+    @cached_property
+    def _even(self) -> tuple[np.ndarray, ...]:
+        """Those without a difference, absent or not."""
         found = []
         for axis, coefficient in enumerate(self.samples.coefficient):
             low, high = self.samples.ends(axis)
@@ -54,11 +64,24 @@ class Motion:
 
     @cached_property
     def slips(self) -> tuple[Slips, ...]:
-        """The others, an entry an axis."""
+        """Those that are `moving`, an entry an axis."""
+        return self._of(self.moving)
+
+    @cached_property
+    def loose(self) -> tuple[tuple[Slips, Enclosure], ...]:
+        """Absent contacts with a difference, and its length, an entry an axis; empty where none is absent."""
+        if not self.samples.lacks:
+            return ()
+        of_all = self._of(tuple(~even & absent for even, absent in zip(self._even, self.samples.absent, strict=True)))
+        felt = map(self.samples.felt, range(self.samples.dimension))
+        return tuple((s, length([self._differences(k, s) for k in of])) for s, of in zip(of_all, felt, strict=True))
+
+    def _of(self, some: tuple[np.ndarray, ...]) -> tuple[Slips, ...]:
+        """Contacts by their masks (R, *contacts) an axis."""
         sphere, found = numbers_of(self.samples), []
-        for axis, still in enumerate(self.still):
+        for axis, mask in enumerate(some):
             low, high = self.samples.ends(axis)
-            own = np.flatnonzero(~still)
+            own = np.flatnonzero(mask)
             lower, step = sphere[low].ravel()[own], math.prod(self.samples.shape[axis + 1 :])
             upper = sphere[high].ravel()[own] if axis in self.samples.periodic else lower + step
             found.append(Slips(own, lower, upper, lower // self.samples.sublattice.size))
@@ -125,7 +148,7 @@ class Motion:
 
     @cached_property
     def difference(self) -> tuple[dict[int, Enclosure], ...]:
-        """Differences of signed spins by component, of contacts that are not `still`; (n,) each, an entry an axis."""
+        """Differences of signed spins by component, of `slips`; (n,) each, an entry an axis."""
         return tuple(
             {k: self._differences(k, slips) for k in self.samples.felt(axis)} for axis, slips in enumerate(self.slips)
         )

@@ -315,9 +315,19 @@ class Samples:
             mask[..., [0, -1]] = True
         return mask
 
+    @cached_property
+    def absent(self) -> tuple[np.ndarray, ...]:
+        """Masks (R, *contacts) an axis of contacts with a coefficient of 0."""
+        return tuple(values == 0 for values in self.coefficient)
+
+    @property
+    def lacks(self) -> bool:
+        """True if any contact is absent."""
+        return any(bool(absent.any()) for absent in self.absent)
+
     def idle(self, axis: int) -> np.ndarray:
-        """The same, and those that are absent: with a coefficient of 0."""
-        return self.between_driven(axis) | (self.coefficient[axis] == 0)
+        """Those between driven spheres, and those that are absent."""
+        return self.between_driven(axis) | self.absent[axis]
 
     def ends(self, axis: int) -> tuple[Index, Index]:
         """Selections of the lower and of the upper spheres of the contacts along `axis`, no sphere twice in either.

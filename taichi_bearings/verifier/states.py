@@ -88,7 +88,8 @@ def _rests(motion: Motion, component: int) -> np.ndarray:
         if component in samples.felt(axis):
             low, high = samples.ends(axis)
             for part in samples.signed_spin[component]:
-                rests &= (part[low] == part[high]).reshape(samples.count, -1).all(axis=1)
+                even = (part[low] == part[high]) | samples.absent[axis]
+                rests &= even.reshape(samples.count, -1).all(axis=1)
     return rests
 
 
@@ -97,10 +98,10 @@ def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
     there is: slips that would cost more do not end."""
     found = []
     half = motion.samples.share / 2
-    for axis, (still, size, slope) in enumerate(zip(motion.still, motion.size, motion.samples.slope, strict=True)):
-        states = np.where(motion.samples.between_driven(axis), SLIPLESS, UNPROVEN)
-        costs = half * slope[~still].least * size.least**2 / UP
-        states[~still] = np.where(costs > gap[np.nonzero(~still)[0]], SLIPPING, UNPROVEN)
+    for axis, (slips, size, slope) in enumerate(zip(motion.slips, motion.size, motion.samples.slope, strict=True)):
+        states = np.where(motion.samples.idle(axis), SLIPLESS, UNPROVEN)
+        costs = half * slope.at(slips.own).least * size.least**2 / UP
+        states.put(slips.own, np.where(costs > gap[slips.sample], SLIPPING, UNPROVEN))
         found.append(states)
     return [States(tuple(states[r] for states in found), True) for r in range(motion.samples.count)]
 
@@ -147,10 +148,9 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
         alike = (together[a] == together[b]) | (is_above[a] & is_above[b]) | (is_below[a] & is_below[b])
         alike |= flat[samples.ends(axis)[0]]
         apart = (is_above[a] & is_below[b]) | (is_below[a] & is_above[b])
-        states = np.where(alike, SLIPLESS, np.where(apart, SLIPPING, UNPROVEN))
+        states = np.where(alike | samples.absent[axis], SLIPLESS, np.where(apart, SLIPPING, UNPROVEN))
         found.append(states if k in samples.felt(axis) else np.full(coefficient.shape, SLIPLESS))
-    open_ = [(states == UNPROVEN) & ~samples.idle(axis) for axis, states in enumerate(found)]  # absent ones never slip
-    done = ~np.any([of_axis.reshape(samples.count, -1).any(axis=1) for of_axis in open_], axis=0)
+    done = ~np.any([(states == UNPROVEN).reshape(samples.count, -1).any(axis=1) for states in found], axis=0)
     return [
         States(tuple(states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie")
         if not contradicts[r]
@@ -196,17 +196,15 @@ def _of_one(motion: Motion) -> States:
 
 def _as_stored(motion: Motion, number: int) -> States:
     """What slips in the file slips at the only minimum, and nothing else."""
-    return States(tuple(np.where(still[number], SLIPLESS, SLIPPING) for still in motion.still), True)
+    return States(tuple(np.where(moving[number], SLIPPING, SLIPLESS) for moving in motion.moving), True)
 
 
 def _repeats(motion: Motion) -> bool:
     """Have two slipping contacts of some sample the same friction?"""
-    for number in range(motion.samples.count):
-        own = [c[number][~still[number]] for c, still in zip(motion.samples.coefficient, motion.still, strict=True)]
-        values = np.concatenate(own)
-        if len(np.unique(values)) < len(values):
-            return True
-    return False
+    pairs = list(zip(motion.samples.coefficient, motion.slips, strict=True))
+    values, sample = (np.concatenate(of) for of in zip(*((c.take(s.own), s.sample) for c, s in pairs), strict=True))
+    order = np.lexsort((values, sample))
+    return bool(((np.diff(values[order]) == 0) & (np.diff(sample[order]) == 0)).any())
 
 
 def _why_open(states: tuple[np.ndarray, ...]) -> str:

@@ -243,9 +243,8 @@ def _touching(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, se
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[tuple[np.ndarray, ...], bool | None] | None:
     """Of one sample with two components: states of its contacts, one array (*contacts,) an axis, and whether there is
     only one minimum. None if nothing is proven. contacts : those that slip."""
-    samples, limit = motion.samples, Limit.of(motion)
-    absent = any(((c == 0) & ~samples.between_driven(axis)).any() for axis, c in enumerate(samples.coefficient))
-    if absent or limit is None or not (contacts.size.least > 0).all():
+    limit = Limit.of(motion)
+    if limit is None or not (contacts.size.least > 0).all():
         return None
     pulls = _pulls(motion, contacts, limit)
     between = Between.of(pulls, contacts)

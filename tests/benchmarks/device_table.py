@@ -31,11 +31,11 @@ METHODS = {
 ITERATIONS = 200
 
 
-def course(method: str, law: str, shape: tuple[int, ...]) -> list[float]:
+def course(method: str, law: str, shape: tuple[int, ...], periodic: str = "") -> list[float]:
     """Powers of two samples after 200 iterations, on the device that runs; work and dissipation too, if kept."""
-    scene = make_scene(shape, law, seeds=(1, 2))
+    scene = make_scene(shape, law, seeds=(1, 2), periodic=tuple(periodic))
     spin, solver = initial_spin(scene, "random"), METHODS[method].build()
-    fields = Fields(make_layout(scene.replicas, shape), solver.plan(scene, spin))
+    fields = Fields(make_layout(scene.replicas, shape, scene.lattice.periodic), solver.plan(scene, spin))
     with patch.object(torque_balance, "PRODUCT_TYPE", np.float64):  # as on a GPU
         solver.begin(scene, spin, fields)
     for _ in range(2):  # some change their course at a check

@@ -45,7 +45,7 @@ def one_pass(name, block):
     method = begun(options, block)
     fields, layout = method.fields, method.fields.layout
     kernel = getattr(OneBlock(kernels_of(method)), name.split()[0])
-    row, margin, _, stride_x, stride_y = layout.measures
+    row, margin, _, stride_x, stride_y, _ = layout.measures
     first = (margin + layout.sites // 2) // block
     arguments = fields.values, fields.blocks, row, first, stride_x, stride_y, 0.3, 1.1
     return count(method.stencil), kernel, arguments

@@ -15,14 +15,16 @@ from tests.scenes import make_scene
 @pytest.mark.parametrize("order", sorted(GEAR_COEFFICIENTS))
 @pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
 @pytest.mark.parametrize("start", ["random", "linear"])
-@pytest.mark.parametrize("shape", [(4, 5), (3, 2, 5)])
-def test_steps_equal_plain_loops(shape, start, law, order, precision):
-    scene = make_scene(shape, law, spin_bottom=0.3, viscosity="uniform:20,100")
+@pytest.mark.parametrize(
+    ("shape", "periodic"), [((4, 5), ()), ((3, 2, 5), ()), ((4, 5), "x"), ((3, 2, 5), "y"), ((2, 4, 3), "xy")]
+)
+def test_steps_equal_plain_loops(shape, periodic, start, law, order, precision):
+    scene = make_scene(shape, law, spin_bottom=0.3, viscosity="uniform:20,100", periodic=tuple(periodic))
     spring = "reset" if start == "random" else "relax"
     options = CundallStrack(gear_order=order, static_ratio=1.25, mass=2.0, slipping_spring=spring)
     method = options.build()
     spin = initial_spin(scene, start)
-    fields = Fields(make_layout(1, shape), method.plan(scene, spin))
+    fields = Fields(make_layout(1, shape, scene.lattice.periodic), method.plan(scene, spin))
     method.begin(scene, spin, fields)
 
     def read(name):
@@ -37,7 +39,6 @@ def test_steps_equal_plain_loops(shape, start, law, order, precision):
         return lab if scene.lattice.dimension == 3 else lab[..., 2]
 
     gear = [read(f"gear_{n}") for n in range(order + 1)]
-    elongation = {(lower, axis): np.zeros(3) for lower, _, axis in neighbours(shape)}
     last_error = np.zeros_like(gear[0])
     constants = (
         options.stiffness, options.damping, scene.normal_force, options.static_ratio, method.inertia,
@@ -45,6 +46,7 @@ def test_steps_equal_plain_loops(shape, start, law, order, precision):
     )  # fmt: skip
     by_axis = scene.lattice.by_axis
     coefficient = by_axis(scene.coefficient[0])
+    elongation = {(lower, axis): np.zeros(3) for lower, _, axis in neighbours(shape, coefficient)}
     viscosity = by_axis(scene.viscosities[0]) if law == "coulomb-viscous" else None
     slipped = 0
     for _ in range(60):

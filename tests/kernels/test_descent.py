@@ -11,11 +11,14 @@ from tests.kernels.twins import descent_sweep
 from tests.scenes import axis_of, make_scene
 
 CASES = [
-    ((4, 5), (1, 1, 0)),
-    ((3, 4, 5), (1, 1, 0)),
-    ((3, 4, 5), (1, 2, 3)),
-    ((4, 3, 4), (0, 1, 0)),
-    ((2, 3, 20), (1, 1, 0)),
+    ((4, 5), (1, 1, 0), ""),
+    ((3, 4, 5), (1, 1, 0), ""),
+    ((3, 4, 5), (1, 2, 3), ""),
+    ((4, 3, 4), (0, 1, 0), ""),
+    ((2, 3, 20), (1, 1, 0), ""),
+    ((4, 5), (1, 1, 0), "x"),
+    ((3, 2, 5), (1, 1, 0), "y"),
+    ((4, 2, 20), (1, 2, 3), "xy"),
 ]
 
 
@@ -28,15 +31,16 @@ def three_components(scene: Scene, spin):
 
 @pytest.mark.parametrize("momentum", [False, True])
 @pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
-@pytest.mark.parametrize(("shape", "direction"), CASES)
-def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
-    scene = make_scene(shape, law, direction=direction, spin_bottom=-0.2, viscosity="uniform:20,100")
+@pytest.mark.parametrize(("shape", "direction", "periodic"), CASES)
+def test_sweeps_equal_plain_loops(shape, direction, periodic, law, momentum, precision):
+    driving = {"direction": direction, "spin_bottom": -0.2, "periodic": tuple(periodic)}
+    scene = make_scene(shape, law, viscosity="uniform:20,100", **driving)
     accuracy = 1e-13 if precision == "f64" else 1e-5
     method = GradientDescent(momentum=momentum).build()
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
-    fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
+    fields = Fields(make_layout(1, shape, scene.lattice.periodic), method.plan(scene, start))
     method.begin(scene, start, fields)
     step, sharpness = method._step_and_sharpness()
     width = 1 / sharpness if sharpness else 0.0
@@ -60,16 +64,16 @@ def test_sweeps_equal_plain_loops(shape, direction, law, momentum, precision):
     assert np.abs(found - omega).max() <= accuracy
 
 
-@pytest.mark.parametrize(("shape", "direction"), CASES)
-def test_averages_equal_plain_loops(shape, direction, precision):
+@pytest.mark.parametrize(("shape", "direction", "periodic"), CASES)
+def test_averages_equal_plain_loops(shape, direction, periodic, precision):
     """From random spins: contacts near rest would turn rounding of the spins into forces, in any precision."""
-    scene = make_scene(shape, direction=direction)
+    scene = make_scene(shape, direction=direction, periodic=tuple(periodic))
     accuracy = 1e-13 if precision == "f64" else 1e-5
     method = GradientDescent(momentum=False).build()
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
-    fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
+    fields = Fields(make_layout(1, shape, scene.lattice.periodic), method.plan(scene, start))
     method.begin(scene, start, fields)
     method.iteration = method.epoch_length // 2  # from here on the method averages
     step, sharpness = method._step_and_sharpness()

@@ -23,6 +23,11 @@ COURSES = [
     for law in ("coulomb", "viscous", "coulomb-viscous")
     for shape in ((12, 10), (6, 5, 7))
 ] + [("operator-splitting", "coulomb", shape) for shape in ((12, 10), (6, 5, 7), (4, 18, 17))]
+COURSES += [
+    (method, "coulomb", *lattice)
+    for method in ("gradient-descent", "with energy", "operator-splitting")
+    for lattice in (((12, 10), "x"), ((6, 4, 7), "xy"))
+]
 SPLITTING = ["potential", "trial"]  # what a check of operator splitting reads
 
 

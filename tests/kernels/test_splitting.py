@@ -14,20 +14,22 @@ from tests.scenes import make_scene
 
 
 @pytest.mark.parametrize(
-    ("shape", "direction"),
+    ("shape", "direction", "periodic"),
     [
-        ((4, 5), (1, 1, 0)),
-        ((3, 4, 5), (1, 1, 0)),
-        ((3, 4, 5), (1, 2, 3)),
-        ((4, 3, 4), (0, 1, 0)),
-        ((2, 3, 20), (0, 1, 1)),
+        ((4, 5), (1, 1, 0), ""),
+        ((3, 4, 5), (1, 1, 0), ""),
+        ((3, 4, 5), (1, 2, 3), ""),
+        ((4, 3, 4), (0, 1, 0), ""),
+        ((2, 3, 20), (0, 1, 1), ""),
+        ((4, 5), (1, 1, 0), "x"),
+        ((2, 4, 5), (1, 1, 0), "xy"),
     ],
 )
-def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
-    accuracy = 1e-12 if precision == "f64" else 1e-4
-    scene, rng = make_scene(shape, direction=direction, seeds=(11, 12)), np.random.default_rng(77)
+def test_a_contact_step_equals_sums_over_contacts(shape, direction, periodic, precision):
+    accuracy, rng = 1e-12 if precision == "f64" else 1e-4, np.random.default_rng(77)
+    scene = make_scene(shape, direction=direction, seeds=(11, 12), periodic=tuple(periodic))
     method, spin = OperatorSplitting().build(), initial_spin(scene, "random")
-    fields = Fields(make_layout(scene.replicas, shape), method.plan(scene, spin))
+    fields = Fields(make_layout(scene.replicas, shape, scene.lattice.periodic), method.plan(scene, spin))
     method.begin(scene, spin, fields)
     lattice, axes, layout = scene.lattice, method.spin_axes, method.layout
     potential = 30 * rng.standard_normal((len(axes), 2, *shape))
@@ -52,23 +54,28 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, precision):
 
 
 @pytest.mark.parametrize(
-    ("shape", "axes"),
+    ("shape", "axes", "periodic"),
     [
-        ((5, 7), (2,)),
-        ((2, 3, 3), (0, 1)),
-        ((4, 6, 5), (0, 1)),
-        ((6, 4, 37), (1,)),
-        ((3, 5, 16), (0,)),
-        ((2, 20, 4), (0, 1)),
+        ((5, 7), (2,), ()),
+        ((2, 3, 3), (0, 1), ()),
+        ((4, 6, 5), (0, 1), ()),
+        ((6, 4, 37), (1,), ()),
+        ((3, 5, 16), (0,), ()),
+        ((2, 20, 4), (0, 1), ()),
+        ((6, 7), (2,), (0,)),
+        ((2, 3, 3), (0, 1), (0,)),
+        ((6, 4, 37), (0, 1), (0, 1)),
+        ((2, 20, 4), (0, 1), (1,)),
     ],
     ids=str,
 )
-def test_springs_balance_the_pull_of_each_sphere(shape, axes, precision):
+def test_springs_balance_the_pull_of_each_sphere(shape, axes, periodic, precision):
     """-Laplace u = pull, written out as weighted differences across contacts; u is 0 on the driven planes."""
-    lattice, rng, weights = Lattice(shape), np.random.default_rng(5), (1.0,) * (len(shape) - 1) + (0.3,)
+    weights, rng = (1.0,) * (len(shape) - 1) + (0.3,), np.random.default_rng(5)
+    lattice = Lattice(shape, periodic=periodic)
     spec = (("potential", len(axes)), ("friction", 1), ("pull", len(axes)))
-    fields = Fields(make_layout(3, shape), spec)
-    balance = TorqueBalance(spec, Stencil(axes, len(shape), fields.layout.block), weights, fields)
+    fields = Fields(make_layout(3, shape, periodic), spec)
+    balance = TorqueBalance(spec, Stencil(axes, len(shape), fields.layout.block, periodic), weights, fields)
     pull, start = rng.standard_normal((2, len(axes), 3, *shape)).astype(np.float32).astype(np.float64)
     fields.load("potential", start)
     left = pull

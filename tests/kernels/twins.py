@@ -8,11 +8,11 @@ import numpy as np
 R = 0.5
 
 
-def neighbours(shape):
-    """(lower site, upper site, axis) of every contact."""
-    for axis in range(len(shape)):
-        for site in np.ndindex(*(n - (a == axis) for a, n in enumerate(shape))):
-            yield site, tuple(n + (a == axis) for a, n in enumerate(site)), axis
+def neighbours(shape, contacts):
+    """(lower site, upper site, axis) of every contact. contacts : an array of numbers of them for each axis."""
+    for axis, numbers in enumerate(contacts):
+        for site in np.ndindex(numbers.shape):
+            yield site, tuple((i + (a == axis)) % shape[a] for a, i in enumerate(site)), axis
 
 
 def arm(axis):
@@ -36,7 +36,7 @@ def descent_sweep(omega, coefficient, law, step, width, box, parity, viscosity=N
     """
     shape = omega.shape[:-1]
     torque, weight, forces = np.zeros_like(omega), np.zeros_like(omega), {}
-    for lower, upper, axis in neighbours(shape):
+    for lower, upper, axis in neighbours(shape, coefficient):
         if is_driven(lower, shape) and is_driven(upper, shape):
             continue
         mu = coefficient[axis][lower]
@@ -72,7 +72,7 @@ def cundall_strack_step(gear, elongation, last_error, coefficient, law, constant
         for k in range(order)
     ]
     torque, forces = np.zeros_like(gear[0]), {}
-    for lower, upper, axis in neighbours(shape):
+    for lower, upper, axis in neighbours(shape, coefficient):
         if is_driven(lower, shape) and is_driven(upper, shape):
             continue
         mu, v = coefficient[axis][lower], slip(taylor[0], lower, upper, axis)

@@ -36,9 +36,11 @@ RUNS = {
     "dashpots": {"shape": (4, 5), "law": "viscous", "method": "implicit-cundall-strack", "duration": 0.2},
     "rigid": {"shape": (3, 4), "method": "rigid-limit"},
     "states": {"shape": (3, 3, 4), "top": (1.0, 0.5, 0.0, 0.2), "bottom": (0.0, 0.0, 0.0, -0.4)},
+    "ring": {"shape": (2, 4, 4), "periodic": ("x",)},
 }
 WORDS = ("", "x", "Certified", "certified (gap 1e-16)", "uniform:0.1,1.1", *STATUSES, *LAWS, *METHODS)
 ROUNDED = 1e-15  # what docs/proofs.md allows a gap to be off
+SIDES = ("[]", '["x"]', '["y"]', '["x", "y"]', '["z"]', '"x"', "4", "[[]]", "true")
 FACTORS = (1 + 1e-9, 1 - 1e-9, 1 + 1e-6, 0.5, 2.0, -1.0)
 Forgery = tuple[str, str, Callable[[h5py.File], None]]
 """What is done, the field, and the function of an open file that does it."""
@@ -105,6 +107,8 @@ def _line_changed(scene: str, rng: np.random.Generator) -> Forgery | None:
         new = f'"{rng.choice(WORDS)}"' if rng.random() < 0.8 else "1.5"
     elif value in ("true", "false"):
         new = "true" if value == "false" else "false"
+    elif key == "periodic":
+        new = str(rng.choice(SIDES))
     else:
         digits = list(re.finditer(r"-?\d+(\.\d+)?(e[-+]?\d+)?", value))
         one = digits[rng.integers(len(digits))]

@@ -29,10 +29,29 @@ class Laboratory:
     def __init__(self, samples, number=0):
         self.samples, self.number, self.flat = samples, number, samples.dimension == 2
         self.radius, self.strength = Decimal(samples.radius), Decimal(samples.normal_force)
-        vector = (ZERO, ZERO, Decimal(1)) if self.flat else exactly(samples.direction)
-        size = dot(vector, vector).sqrt()
-        self.direction = tuple(part / size for part in vector)
+        self.bottom, self.top = (
+            self._state(state, spin)
+            for state, spin in ((samples.bottom, samples.spin_bottom), (samples.top, samples.spin_top))
+        )
         self.spin = {site: self._spin(site) for site in np.ndindex(*samples.shape)}
+
+    def _state(self, state, spin):
+        """(A_x, A_y, A_z, C) of a plane; without one its spin along the direction."""
+        if self.samples.top is not None:
+            return (ZERO, ZERO, *exactly(state), ZERO) if self.flat else exactly(state)
+        vector = (ZERO, ZERO, Decimal(1)) if self.flat else exactly(self.samples.direction)
+        size = dot(vector, vector).sqrt()
+        return (*(Decimal(spin) * part / size for part in vector), ZERO)
+
+    def imposed(self, state, site):
+        """Signed spin of a state at a sphere."""
+        at = [2 * self.radius * step for step in (*site, 0)[:3]]
+        return tuple(a + state[3] * x for a, x in zip(state[:3], at, strict=True))
+
+    def jump(self, site):
+        """State of the top less that of the bottom, in the layers of a sphere, along the height as on the top."""
+        above = (*site[:-1], self.samples.shape[-1] - 1)
+        return tuple(a - b for a, b in zip(*(self.imposed(s, above) for s in (self.top, self.bottom)), strict=True))
 
     def parity(self, site):
         return 1 if sum(site) % 2 == 0 else -1
@@ -42,8 +61,8 @@ class Laboratory:
 
     def _spin(self, site):
         if self.is_driven(site):
-            imposed = Decimal(self.samples.spin_bottom if site[-1] == 0 else self.samples.spin_top)
-            return tuple(self.parity(site) * imposed * part for part in self.direction)
+            imposed = self.imposed(self.bottom if site[-1] == 0 else self.top, site)
+            return tuple(self.parity(site) * part for part in imposed)
         high, low = (exactly(field[(self.number, *site)]) for field in (self.samples.spin, self.samples.spin_rounding))
         total = tuple(a + b for a, b in zip(high, low, strict=True))
         return (ZERO, ZERO, total[0]) if self.flat else total
@@ -54,7 +73,7 @@ class Laboratory:
         for axis, coefficient in enumerate(self.samples.coefficient):
             n = tuple(Decimal(int(k == axis)) for k in range(3))
             for lower in np.ndindex(*coefficient.shape[1:]):
-                upper = tuple(x + (k == axis) for k, x in enumerate(lower))
+                upper = tuple((x + (k == axis)) % self.samples.shape[k] for k, x in enumerate(lower))
                 absent = coefficient[(self.number, *lower)] == 0
                 if absent or (self.is_driven(lower) and self.is_driven(upper)):
                     continue
@@ -98,11 +117,10 @@ class Laboratory:
                 cost += max(size - held, ZERO) ** 2 / (2 * viscosity)
             else:
                 worst = max(worst, size / held)
-        jump = Decimal(self.samples.spin_top) - Decimal(self.samples.spin_bottom)
         left = ZERO
         for site, pull in torque.items():
-            for part, along in zip(pull, self.direction, strict=True):
-                gain = self.parity(site) * part * jump * along  # torque times the jump of a component
+            for part, jump in zip(pull, self.jump(site), strict=True):
+                gain = self.parity(site) * part * jump  # torque times the jump of a component
                 if site[-1] == self.samples.shape[-1] - 1:
                     left -= gain
                 elif not self.is_driven(site):

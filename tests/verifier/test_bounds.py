@@ -40,7 +40,8 @@ def samples_of(solution):
     return Samples(
         scene.lattice.shape, scene.law.name, coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
         scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding,
-        friction_by_axis(solution.friction, scene.lattice), *viscosity,
+        friction_by_axis(solution.friction, scene.lattice), *viscosity or [()],
+        scene.top, scene.bottom, scene.lattice.periodic,
     )  # fmt: skip
 
 

@@ -1,0 +1,280 @@
+"""Lattices whose sides close on themselves: their seams are contacts like any other, also in rings of two spheres."""
+
+from dataclasses import replace
+from decimal import Decimal
+
+import clarabel
+import h5py
+import networkx
+import numpy as np
+import pytest
+from scipy import sparse
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import METHODS
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from tests.verifier.honest import contradictions
+from tests.verifier.laboratory import Laboratory, cross
+from tests.verifier.test_bounds import samples_of
+
+pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+BEARING = {"top": (1.0, 0.5, 0.0, 0.2), "bottom": (0.0, 0.3, 0.0, -0.1)}
+ABOUT_X = {"direction": (1, 0, 0)}
+BIMODAL = {"distribution": "bimodal:0.1,1.0,0.5"}
+DAMPED = {"law": "coulomb-viscous", "viscosity": "uniform:0.5,5"}
+SCENES = [
+    ((2, 3), "x", {"spin_bottom": -0.3}),
+    ((4, 5), "x", {}),
+    ((4, 5), "x", {"law": "viscous"}),
+    ((2, 2, 3), "x", {}),
+    ((2, 2, 3), "xy", {"direction": (1, -2, 3), "spin_bottom": 0.25, "radius": 0.7, "normal_force": 3.0}),
+    ((2, 2, 3), "xy", DAMPED),
+    ((4, 3, 4), "x", {"law": "viscous", "direction": (1, 1, 1)}),
+    ((4, 3, 4), "x", BEARING),
+    ((4, 3, 4), "x", ABOUT_X),
+    ((4, 4, 4), "xy", {}),
+    ((4, 4, 4), "xy", BEARING | DAMPED),
+    ((2, 4, 4), "xy", BEARING),
+]
+ALIKE = [((2, 4, 4), "x", 11, [37, 11, 0, 4, 0]), ((2, 4, 4), "xy", 18, [42, 8, 0, 6, 0]),
+         ((4, 3, 4), "x", 4, [46, 24, 6, 0, 0]), ((4, 4, 4), "xy", 23, [74, 32, 0, 6, 0])]  # fmt: skip
+"""Friction of two values: seed, and the slipless, slipping, critical, tied and unproven contacts, in 140 digits."""
+
+
+def solved(scene):
+    one = scene.lattice.dimension == 2 or (scene.top is None and scene.direction == ABOUT_X["direction"])
+    cut = "planar-cut" if one else "interior-point"
+    method = {"coulomb": cut, "viscous": "linear-solver", "coulomb-viscous": "interior-point"}[scene.law.name]
+    return samples_of(solve(scene, METHODS[method]().build(), initial_spin(scene, "linear"), StopRule(1e-10)))
+
+
+def sample(shape, sides, options, seed=5):
+    return solved(Scene.random(shape, seed=seed, periodic=tuple(sides), **options))
+
+
+def changed(samples, of_contacts, of_spheres):
+    """Functions of an array an axis, and of an array of the spheres, of one sample."""
+    contacts = ("coefficient", "viscosity", "friction")
+    parts = {name: tuple(of_contacts(*pair) for pair in enumerate(getattr(samples, name))) for name in contacts}
+    return replace(samples, **parts, spin=of_spheres(samples.spin), spin_rounding=of_spheres(samples.spin_rounding))
+
+
+def assert_alike(one, other, moved=lambda axis, values: values):
+    """Two samples are judged alike, contact by contact; `moved` leads from a contact of one to that of the other."""
+    one, other = Judgement(one), Judgement(other)
+    for name in ("power", "objective", "lower_bound", "upper_bound"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-15, err_msg=name)
+    np.testing.assert_allclose(one.largest_torque, other.largest_torque, rtol=1e-12)  # of what rounding leaves
+    assert one.states[0].unique == other.states[0].unique
+    assert one.states[0].reason == other.states[0].reason
+    for axis, (a, b) in enumerate(zip(one.states[0].proven, other.states[0].proven, strict=True)):
+        np.testing.assert_array_equal(moved(axis, a[None])[0], b)
+    for axis, (a, b) in enumerate(zip(one.slip_bound, other.slip_bound, strict=True)):
+        np.testing.assert_allclose(moved(axis, a), b, rtol=1e-14)
+
+
+def kinds(samples):
+    """Numbers of slipless, slipping, critical, tied and unproven contacts."""
+    proven = [of[~samples.idle(axis)[0]] for axis, of in enumerate(Judgement(samples).states[0].proven)]
+    return [int((np.concatenate(proven) == what).sum()) for what in (SLIPLESS, SLIPPING, CRITICAL, TIED, UNPROVEN)]
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1])
+@pytest.mark.parametrize(("shape", "sides", "options"), SCENES, ids=str)
+def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
+    """In 80 digits, contact by contact: at a minimum, and of spins and friction far from one."""
+    samples, rng = sample(shape, sides, options), np.random.default_rng(3)
+    spin = samples.spin + size * rng.standard_normal(samples.spin.shape)
+    ends = (slice(None),) * samples.dimension + ([0, -1],)
+    spin[ends] = samples.spin[ends]
+    friction = tuple(f * rng.uniform(1 - size, 1 + size, f.shape) for f in samples.friction)
+    samples = replace(samples, spin=spin, friction=friction)
+    judgement, truth = Judgement(samples), Laboratory(samples)
+    objective, bound = truth.objective(), truth.lower_bound()
+    assert Decimal(judgement.lower_bound[0]) <= max(bound, Decimal(0)) <= objective <= Decimal(judgement.upper_bound[0])
+    assert float(Decimal(judgement.upper_bound[0]) / objective - 1) < 2e-15
+    assert judgement.lower_bound[0] == pytest.approx(max(float(bound), 0.0), rel=1e-13)
+    assert (judgement.gap[0] < 1e-13) == (size == 0)
+
+
+def cone_programme(samples):
+    """Least objective, and the slips at a minimum in the middle of all, in the laboratory frame with all components."""
+    truth = Laboratory(samples)
+    free = {
+        site: 3 * n for n, site in enumerate(site for site in np.ndindex(*samples.shape) if not truth.is_driven(site))
+    }
+    contacts = list(truth.contacts())
+    spins, number = 3 * len(free), len(contacts)
+    slip, fixed = np.zeros((3 * number, spins + number)), np.zeros(3 * number)
+    for e, (lower, upper, n, *_) in enumerate(contacts):
+        turn = samples.radius * np.array([cross(np.eye(3)[k], np.array(n, dtype=float)) for k in range(3)]).T
+        for site in (lower, upper):
+            if truth.is_driven(site):
+                fixed[3 * e : 3 * e + 3] += turn @ np.array(truth.spin[site], dtype=float)
+            else:
+                slip[3 * e : 3 * e + 3, free[site] : free[site] + 3] += turn
+    held, flow = (np.array([contact[place] for contact in contacts], dtype=float) for place in (3, 4))
+    cones, right = np.zeros((4 * number, spins + number)), np.zeros(4 * number)
+    for part in range(3):
+        cones[1 + part :: 4], right[1 + part :: 4] = -slip[part::3], fixed[part::3]
+    cones[4 * np.arange(number), spins + np.arange(number)] = -1.0
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.tol_gap_rel, settings.tol_gap_abs, settings.tol_feas = False, 1e-11, 1e-11, 1e-11
+    found = clarabel.DefaultSolver(
+        sparse.diags_array(np.append(np.zeros(spins), flow)).tocsc(), np.append(np.zeros(spins), held),
+        sparse.csc_matrix(cones), right, [clarabel.SecondOrderConeT(4)] * number, settings,
+    ).solve()  # fmt: skip
+    sizes, slips = np.array(found.x)[spins:], [np.zeros(c.shape[1:]) for c in samples.coefficient]
+    for size, (lower, _, n, *_) in zip(sizes, contacts, strict=True):
+        slips[n.index(1)][lower] = size
+    return found.obj_val * (2 if samples.law == "viscous" else 1), slips
+
+
+def assert_states_of_cone_programme(samples):
+    judgement, (least, slips) = Judgement(samples), cone_programme(samples)
+    assert judgement.lower_bound[0] == pytest.approx(least, rel=1e-8)
+    small = 1e-5 * samples.radius * samples.jump_size
+    for proven, slip in zip(judgement.states[0].proven, slips, strict=True):
+        assert (slip[np.isin(proven, (SLIPLESS, CRITICAL))] < small).all()
+        assert (slip[np.isin(proven, (SLIPPING, TIED))] > small).all()
+    for slip, bound in zip(slips, judgement.slip_bound, strict=False):
+        assert (slip <= bound[0] + small).all()
+
+
+@pytest.mark.parametrize(("shape", "sides", "options", "seed"), [
+    *((*scene, 5) for scene in SCENES), *((shape, sides, BIMODAL, seed) for shape, sides, seed, _ in ALIKE),
+], ids=str)  # fmt: skip
+def test_power_and_states_are_those_of_a_cone_programme(shape, sides, options, seed):
+    samples = sample(shape, sides, options, seed)
+    assert_states_of_cone_programme(samples)
+    assert samples.law == "coulomb-viscous" or kinds(samples)[-1] == 0
+
+
+@pytest.mark.parametrize(("shape", "sides", "seed", "expected"), ALIKE, ids=str)
+def test_contacts_that_tie_are_proven_as_on_free_lattices(shape, sides, seed, expected):
+    samples = sample(shape, sides, BIMODAL, seed)
+    assert kinds(samples) == expected
+    assert Judgement(samples).states[0].unique == (expected[3] == 0)
+
+
+@pytest.mark.parametrize(("shape", "sides", "options"), SCENES, ids=str)
+def test_sides_joined_by_absent_contacts_are_free(shape, sides, options):
+    free = sample(shape, "", options)
+
+    def with_seam(axis, values):
+        return np.pad(values, [(0, int(at == 1 + axis and "xyz"[axis] in sides)) for at in range(values.ndim)])
+
+    def without(axis, values):
+        return values[(slice(None), *map(slice, free.coefficient[axis].shape[1:]))]
+
+    closed = replace(changed(free, with_seam, np.copy), periodic=tuple(map("xyz".index, sides)))
+    assert_alike(closed, free, without)
+
+
+@pytest.mark.parametrize(("shape", "sides", "share"), [
+    ((3, 3, 4), "", 0.1), ((4, 3, 4), "x", 0.1), ((2, 4, 4), "xy", 0.2), ((4, 4, 4), "xy", 0.3),
+], ids=str)  # fmt: skip
+def test_where_contacts_are_missing_the_others_are_judged_as_ever(shape, sides, share):
+    whole, rng, proven = Scene.random(shape, seed=5, periodic=tuple(sides)), np.random.default_rng(7), []
+    for _ in range(4):
+        left = tuple(np.where(rng.random(c.shape) < share, 0.0, c) for c in whole.coefficients)
+        samples = solved(replace(whole, coefficients=left))
+        assert_states_of_cone_programme(samples)
+        proven.append(kinds(samples)[-1] == 0)
+    assert sum(proven) >= 3
+
+
+@pytest.mark.parametrize(("shape", "sides", "options", "seed"), [
+    ((6, 5), "x", {}, 5), ((6, 4), "x", {"distribution": "bimodal:1,2,0.5"}, 5), ((2, 4, 4), "xy", {}, 5),
+    ((4, 3, 4), "x", DAMPED, 5), ((4, 3, 4), "x", ABOUT_X, 5), ((4, 4, 4), "xy", BIMODAL, 23),
+], ids=str)  # fmt: skip
+def test_where_the_seam_lies_changes_nothing(shape, sides, options, seed):
+    """Turned by an even number of spheres around a closed side."""
+    samples = sample(shape, sides, options, seed)
+    for around in samples.periodic:
+
+        def moved(_, values, around=around):
+            return np.roll(values, 2, axis=1 + around)
+
+        assert_alike(samples, changed(samples, moved, lambda values: moved(None, values)), moved)
+
+
+def contacts_of_one_component(samples):
+    """(axis, lower sphere, node of it, node of the upper one, coefficient); the driven spheres are two nodes."""
+    node = {
+        site: {0: "bottom", samples.shape[-1] - 1: "top"}.get(site[-1], site) for site in np.ndindex(*samples.shape)
+    }
+    for axis, coefficient in enumerate(samples.coefficient):
+        for lower in np.ndindex(*coefficient.shape[1:]) if samples.needed[0] in samples.felt(axis) else ():
+            upper = tuple((x + (k == axis)) % n for k, (x, n) in enumerate(zip(lower, samples.shape, strict=True)))
+            yield axis, lower, node[lower], node[upper], int(coefficient[(0, *lower)])
+
+
+def least_cut(contacts, *never_cut):
+    """Its weight, where none may lead from the first to the second of some pairs."""
+    graph = networkx.DiGraph()
+    for *_, a, b, weight in contacts:
+        for pair in ((a, b), (b, a)):  # in a ring of two there are two contacts between them
+            graph.add_edge(*pair, capacity=weight + graph.get_edge_data(*pair, {"capacity": 0})["capacity"])
+    for pair in never_cut:
+        graph.add_edge(*pair, capacity=np.inf)
+    try:
+        return networkx.minimum_cut_value(graph, "bottom", "top")
+    except networkx.NetworkXUnbounded:
+        return np.inf
+
+
+@pytest.mark.parametrize("values", ["1,2", "1,3"])
+@pytest.mark.parametrize(("shape", "sides", "options"), [
+    ((4, 5), "x", {}), ((2, 6), "x", {}), ((4, 3, 4), "x", ABOUT_X), ((3, 2, 4), "y", ABOUT_X),
+], ids=str)  # fmt: skip
+def test_states_are_those_of_all_lightest_cuts(shape, sides, options, values):
+    """Exactly, in whole numbers: what some cut goes through and another does not is left open, and nothing else."""
+    for seed in range(4):
+        samples = sample(shape, sides, options | {"distribution": f"bimodal:{values},0.5"}, seed)
+        judgement, contacts = Judgement(samples), list(contacts_of_one_component(samples))
+        least = least_cut(contacts)
+        unit = samples.normal_force * samples.radius * samples.jump_size
+        assert judgement.lower_bound[0] <= unit * least * (1 + 1e-15)
+        assert judgement.lower_bound[0] == pytest.approx(unit * least, rel=1e-14)
+        for axis, lower, a, b, _ in contacts:
+            slips = least in (least_cut(contacts, ("bottom", x), (y, "top")) for x, y in ((a, b), (b, a)))
+            rests = least == least_cut(contacts, (a, b), (b, a))
+            expected = UNPROVEN if slips and rests else SLIPPING if slips else SLIPLESS
+            assert judgement.states[0].proven[axis][lower] == expected
+
+
+PERIODIC = {
+    "discs": {"shape": (4, 5), "periodic": ("x",)},
+    "rings of two": {"shape": (2, 2, 3), "periodic": ("x", "y"), "top": (1.0, 0.5, 0.0, 0.2)},
+    "samples": {"shape": (4, 3, 4), "periodic": ("x",), "law": "coulomb-viscous", "replicas": 2},
+}
+
+
+@pytest.mark.parametrize("name", PERIODIC)
+def test_a_run_says_which_sides_are_closed(name, tmp_path):
+    assert contradictions(PERIODIC[name] | {"seed": 5}, tmp_path) == []
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        del file.attrs["sha256"]
+        file["coefficient/x"][..., -1, 1] *= 1 + 1e-15  # that of the seam
+    assert any("coefficients along x" in said for said in verify(tmp_path)["contradictions"])
+
+
+@pytest.mark.parametrize(("said", "words"), [
+    ("[]", "its lattice needs"), ('["y"]', "3 spheres along the periodic axis y; they must be even"),
+    ('["x", "x"]', "a list of axes, of x and y"), ('["z"]', "a list of axes"), ('"x"', "a list of axes"),
+    ("1", "a list of axes"), ('[["x"]]', "not a key and a value"),
+])  # fmt: skip
+def test_sides_that_cannot_be_closed_are_refused(said, words, tmp_path):
+    assert contradictions({"shape": (4, 3, 4), "periodic": ("x",), "seed": 5}, tmp_path) == []
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        scene = file.attrs["scene"].replace('periodic = ["x"]', f"periodic = {said}")
+        file.attrs["scene"] = scene
+    with pytest.raises(FileError, match=words):
+        verify(tmp_path)
