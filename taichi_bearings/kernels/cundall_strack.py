@@ -176,7 +176,9 @@ class CundallStrackSteps(Sweeps):
         """Spins of one block. A loop over the components at run time is compiled and read once."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
-            pulls = [self.pull(values, row, first, strides, self.felt[k], self.pulls[k], c) for k in ti.static(range(2))]
+            pulls = [
+                self.pull(values, row, first, strides, self.felt[k], self.pulls[k], c) for k in ti.static(range(2))
+            ]
             pull = pulls[0] + pulls[1]
             gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
             new = self.motion(load_each(values, gear, self.block), pull, is_free, response)

@@ -5,7 +5,18 @@ from functools import lru_cache
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import FORCES, clamp
-from taichi_bearings.kernels.memory import in_range, last, load, load_each, load_neighbours, minus, places, pushed, store, zero
+from taichi_bearings.kernels.memory import (
+    in_range,
+    last,
+    load,
+    load_each,
+    load_neighbours,
+    minus,
+    places,
+    pushed,
+    store,
+    zero,
+)  # fmt: skip
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 

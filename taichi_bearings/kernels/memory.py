@@ -68,9 +68,11 @@ def store_each(
 
 @ti.func
 def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
-    """The strides along the three axes, and on lattices with periodic axes after them how many sites the ring along each
-    has, and where in it a site is, counted from the first: what :func:`load_neighbours` takes of an axis is every third
-    of them. ring : sites of a replica."""
+    """The strides along the three axes, and with periodic axes after them the number of sites of the ring along each
+    and where in it a site is, counted from the first: :func:`load_neighbours` takes every third of them for an axis.
+
+    ring : sites of a replica.
+    """
     if ti.static(len(periodic) == 0):
         return strides
     sites = [ring, strides[0], ENDLESS]
@@ -81,9 +83,10 @@ def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
 
 @ti.func
 def load_neighbours(
-    values: ti.template(), rows: ti.template(), row, first, side: ti.template(), way: ti.template(), block: ti.template()
-):
-    """The numbers of the neighbours of a block of sites along an axis: of the upper ones (way 1) or the lower ones (-1).
+    values: ti.template(), rows: ti.template(), row, first, side: ti.template(), way: ti.template(),
+    block: ti.template(),
+):  # fmt: skip
+    """The numbers of the neighbours of a block of sites along an axis: the upper ones (way 1) or the lower ones (-1).
 
     side : stride, and on lattices with periodic axes the sites of a ring, and where in its ring `first` is.
     """

@@ -81,4 +81,4 @@ class Layout:
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
         """(..., R, *N) -> (..., R, *contacts of axis)."""
-        return np.asarray(full[(Ellipsis, *map(slice, self.lattice.contact_shape(axis)))])
+        return np.asarray(full[(Ellipsis,) + tuple(map(slice, self.lattice.contact_shape(axis)))])

@@ -8,10 +8,12 @@ import numpy as np
 R = 0.5
 
 
-def neighbours(shape, contacts):
-    """(lower site, upper site, axis) of every contact. contacts : an array of numbers of them for each axis."""
-    for axis, numbers in enumerate(contacts):
-        for site in np.ndindex(numbers.shape):
+def neighbours(shape, contacts=None):
+    """(lower site, upper site, axis) of every contact. contacts : an array of numbers of them for each axis, which has
+    one for each sphere along an axis that closes on itself."""
+    for axis in range(len(shape)):
+        sides = contacts[axis].shape if contacts else tuple(n - (a == axis) for a, n in enumerate(shape))
+        for site in np.ndindex(*sides):
             yield site, tuple((i + (a == axis)) % shape[a] for a, i in enumerate(site)), axis
 
 
