@@ -23,7 +23,7 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import LAWS
 from tests.kernels.twins import is_driven, neighbours
 
-TOLERANCE = 1e-11  # of Clarabel
+TOLERANCE, SHARPER = 1e-11, 1e-13  # of Clarabel
 AGREEMENT = 1e-8  # of the power
 CLEAR_SLIP = 1e-3  # of the largest jump, by which the slip at a proven contact and that of the programme may differ
 SHAPES = ((3, 4), (4, 6), (2, 9), (6, 4), (2, 2, 3), (3, 3, 4), (2, 3, 5), (4, 3, 3), (3, 4, 4))
@@ -54,7 +54,7 @@ def imposed_spin(scene, site, k):
     return sign * (state[k] + state[3] * at)
 
 
-def laboratory_minimum(scene):
+def laboratory_minimum(scene, tolerance=TOLERANCE):
     """Slips v = (w_i + w_j) x (R n), but for their sign; friction mu F_n |v| and viscosity eta |v|^2 / 2."""
     shape, radius = scene.lattice.shape, scene.lattice.radius
     components = (2,) if len(shape) == 2 else (0, 1, 2)
@@ -100,8 +100,8 @@ def laboratory_minimum(scene):
         rows.append(cone.tocsc())
         bounds.append(np.zeros(4))
     settings = clarabel.DefaultSettings()
-    settings.verbose, settings.tol_gap_rel, settings.tol_gap_abs = False, TOLERANCE, TOLERANCE
-    settings.tol_feas, settings.max_threads = TOLERANCE, 1
+    settings.verbose, settings.max_threads = False, 1
+    settings.tol_gap_rel = settings.tol_gap_abs = settings.tol_feas = tolerance
     found = clarabel.DefaultSolver(
         sparse.csc_matrix(quadratic), cost, sparse.csc_matrix(sparse.vstack([equal, *rows])),
         np.concatenate([right, *bounds]),
@@ -168,6 +168,9 @@ def main():
         counts["periodic"] += bool(scene.periodic)
         counts["not solved by Clarabel"] += not truth.solved
         said, compared = falsehoods(scene, best, truth) if truth.solved else ([], 0)
+        if said:  # where the minimum is flat, slips of the programme are off by far more than its power
+            sharper = laboratory_minimum(scene, SHARPER)
+            said = falsehoods(scene, best, sharper)[0] if sharper.solved else said
         counts["certified"] += int(best.gap <= 1e-8)
         counts["states proven"] += int(best.states_proven)
         counts["contact states compared"] += compared
