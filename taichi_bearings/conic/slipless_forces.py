@@ -30,7 +30,7 @@ REMOVABLE_TORQUE, LEFT_TORQUE = 1e-4, 1e-11
 # least margin over the sum of all torques left, which no force has to change by more than to end them
 MARGIN_PER_TORQUE = 10.0
 # contacts outside their discs for whose sake others change their forces, so many contacts away
-MOST_REPAIRED, REPAIR_DISTANCE = 100, 8
+MOST_REPAIRED, REPAIR_DISTANCE = 100, 6
 QUICK_TORQUE, QUICK_DISTANCE = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
 LIMITED_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
 # share of its friction by which a contact at its limit counts as having room where forces are balanced
