@@ -27,7 +27,6 @@ METHODS = (
     "auto", "interior-point", "operator-splitting", "gradient-descent", "cundall-strack", "implicit-cundall-strack",
     "rigid-limit", "planar-cut", "linear-solver",
 )  # fmt: skip
-CLOSED = ("auto", "interior-point", "planar-cut", "linear-solver")  # methods that get periodic lattices here
 SHAPES = ((2, 3), (3, 4), (4, 5), (3, 9), (6, 7), (2, 2, 3), (3, 3, 4), (4, 4, 4))
 SCENES = (
     {}, {}, {"spin_bottom": 0.1}, {"spin_top": 1e15}, {"spin_top": 1e-12}, {"spin_bottom": 1 - 1e-10},
@@ -79,7 +78,7 @@ def drawn(seed: int, number: int = 0) -> dict:
         given = {key: value for key, value in given.items() if key not in Scene.BY_SPINS}
         given |= {"top": one_of(STATES), "bottom": one_of(STATES)}
     sides = tuple(name for name, n in zip("xy", given["shape"][:-1], strict=False) if n % 2 == 0)
-    if sides and method in CLOSED and rng.random() < 0.3:
+    if sides and rng.random() < 0.3:
         given["periodic"] = sides
     return given
 
