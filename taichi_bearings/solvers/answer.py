@@ -198,14 +198,15 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
 def above_noise(answer: Solution) -> np.ndarray:
     """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap or what
     friction misses of its limit can resolve, or to rest while they bear all their friction; all of them where
-    coefficients are too uneven."""
+    coefficients are too uneven for anything but a cut."""
     scene, slips = answer.scene, answer.state == ContactState.SLIPPING
     limit = scene.strength * scene.coefficient
     missing = limit - answer.force - ROUNDED_LIMIT * limit
     faint = MISSING_SLIP * missing * scene.lattice.radius * scene.jump > answer.slip * limit
     doubtful = slips & (unresolved(answer) | faint)
     doubtful |= (answer.state == ContactState.SLIPLESS) & (answer.force >= SATURATED * limit)
-    doubtful |= too_uneven(answer)[:, None] & (answer.state != ContactState.DRIVEN)
+    if "cut_is_unique" not in answer.findings:  # cuts are exact, whatever the contrast
+        doubtful |= too_uneven(answer)[:, None] & (answer.state != ContactState.DRIVEN)
     doubtful &= answer.proven == ContactState.UNDECIDED
     return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
 
