@@ -3,10 +3,12 @@
 One PolyData: the spheres are its points, the contacts its lines, and what is known of them point data and cell data
 (https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html). The snapshots of a dynamics are time
 steps and its end the last one; what does not change is written once. The arrays of run.h5 cannot be linked to: there
-each axis has contacts of its own, and VTK wants all lines in one array.
+each axis has contacts of its own, and VTK wants all lines in one array. Where a contact leads over a periodic side, its
+upper sphere is there a second time, beyond that side, or its line would run through the whole lattice.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +44,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
         with stage("writing"):
             write_vtkhdf(path, drawn, told)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    counts = {"points": drawn.scene.lattice.sites, "lines": len(drawn.ends), "steps": steps}
+    counts = {"points": len(_shown(drawn)), "lines": len(drawn.ends), "steps": steps}
     return {"file": str(path), "bytes": path.stat().st_size, **counts}
 
 
@@ -58,21 +60,33 @@ def write_vtkhdf(path: Path, drawn: PointsAndLines, attributes: Mapping[str, Any
         steps = None if drawn.moments is None or drawn.time is None else _start_steps(root, drawn.moments, drawn.time)
         way = {} if drawn.moments is None else _on_the_way(drawn.moments, drawn.contacts)
         for group, columns in (("PointData", drawn.spheres), ("CellData", drawn.contacts)):
+            rows = _shown(drawn) if columns is drawn.spheres else slice(None)
             for name, column in columns.items():
-                _put(root, steps, group, name, column, way.get(name))
+                before = way[name][:, rows] if name in way else None
+                _put(root, steps, group, name, replace(column, values=column.values[rows]), before)
 
     write_hdf5(path, fill)
 
 
+def _shown(drawn: PointsAndLines) -> np.ndarray:
+    """The sphere that each point is: all of them, and once more the upper one of each contact over a periodic side."""
+    low, high = drawn.ends.T
+    return np.append(np.arange(drawn.scene.lattice.sites), high[low > high])
+
+
 def _write_geometry(root: h5py.Group, drawn: PointsAndLines) -> None:
     """Points at their places, height along z in 3D and along y in 2D, and the contacts as lines between them."""
-    lattice = drawn.scene.lattice
-    places = np.zeros((lattice.sites, 3))
-    places[:, : lattice.dimension] = 2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool))
+    lattice, shown, ends = drawn.scene.lattice, _shown(drawn), drawn.ends.copy()
+    index = np.stack(np.unravel_index(shown, lattice.shape), axis=1)
+    over = np.flatnonzero(ends[:, 0] > ends[:, 1])
+    index[lattice.sites + np.arange(len(over)), lattice.axis[over]] = np.array(lattice.shape)[lattice.axis[over]]
+    ends[over, 1] = lattice.sites + np.arange(len(over))
+    places = np.zeros((len(shown), 3))
+    places[:, : lattice.dimension] = 2 * lattice.radius * index
     _store(root, "Points", places, "length", "centres of the spheres")
-    root["NumberOfPoints"] = [lattice.sites]
+    root["NumberOfPoints"] = [len(shown)]
     for name in TOPOLOGIES:
-        pairs = drawn.ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
+        pairs = ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
         group = root.create_group(name)
         group["NumberOfCells"], group["NumberOfConnectivityIds"] = [len(pairs)], [pairs.size]
         _store(group, "Offsets", 2 * np.arange(len(pairs) + 1), "1", "first of the points of each line")

@@ -55,6 +55,14 @@ class Lattice:
         for axis in self.periodic:
             self._check_periodic(axis)
 
+    @staticmethod
+    def of(contacts: Sequence[np.ndarray]) -> "Lattice":
+        """The lattice that has these contacts, one array (..., *contacts) an axis: as many along a periodic axis as
+        spheres."""
+        *sides, gaps = contacts[-1].shape[-len(contacts) :]
+        closed = (axis for axis, side in enumerate(sides) if contacts[axis].shape[axis - len(contacts)] == side)
+        return Lattice((*sides, gaps + 1), periodic=tuple(closed))
+
     def _check_periodic(self, axis: int) -> None:
         name = AXIS_NAMES[axis]
         if axis >= self.height_axis:

@@ -64,7 +64,7 @@ def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
     """
     *sideways, upward = weight
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
-    closed = set(_lattice_of(weight).periodic) - {idle}
+    closed = set(Lattice.of(weight).periodic) - {idle}
     if closed or not (upward > 0).all() or (len(sideways) == 2 and idle is None):
         return flow_cut(weight)
     if len(sideways) == 1:
@@ -100,7 +100,7 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
     """
     for grid in range(len(upward)):
         weight = sideways[grid], upward[grid]
-        cut, lattice = _cut_lattice(weight), _lattice_of(weight)
+        cut, lattice = _cut_lattice(weight), Lattice.of(weight)
         touched = [cut.between[low] | cut.between[high] for low, high in map(lattice.along, range(2))]
         ring = np.zeros(sideways.shape[1:])
         inner, rising = np.split(cut.flow * cut.unit, [ring[:, 1:-1].size])
@@ -116,7 +116,7 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
     one, so the lightest other one is the lightest of those that spare some contact of `cut`: a flow for each of them,
     so for small lattices.
     """
-    sides, lattice = np.empty_like(cut.above), _lattice_of(weight)
+    sides, lattice = np.empty_like(cut.above), Lattice.of(weight)
     for replica in range(len(sides)):
         sample = tuple(values[[replica]] for values in weight)
         others = []
@@ -131,7 +131,7 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
 
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
     """Weight (R,) of the contacts between the sides (R, *N)."""
-    replicas, lattice = range(len(above)), _lattice_of(weight)
+    replicas, lattice = range(len(above)), Lattice.of(weight)
     parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
     return np.sum(list(parts), axis=0)
 
@@ -172,7 +172,7 @@ class _Cut:
 
 def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
     """The cut of one lattice; weight : one array of contacts an axis."""
-    node, ends = _network(_lattice_of(weight))
+    node, ends = _network(Lattice.of(weight))
     edges, lightest = _edges(weight), weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
     above[node[..., lightest + 1 :]] = True
@@ -196,16 +196,9 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
 
 def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
     """Spheres N that neither the bottom nor the top reaches through other contacts than these; one mask an axis."""
-    node, ends = _network(_lattice_of(apart))
+    node, ends = _network(Lattice.of(apart))
     left_over = np.tile(~_edges(apart), (2, 1))
     return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
-
-
-def _lattice_of(parts: tuple[np.ndarray, ...]) -> Lattice:
-    """That whose contacts they are, one array an axis: as long as the lattice along it where it is periodic."""
-    *sides, gaps = parts[-1].shape[-len(parts) :]
-    closed = (axis for axis, side in enumerate(sides) if parts[axis].shape[axis - len(parts)] == side)
-    return Lattice((*sides, gaps + 1), periodic=tuple(closed))
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:

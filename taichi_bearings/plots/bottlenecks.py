@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.plots.lattice import frame_block, line_on_site, site_on_paper
+from taichi_bearings.plots.lattice import frame_block, line_on_site, lines_of, site_on_paper
 from taichi_bearings.plots.page import PAGE, Page, View, columns_on
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
@@ -28,11 +28,13 @@ def draw_bottlenecks(found: Bottlenecks, title: str = "", page: Page = PAGE) -> 
     ratios: Any = {"width_ratios": (1.35, 1)} if columns == 2 else {"height_ratios": (1.4, 1)}
     place, ranks = figure.subplots(3 - columns, columns, **ratios)
     view = page.view or SIDEWAYS
-    placed = _placed(found, view)
+    step = np.eye(lattice.dimension, dtype=int)[found.network.axis]
+    lines, number = lines_of(found.network.contact, step, lattice.shape)
+    placed = lines if lattice.dimension == 2 else view.seen(lines)[..., :2]
     _draw_planes(place, lattice, view)
     site = site_on_paper(0.4 * width * (2 if columns == 1 else 1), (1.6 * max(lattice.shape),) * 2)
-    _draw_links(figure, place, found, placed, site)
-    _draw_limits(place, found, placed.mean(axis=1))
+    _draw_links(figure, place, found, placed, number, site)
+    _draw_limits(place, found, placed[: len(step)].mean(axis=1))
     _draw_ranks(ranks, found)
     if title:
         figure.suptitle(title)
@@ -50,20 +52,27 @@ def _draw_planes(place: Any, lattice: Lattice, view: View) -> None:
     place.set(xlim=(-0.5, last[0] + 0.5), ylim=(-0.5, last[1] + 0.5), xlabel="$x$", ylabel="$y$", aspect="equal")
 
 
-def _draw_links(figure: Figure, place: Any, found: Bottlenecks, placed: np.ndarray, site: float) -> None:
-    """Links coloured and thickened by their share; the others in grey, if they are not too many to be seen through."""
-    loaded = np.flatnonzero(found.share >= LEAST_PAIR_SHARE)
-    loaded = loaded[np.argsort(found.share[loaded])]  # the heaviest on top
-    idle = np.flatnonzero(found.share < LEAST_PAIR_SHARE)
+def _draw_links(
+    figure: Figure, place: Any, found: Bottlenecks, placed: np.ndarray, number: np.ndarray, site: float
+) -> None:
+    """Links coloured and thickened by their share; the others in grey, if they are not too many to be seen through.
+
+    placed : lines (n, 2, 2), of the links with these numbers (n,).
+    """
+    load = found.share[number]
+    loaded = np.flatnonzero(load >= LEAST_PAIR_SHARE)
+    loaded = loaded[np.argsort(load[loaded])]  # the heaviest on top
+    idle = np.flatnonzero(load < LEAST_PAIR_SHARE)
     if len(idle) <= MOST_IDLE:
         place.add_collection(LineCollection(list(placed[idle]), colors=GREY, lw=0.4, alpha=0.35, zorder=1.5))
-    share = found.share[loaded]
+    share = load[loaded]
     weight = 1 + np.log10(np.maximum(share, LEAST_PAIR_SHARE)) / -np.log10(LEAST_PAIR_SHARE)
     width = 0.3 + line_on_site(site, 0.35, 1.0, 2.5) * weight**2
     norm = LogNorm(LEAST_PAIR_SHARE, 1)
     lines = LineCollection(list(placed[loaded]), array=share, cmap=LOAD_COLOURS, norm=norm, linewidths=width, zorder=2)
     place.add_collection(lines)
-    kept = f"{len(loaded):,} of {len(placed):,} links carry more than {LEAST_PAIR_SHARE:g}"
+    carrying = int((found.share >= LEAST_PAIR_SHARE).sum())
+    kept = f"{carrying:,} of {len(found.share):,} links carry more than {LEAST_PAIR_SHARE:g}"
     place.set_title("No path joins the planes" if not found.betweenness.pairs else kept)
     figure.colorbar(lines, ax=place, label="share $s$ of the shortest paths", shrink=0.7, pad=0.04, location="left")
 
@@ -92,11 +101,3 @@ def _draw_ranks(axes: Any, found: Bottlenecks) -> None:
     axes.set(xlabel="share $s$ of the pairs or the current", ylabel="links that carry $s$ or more")
     axes.legend(loc="lower left")
     axes.set_title("Spread of the load")
-
-
-def _placed(found: Bottlenecks, view: View) -> np.ndarray:
-    """Both ends (E, 2, 2) of each link, as they are seen."""
-    network = found.network
-    step = np.eye(network.lattice.dimension, dtype=int)[network.axis]
-    ends = np.stack([network.contact, network.contact + step], axis=1)
-    return ends if network.lattice.dimension == 2 else view.seen(ends)[..., :2]

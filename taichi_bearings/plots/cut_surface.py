@@ -13,6 +13,7 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, middle_planes
 from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
@@ -32,7 +33,7 @@ def draw_cut_surface(
     above : N, True on the top side. coefficient, slips : one array (*contacts) an axis; slips is bool.
     symbol : of the coefficients.
     """
-    walls, shape = lattice.walls_between(above), above.shape
+    walls, shape = lattice.walls_between(above, Lattice.of(coefficient)), above.shape
     if above.ndim == 2:
         width = page.inches("single")
         height = width * float(np.clip(shape[1] / shape[0], 0.4, 2.0))

@@ -30,6 +30,7 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
     colour = colour_of_turn(domains.turn)[domains.domain]
+    walls = lattice.walls_between(domains.domain, domains.lattice)
     shape = colour.shape[:-1]
     flat = len(shape) == 2
     planes = () if flat else page.planes or middle_planes(shape)
@@ -43,7 +44,7 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     above, below = parts
     if flat:
         plane = above.add_subplot()
-        _paint(plane, colour, domains.domain, domains, lattice.site_on_paper(0.85 * width, shape))
+        _paint(plane, colour, domains.domain, walls, domains, lattice.site_on_paper(0.85 * width, shape))
         lattice.box_driven_rows(plane, domains.domain.shape)
         plane.set_title("(a) rigid domains, their boundaries in black")
     else:
@@ -52,7 +53,8 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
         block.set_title("(a) rigid domains")
         for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
             plane, labels = (np.take(values, index, axis) for values in (colour, domains.domain))
-            _paint(axes, plane, labels, domains, lattice.site_on_paper(0.85 * width, labels.shape))
+            cut = lattice.contacts_in_plane(walls, axis, index)
+            _paint(axes, plane, labels, cut, domains, lattice.site_on_paper(0.85 * width, labels.shape))
             lattice.name_cut(axes, axis, index, f"({letter}) ")
     sizes, values = below.subplots(1, 2) if wide > 1 else below.subplots(2, 1)
     _draw_sizes(sizes, domains)
@@ -74,11 +76,16 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     return colour
 
 
-def _paint(axes: Any, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains, site: float) -> None:
+def _paint(
+    axes: Any,
+    colour: np.ndarray,
+    domain: np.ndarray,
+    walls: tuple[np.ndarray, ...],
+    domains: RigidDomains,
+    site: float,
+) -> None:
     lattice.paint_plane(axes, colour)
-    lattice.draw_walls(
-        axes, lattice.walls_between(domain), colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0)
-    )
+    lattice.draw_walls(axes, walls, colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0))
     partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
     axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 

@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
 
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.page import AXES, BELOW, VIEW, View
 from taichi_bearings.plots.style import GREEN
 from taichi_bearings.plots.symbols import larger_spin
@@ -61,9 +62,37 @@ def contacts_in_plane(contacts: Sequence[np.ndarray], axis: int, index: int) -> 
     return tuple(np.take(values, index, axis) for along, values in enumerate(contacts) if along != axis)
 
 
-def walls_between(label: np.ndarray) -> tuple[np.ndarray, ...]:
-    """True for the contacts whose spheres differ in `label`, one array (*contacts) an axis."""
-    return tuple(np.diff(label.astype(np.int64), axis=axis) != 0 for axis in range(label.ndim))
+def walls_between(label: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
+    """True for the contacts whose spheres differ in `label`, shape N, one array (*contacts) an axis."""
+    low, high = label.ravel()[lattice.ends]
+    return lattice.by_axis(low != high)
+
+
+def lines_of(start: np.ndarray, step: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Lines (n, 2, D) from places (E, D) a step further, and the number (n,) of each in E. One that leads over a
+    periodic side is two halves, at either side."""
+    start, end, size = np.asarray(start, dtype=float), start + step, np.array(shape)
+    over = ((end < 0) | (end >= size)).any(axis=1)
+    whole = np.stack([start, np.where(over[:, None], start + step / 2, end)], axis=1)
+    there = (end % size)[over]
+    return np.concatenate([whole, np.stack([there - step[over] / 2, there], axis=1)]), np.append(
+        np.arange(len(over)), np.flatnonzero(over)
+    )
+
+
+def steps_of(path: np.ndarray) -> np.ndarray:
+    """(L - 1, D) from sphere to sphere of a path (L, D), also over a periodic side."""
+    step = np.diff(path, axis=0)
+    return np.where(np.abs(step) > 1, -np.sign(step), step)
+
+
+def trace_of(path: np.ndarray) -> np.ndarray:
+    """A path (L, D) with what breaks a line, NaN, between its halves where it leads over a periodic side."""
+    places = list(path[:1])
+    for here, way, there in zip(path[:-1], steps_of(path), path[1:], strict=True):
+        gap = [] if (here + way == there).all() else [here + way / 2, np.full(len(way), np.nan), there - way / 2]
+        places += [*gap, there]
+    return np.array(places, dtype=float).reshape(-1, path.shape[1])
 
 
 def paint_plane(axes: Any, colour: np.ndarray) -> None:
@@ -102,10 +131,15 @@ def draw_contacts(axes: Any, contacts: Sequence[np.ndarray], **look: Any) -> Lin
 
 def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], ends: Callable[..., Any], look: dict[str, Any]) -> Any:
     """One line a contact; ends : of the unit vectors along and across it, from its lower disc."""
-    unit = np.eye(2)
-    lines = [np.argwhere(chosen)[:, None] + ends(unit[axis], unit[1 - axis]) for axis, chosen in enumerate(contacts)]
-    every = np.concatenate(lines)
-    return axes.add_collection(LineCollection(list(every), rasterized=len(every) > MOST_LINES, **look))
+    unit, lines = np.eye(2), list[np.ndarray]()
+    for axis, chosen in enumerate(contacts):
+        place, around = np.argwhere(chosen), contacts[1 - axis].shape[axis]
+        of_axis = list(place[:, None] + ends(unit[axis], unit[1 - axis]))
+        for number in np.flatnonzero(place[:, axis] == around - 1):  # over a periodic side: at the other one, too
+            line = of_axis[number]
+            of_axis[number] = np.concatenate([line, [[np.nan] * 2], line - around * unit[axis]])
+        lines += of_axis
+    return axes.add_collection(LineCollection(lines, rasterized=len(lines) > MOST_LINES, **look))
 
 
 def squares(centre: np.ndarray, axis: int) -> np.ndarray:

@@ -30,17 +30,18 @@ def draw_plane_cuts(
     slipless = network.lattice.by_axis(network.slipless)
     if speed.ndim == 2:
         figure, (axes,), width = _panels([speed], page)
-        joined = np.stack([path[:-1], path[1:]], axis=1)
+        joined, _ = lattice.lines_of(path[:-1], lattice.steps_of(path), speed.shape)
         _draw_plane(axes, speed, slipless, joined, np.empty((0, 3), dtype=int), width)
-        axes.set_title(_title(len(joined), len(joined)))
+        length = max(len(path) - 1, 0)
+        axes.set_title(_title(length, length))
     else:
         cuts = page.planes or (planes_of(path) if len(path) else middle_planes(speed.shape))
         planes = [np.take(speed, index, axis) for axis, index in cuts]
         figure, each, width = _panels(planes, page)
         for axes, plane, (axis, index) in zip(each, planes, cuts, strict=True):
-            joined, leaves = path_in_plane(path, axis, index)
+            held, joined, leaves = path_in_plane(path, axis, index, speed.shape)
             _draw_plane(axes, plane, lattice.contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
-            lattice.name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
+            lattice.name_cut(axes, axis, index, after=": " + _title(held, len(path) - 1))
         if len(path):
             figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
     below = columns_on(page, len(figure.axes)) < 2 < speed.ndim
@@ -51,13 +52,13 @@ def draw_plane_cuts(
 def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     """(axis, index) of up to three upright planes, each holding most contacts of the path (L, 3) that the ones before
     do not hold."""
-    step, lower = np.diff(path, axis=0), np.minimum(path[:-1], path[1:])
+    step = np.diff(path, axis=0)
     shown, chosen = np.zeros(len(step), dtype=bool), []
     for _ in range(PLANES):
         best, held = None, shown
         for axis in (0, 1):
             for index in np.unique(path[:, axis]):
-                inside = (step[:, axis] == 0) & (lower[:, axis] == index)
+                inside = (step[:, axis] == 0) & (path[:-1, axis] == index)
                 if (shown | inside).sum() > held.sum():
                     best, held = (axis, int(index)), shown | inside
         if best is not None:
@@ -66,22 +67,23 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple(chosen)
 
 
-def path_in_plane(path: np.ndarray, axis: int, index: int) -> tuple[np.ndarray, np.ndarray]:
+def path_in_plane(
+    path: np.ndarray, axis: int, index: int, shape: tuple[int, ...]
+) -> tuple[int, np.ndarray, np.ndarray]:
     """The pieces of a path (L, 3) in the plane `index` across `axis`, and where it leaves the plane.
 
-    returns : ends (n, 2, 2) of its contacts in the plane; (m, 3) the place in the plane where it leaves, and +1 towards
-        the reader or -1 away.
+    returns : number of its contacts in the plane; lines (n, 2, 2) of them; (m, 3) the place in the plane where it
+        leaves, and +1 towards the reader or -1 away.
     """
-    flat = np.delete(path, axis, axis=1)
-    inside = path[:, axis] == index
+    step, inside = lattice.steps_of(path), path[:, axis] == index
+    flat, way, sides = (np.delete(values, axis, axis=-1) for values in (path, step, np.array(shape)))
     both = inside[:-1] & inside[1:]
-    joined = np.stack([flat[:-1][both], flat[1:][both]], axis=1)
-    side = TOWARDS_READER[axis] * (path[:, axis] - index)
-    leaves = []
-    for here, there in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+    joined, _ = lattice.lines_of(flat[:-1][both], way[both], tuple(sides))
+    side, leaves = TOWARDS_READER[axis] * step[:, axis], []
+    for here, there, sign in ((slice(None, -1), slice(1, None), 1), (slice(1, None), slice(None, -1), -1)):
         out = inside[here] & ~inside[there]
-        leaves.append(np.column_stack([flat[here][out], side[there][out]]))
-    return joined, np.concatenate(leaves)
+        leaves.append(np.column_stack([flat[here][out], sign * side[out]]))
+    return int(both.sum()), joined, np.concatenate(leaves)
 
 
 def _title(held: int, length: int) -> str:

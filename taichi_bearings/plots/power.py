@@ -8,6 +8,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import BELOW, PAGE, Page, columns_on, middle_planes
 from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
@@ -36,7 +37,7 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
     label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
     title = describe(scene, replica)
     if len(shape) == 2:
-        shown = power if lines else [_at_spheres(power, shape)]
+        shown = power if lines else [_at_spheres(power)]
         norm = _norm(shown)
         width = page.inches("single")
         height = (width - 0.8) * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
@@ -64,13 +65,11 @@ def _norm(powers: Arrays) -> LogNorm:
     return LogNorm(float(np.quantile(slipping, FAINT_SHARE)), float(slipping.max()))
 
 
-def _at_spheres(power: Arrays, shape: tuple[int, ...]) -> np.ndarray:
+def _at_spheres(power: Arrays) -> np.ndarray:
     """Half the power of all contacts of each sphere."""
-    found = np.zeros(shape)
-    for axis, values in enumerate(power):
-        for part in (slice(None, -1), slice(1, None)):
-            np.moveaxis(found, axis, 0)[part] += np.moveaxis(values, axis, 0) / 2
-    return found
+    of = Lattice.of(power)
+    half = np.tile(of.flat(power) / 2, 2)
+    return np.bincount(of.ends.ravel(), half, minlength=of.sites).reshape(of.shape)
 
 
 def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str, page: Page) -> Figure:

@@ -134,6 +134,7 @@ def _domains(scene: Scene, found: Mapping[str, Finding]) -> RigidDomains:
     number = int(domain.max()) + 1  # what is padded lies behind
     first = np.unique(domain.ravel(), return_index=True)[1] // scene.lattice.shape[-1]
     return RigidDomains(
+        lattice=scene.lattice,
         spin_axes=axes,
         component_domain=np.stack([found[f"component_domain/{AXES[k]}"].values for k in axes]),
         domain=domain,
@@ -187,7 +188,7 @@ def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.
     step = np.full(scene.lattice.sites, -2)
     step[path] = np.arange(len(path))
     low, high = step[scene.lattice.ends]
-    on_path = (np.abs(low - high) == 1) & (low >= 0) & (high >= 0)
+    on_path = (np.abs(low - high) == 1) & (low >= 0) & (high >= 0) & (columns["state"].values == ContactState.SLIPLESS)
     columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
     return columns
 

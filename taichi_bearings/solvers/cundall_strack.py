@@ -229,7 +229,7 @@ def sticking_modes(
         return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
     strongest = float(scene.acting_coefficient.max())
     holds = scene.normal_force * strongest * options.static_ratio
-    fastest = max(largest_spin, scene.fastest, np.finfo(float).tiny)
+    fastest = float(max(largest_spin, scene.fastest, np.finfo(float).tiny))
     damping = options.damping
     if scene.viscosities is not None:
         damping += max(float(values.mean()) for values in scene.lattice.by_axis(scene.viscosities))

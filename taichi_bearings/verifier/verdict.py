@@ -139,7 +139,8 @@ def _driving(samples: Samples) -> Iterator[str]:
             if uneven or (np.abs(signed[0][..., plane] - expected) > allowed).any():
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
     for name, said in (("bottom", samples.spin_bottom), ("top", samples.spin_top)):
-        if samples.top is not None and not _close(said, float(np.sqrt(np.max(largest[name])))):
+        true = float(np.sqrt(np.max(largest[name])))
+        if samples.top is not None and not (_close(said, true) or abs(said - true) <= 2 * lost):
             yield f"the largest spin of the {name} is said to be {said!r}; it is another"
 
 

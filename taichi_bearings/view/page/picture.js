@@ -130,8 +130,8 @@ class Picture {
       for (let c = 0; c < sample.contacts; c++) {
         const a = low[c], b = high[c], paint = (across ? shown[a] || shown[b] : shown[a] && shown[b]) ? colour(c) : null;
         if (!paint) continue;
-        squares.put(c, (place[3 * a] + place[3 * b]) / 2, (place[3 * a + 1] + place[3 * b + 1]) / 2 + before,
-          (place[3 * a + 2] + place[3 * b + 2]) / 2, flat && across ? 2 - along[axis[c]] : along[axis[c]],
+        const middle = [0, 1, 2].map((k) => place[3 * a + k] + (k === along[axis[c]] ? 0.5 : 0));  // over a periodic side: beyond it
+        squares.put(c, middle[0], middle[1] + before, middle[2], flat && across ? 2 - along[axis[c]] : along[axis[c]],
           flat && across ? FLAT[name] : radiusOf ? radiusOf(c) : radius, paint);
       }
     squares.end();

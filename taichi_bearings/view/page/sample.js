@@ -21,11 +21,13 @@ class Sample {
     this.high = new Int32Array(this.contacts);
     let c = 0;
     for (let k = 0; k < this.dimension; k++)
-      for (let s = 0; s < this.sites; s++)
-        if (this.cell[k][s] < this.shape[k] - 1) {
-          this.axis[c] = k; this.low[c] = s; this.high[c] = s + stride[k];
+      for (let s = 0; s < this.sites; s++) {
+        const last = this.cell[k][s] === this.shape[k] - 1;
+        if (!last || facts.periodic.includes(k)) {
+          this.axis[c] = k; this.low[c] = s; this.high[c] = s + stride[k] * (last ? 1 - this.shape[k] : 1);
           c++;
         }
+      }
     this.stride = stride;
     this.judged = new Uint8Array(this.contacts);
     this.piece = new Uint8Array(this.sites);
