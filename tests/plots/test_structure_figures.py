@@ -170,13 +170,13 @@ def test_planes_are_those_that_hold_most_of_the_path():
 
 
 def test_the_path_in_a_plane_and_where_it_leaves():
-    joined, leaves = path_in_plane(PATH, 1, 3)  # reader at small y, towards whom the path comes and goes
+    _, joined, leaves = path_in_plane(PATH, 1, 3, (4, 4, 4))  # reader at small y, towards whom the path comes and goes
     assert joined.tolist() == [[[1, 1], [2, 1]], [[2, 1], [3, 1]], [[3, 1], [3, 2]]]
     assert sorted(leaves.tolist()) == [[1, 1, 1], [3, 2, 1]]
-    joined, leaves = path_in_plane(PATH, 0, 1)  # reader at large x
+    _, joined, leaves = path_in_plane(PATH, 0, 1, (4, 4, 4))  # reader at large x
     assert joined.tolist() == [[[2, 0], [2, 1]], [[2, 1], [3, 1]]]
     assert leaves.tolist() == [[3, 1, 1]]
-    assert path_in_plane(PATH, 0, 3)[1].tolist() == [[3, 1, -1]]
+    assert path_in_plane(PATH, 0, 3, (4, 4, 4))[2].tolist() == [[3, 1, -1]]
 
 
 def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
@@ -201,14 +201,14 @@ def test_the_cut_figure_draws_every_contact_of_the_cut_and_every_slip():
     above = cut_of(case.scene).above[0]
     coefficient = case.scene.lattice.by_axis(case.scene.coefficient[0])
     (axes,) = draw_cut_surface(above, coefficient, case.slips).axes
-    cut = sum(int(walls.sum()) for walls in walls_between(above))
+    cut = sum(int(walls.sum()) for walls in walls_between(above, case.scene.lattice))
     assert len(collections(axes, LineCollection, ORANGE)[0].get_segments()) == cut
     assert len(collections(axes, LineCollection, BLUE)[0].get_segments()) == sum(int(s.sum()) for s in case.slips)
 
     case = Case((5, 4, 6))
     above = cut_of(case.scene).above[0]
     coefficient = case.scene.lattice.by_axis(case.scene.coefficient[0])
-    walls = walls_between(above)
+    walls = walls_between(above, case.scene.lattice)
     surface, height = draw_cut_surface(above, coefficient, case.slips).axes[:2]
     (squares,) = collections(surface, PolyCollection)
     cut = np.concatenate([c[w] for c, w in zip(coefficient, walls, strict=True)])
