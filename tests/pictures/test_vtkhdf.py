@@ -61,6 +61,23 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
     assert np.array_equal(points[:, : rows.scene.lattice.dimension], np.argwhere(rows.scene.lattice.is_driven >= 0))
 
 
+@pytest.mark.parametrize(("shape", "periodic"), [((4, 2, 4), ("x", "y")), ((6, 5), ("x",))])
+def test_lines_over_a_periodic_side_are_as_long_as_others_and_end_at_the_same_sphere(
+    shape, periodic, solved, read, tmp_path
+):
+    run = solved(shape=shape, periodic=periodic, seed=3, radius=2.0)
+    export(run, tmp_path / "a.vtkhdf")
+    rows = points_and_lines(read_run_file(run))
+    points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf")
+    same(contacts, rows.contacts)
+    assert np.linalg.norm(points[lines[:, 1]] - points[lines[:, 0]], axis=1) == pytest.approx(4.0)
+    for name, column in rows.spheres.items():
+        assert np.array_equal(spheres[name][lines.T], column.values[rows.ends.T]), name
+    spacing, sides = 4.0, np.array([*shape, 1][:3])
+    wrapped = np.rint(points / spacing).astype(int) % sides
+    assert np.array_equal(np.ravel_multi_index(tuple(wrapped[lines[:, 1]].T), sides), rows.ends[:, 1])
+
+
 def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynamics, read, tmp_path):
     path = tmp_path / "a.vtkhdf"
     rows = points_and_lines(read_run_file(dynamics))
