@@ -57,10 +57,11 @@ class Lattice:
 
     @staticmethod
     def of(contacts: Sequence[np.ndarray]) -> "Lattice":
-        """The lattice that has these contacts, one array (..., *contacts) an axis: as many along a periodic axis as
-        spheres."""
+        """The lattice that has these contacts, one array (..., *contacts) an axis: as many along a periodic axis, which
+        is of even length, as spheres."""
         *sides, gaps = contacts[-1].shape[-len(contacts) :]
-        closed = (axis for axis, side in enumerate(sides) if contacts[axis].shape[axis - len(contacts)] == side)
+        own = [values.shape[axis - len(contacts)] for axis, values in enumerate(contacts)]
+        closed = (axis for axis, side in enumerate(sides) if own[axis] == side and side % 2 == 0)
         return Lattice((*sides, gaps + 1), periodic=tuple(closed))
 
     def _check_periodic(self, axis: int) -> None:

@@ -20,6 +20,7 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.whole_file import replace_file, write_text
 from taichi_bearings.interrupts import awaited
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
@@ -35,7 +36,7 @@ from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.array_files import lattice_shape, read_coefficients, short_name
+from taichi_bearings.scene.array_files import read_coefficients, short_name
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
@@ -55,7 +56,7 @@ def build_scene(settings: RunSettings) -> Scene:
     file = Path(settings.coefficients)
     given["seeds"] = tuple(range(settings.seed, settings.seed + settings.replicas))
     coefficients = read_coefficients(file)
-    if (shape := lattice_shape(coefficients)) != settings.shape:
+    if (shape := Lattice.of(coefficients).shape) != settings.shape:
         own, asked = ("x".join(map(str, sides)) for sides in (shape, settings.shape))
         raise InputError(f"shape is {asked}, but the coefficients in {file} are of {own} spheres; leave out the shape")
     samples = len(coefficients[0]) if coefficients[0].ndim > len(shape) else 1

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import AXIS_NAMES
 from taichi_bearings.options import (
     COUNT,
     FILE,
@@ -33,7 +35,7 @@ from taichi_bearings.options import (
 )
 from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.array_files import lattice_shape, read_coefficients
+from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions
@@ -219,10 +221,14 @@ class RunSettings:
         return settings if "shape" in values else settings.in_shape_of_coefficients()
 
     def in_shape_of_coefficients(self) -> "RunSettings":
-        """The settings with the shape of the coefficients file; FileError if that cannot be read."""
+        """The settings with the shape of the coefficients file, and its periodic sides unless some are given; FileError
+        if that cannot be read."""
         if self.coefficients is None:
             return self
-        return replace(self, shape=lattice_shape(read_coefficients(Path(self.coefficients))))
+        lattice = Lattice.of(read_coefficients(Path(self.coefficients)))
+        return replace(
+            self, shape=lattice.shape, periodic=self.periodic or tuple(AXIS_NAMES[a] for a in lattice.periodic)
+        )
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""

@@ -209,7 +209,8 @@ def _samples(
             base = RunSettings.from_mapping({**document, **given}, str(path))
         settings = replace(base, **given)
         if "coefficients" in given and "shape" not in {*document, *given}:
-            settings = settings.in_shape_of_coefficients()
+            sides = settings.periodic if "periodic" in {*document, *given} else ()
+            settings = replace(settings, periodic=sides).in_shape_of_coefficients()
         point = {name: getattr(settings, name) for name in scanned}
         key = sample_key(settings)
         if key in met:

@@ -106,12 +106,6 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
     return tuple(values.astype(np.float64) for values in stored.values())
 
 
-def lattice_shape(coefficients: tuple[np.ndarray, ...]) -> tuple[int, ...]:
-    """Spheres along each axis of the lattice that coefficients, one array an axis, belong to."""
-    upward = coefficients[-1].shape[-len(coefficients) :]
-    return *upward[:-1], upward[-1] + 1
-
-
 def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
     """True if coefficients along x and y have the shapes of one lattice, or of samples of it."""
     if len(x) != len(y) or len(x) not in (dimension, dimension + 1):
