@@ -22,6 +22,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.lattice import Lattice
 
 
 class Lock(IntFlag):
@@ -41,7 +42,7 @@ INTERMEDIATE = LOCKS.index("mixed")  # the first of the kinds that are not locke
 
 @dataclass(frozen=True)
 class RigidDomains:
-    """Domains of one sample; C components as named by spin_axes, D rigid domains.
+    """Domains of one sample of a lattice; C components as named by spin_axes, D rigid domains.
 
     component_domain : (C, *N) label of the domain of each component.
     domain : N, label of the rigid domain: 0, 1, ... by falling number of spheres.
@@ -51,6 +52,7 @@ class RigidDomains:
     lock : (D, C) values of Lock. jump : (D, C) staggered spin of the top in the layers of each domain, 1/time.
     """
 
+    lattice: Lattice
     spin_axes: tuple[int, ...]
     component_domain: np.ndarray
     domain: np.ndarray
@@ -111,6 +113,7 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
     lock, top = tied[:, first].T, np.repeat(top, network.lattice.shape[-1], axis=1).T  # above each sphere
     held = np.where((lock == Lock.TOP)[of_sphere], top, mean[of_sphere])
     return RigidDomains(
+        lattice=network.lattice,
         spin_axes=spin_axes,
         component_domain=labels.reshape(-1, *network.lattice.shape),
         domain=of_sphere.reshape(network.lattice.shape),

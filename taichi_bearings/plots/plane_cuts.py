@@ -26,11 +26,12 @@ def draw_plane_cuts(
     middle ones if there is none. A circle marks where the path leaves the plane: with a dot towards the reader, with a
     cross away.
     """
-    speed, path = lattice.speed_of(spin, spin_top, spin_bottom), network.shortest_path
+    speed = lattice.speed_of(spin, spin_top, spin_bottom)
+    path, steps = network.shortest_path, network.path_steps
     slipless = network.lattice.by_axis(network.slipless)
     if speed.ndim == 2:
         figure, (axes,), width = _panels([speed], page)
-        joined = np.stack([path[:-1], path[1:]], axis=1)
+        joined = np.stack([path[:-1], path[:-1] + steps], axis=1)
         _draw_plane(axes, speed, slipless, joined, np.empty((0, 3), dtype=int), width)
         axes.set_title(_title(len(joined), len(joined)))
     else:
@@ -38,7 +39,7 @@ def draw_plane_cuts(
         planes = [np.take(speed, index, axis) for axis, index in cuts]
         figure, each, width = _panels(planes, page)
         for axes, plane, (axis, index) in zip(each, planes, cuts, strict=True):
-            joined, leaves = path_in_plane(path, axis, index)
+            joined, leaves = path_in_plane(path, steps, axis, index)
             _draw_plane(axes, plane, lattice.contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
             lattice.name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
         if len(path):
@@ -66,21 +67,21 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple(chosen)
 
 
-def path_in_plane(path: np.ndarray, axis: int, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pieces of a path (L, 3) in the plane `index` across `axis`, and where it leaves the plane.
+def path_in_plane(path: np.ndarray, steps: np.ndarray, axis: int, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pieces of a path (L, 3) of steps (L - 1, 3) in the plane `index` across `axis`, and where it leaves it.
 
-    returns : ends (n, 2, 2) of its contacts in the plane; (m, 3) the place in the plane where it leaves, and +1 towards
-        the reader or -1 away.
+    returns : ends (n, 2, 2) of its contacts in the plane, over a periodic side outwards; (m, 3) the place in the plane
+        where it leaves, and +1 towards the reader or -1 away.
     """
     flat = np.delete(path, axis, axis=1)
     inside = path[:, axis] == index
     both = inside[:-1] & inside[1:]
-    joined = np.stack([flat[:-1][both], flat[1:][both]], axis=1)
-    side = TOWARDS_READER[axis] * (path[:, axis] - index)
+    joined = np.stack([flat[:-1][both], (flat[:-1] + np.delete(steps, axis, axis=1))[both]], axis=1)
+    side = TOWARDS_READER[axis] * steps[:, axis]
     leaves = []
-    for here, there in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+    for here, there, way in ((slice(None, -1), slice(1, None), side), (slice(1, None), slice(None, -1), -side)):
         out = inside[here] & ~inside[there]
-        leaves.append(np.column_stack([flat[here][out], side[there][out]]))
+        leaves.append(np.column_stack([flat[here][out], way[out]]))
     return joined, np.concatenate(leaves)
 
 
@@ -107,6 +108,7 @@ def _draw_plane(
     site = lattice.site_on_paper(width, speed.shape)
     lattice.paint_plane(axes, colormaps[lattice.SPIN_COLOURS](speed))
     lattice.draw_contacts(axes, slipless, colors="0.35", lw=lattice.line_on_site(site, 0.1, 0.3), zorder=2)
+    joined = lattice.up_to_the_sides(lattice.on_both_sides(joined, speed.shape)[0], speed.shape)
     for colour, share in (("white", 0.5), (GREEN, 0.3)):
         line = lattice.line_on_site(site, share, 4 * share, 12 * share)
         axes.add_collection(LineCollection(list(joined), colors=colour, lw=line, zorder=3, capstyle="round"))

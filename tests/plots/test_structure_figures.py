@@ -12,6 +12,7 @@ from matplotlib.colors import to_rgba
 from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import THRESHOLDS
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import colour_of_turn, draw_domains
 from taichi_bearings.plots.lattice import SPIN_COLOURS, box_edges, walls_between
@@ -48,13 +49,17 @@ class Case:
         self.domains = rigid_domains(self.network, self.staggered[:, 0], axes)
         self.driving = (scene.spin_top, scene.spin_bottom)
 
+    def cut(self):
+        """What the figure of the minimum cut takes."""
+        above, lattice = cut_of(self.scene).above[0], self.scene.lattice
+        return above, walls_between(above, lattice), lattice.by_axis(self.scene.coefficient[0]), self.slips
+
     def figures(self):
-        coefficient = self.scene.lattice.by_axis(self.scene.coefficient[0])
         return [
             draw_domains(self.domains),
             draw_network(self.network, self.spin, *self.driving),
             draw_plane_cuts(self.network, self.spin, *self.driving),
-            draw_cut_surface(cut_of(self.scene).above[0], coefficient, self.slips),
+            draw_cut_surface(*self.cut()),
         ]
 
 
@@ -170,13 +175,15 @@ def test_planes_are_those_that_hold_most_of_the_path():
 
 
 def test_the_path_in_a_plane_and_where_it_leaves():
-    joined, leaves = path_in_plane(PATH, 1, 3)  # reader at small y, towards whom the path comes and goes
+    joined, leaves = path_in_plane(
+        PATH, np.diff(PATH, axis=0), 1, 3
+    )  # reader at small y, towards whom the path comes and goes
     assert joined.tolist() == [[[1, 1], [2, 1]], [[2, 1], [3, 1]], [[3, 1], [3, 2]]]
     assert sorted(leaves.tolist()) == [[1, 1, 1], [3, 2, 1]]
-    joined, leaves = path_in_plane(PATH, 0, 1)  # reader at large x
+    joined, leaves = path_in_plane(PATH, np.diff(PATH, axis=0), 0, 1)  # reader at large x
     assert joined.tolist() == [[[2, 0], [2, 1]], [[2, 1], [3, 1]]]
     assert leaves.tolist() == [[3, 1, 1]]
-    assert path_in_plane(PATH, 0, 3)[1].tolist() == [[3, 1, -1]]
+    assert path_in_plane(PATH, np.diff(PATH, axis=0), 0, 3)[1].tolist() == [[3, 1, -1]]
 
 
 def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
@@ -198,18 +205,15 @@ def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
 
 def test_the_cut_figure_draws_every_contact_of_the_cut_and_every_slip():
     case = Case((7, 6))
-    above = cut_of(case.scene).above[0]
-    coefficient = case.scene.lattice.by_axis(case.scene.coefficient[0])
-    (axes,) = draw_cut_surface(above, coefficient, case.slips).axes
-    cut = sum(int(walls.sum()) for walls in walls_between(above))
+    above, walls, coefficient, _ = case.cut()
+    (axes,) = draw_cut_surface(*case.cut()).axes
+    cut = sum(int(values.sum()) for values in walls)
     assert len(collections(axes, LineCollection, ORANGE)[0].get_segments()) == cut
     assert len(collections(axes, LineCollection, BLUE)[0].get_segments()) == sum(int(s.sum()) for s in case.slips)
 
     case = Case((5, 4, 6))
-    above = cut_of(case.scene).above[0]
-    coefficient = case.scene.lattice.by_axis(case.scene.coefficient[0])
-    walls = walls_between(above)
-    surface, height = draw_cut_surface(above, coefficient, case.slips).axes[:2]
+    above, walls, coefficient, _ = case.cut()
+    surface, height = draw_cut_surface(*case.cut()).axes[:2]
     (squares,) = collections(surface, PolyCollection)
     cut = np.concatenate([c[w] for c, w in zip(coefficient, walls, strict=True)])
     weight = np.concatenate([c[w] * s for c, w, s in zip(coefficient, walls, (0.5**0.5, 0.5**0.5, 1), strict=True)])
@@ -222,8 +226,9 @@ def test_overhangs_of_the_cut_are_marked():
     above = np.zeros((3, 4, 6), dtype=bool)
     above[..., 3:] = True
     above[1, 2] = [False, False, True, False, True, True]
-    weights = tuple(np.ones(tuple(n - (a == axis) for a, n in enumerate(above.shape))) for axis in range(3))
-    height = draw_cut_surface(above, weights, tuple(w > 2 for w in weights)).axes[1]
+    walls = walls_between(above, Lattice(above.shape))
+    weights = tuple(np.ones(values.shape) for values in walls)
+    height = draw_cut_surface(above, walls, weights, tuple(w > 2 for w in weights)).axes[1]
     assert height.lines[0].get_xydata().tolist() == [[1, 2]]
     assert "1 columns" in height.get_title()
 
