@@ -7,6 +7,7 @@ each axis has contacts of its own, and VTK wants all lines in one array.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, opened_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 
@@ -42,7 +44,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
         with stage("writing"):
             write_vtkhdf(path, drawn, told)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    counts = {"points": drawn.scene.lattice.sites, "lines": len(drawn.ends), "steps": steps}
+    counts = {"points": len(_points(drawn.scene.lattice)), "lines": len(drawn.ends), "steps": steps}
     return {"file": str(path), "bytes": path.stat().st_size, **counts}
 
 
@@ -57,22 +59,46 @@ def write_vtkhdf(path: Path, drawn: PointsAndLines, attributes: Mapping[str, Any
         _write_geometry(root, drawn)
         steps = None if drawn.moments is None or drawn.time is None else _start_steps(root, drawn.moments, drawn.time)
         way = {} if drawn.moments is None else _on_the_way(drawn.moments, drawn.contacts)
-        for group, columns in (("PointData", drawn.spheres), ("CellData", drawn.contacts)):
-            for name, column in columns.items():
-                _put(root, steps, group, name, column, way.get(name))
+        points = _points(drawn.scene.lattice)
+        for name, column in _of_points(drawn, points).items():
+            _put(root, steps, "PointData", name, column, way["spin"][:, points] if name == "spin" and way else None)
+        for name, column in drawn.contacts.items():
+            _put(root, steps, "CellData", name, column, way.get(name))
 
     write_hdf5(path, fill)
 
 
+def _over(lattice: Lattice) -> np.ndarray:
+    """Contacts across periodic sides: their lines lead on to images of the first spheres, behind the last ones."""
+    return np.flatnonzero(lattice.ends[1] < lattice.ends[0])
+
+
+def _points(lattice: Lattice) -> np.ndarray:
+    """Sphere of each point: all of them, then one an image."""
+    return np.append(np.arange(lattice.sites), lattice.ends[1, _over(lattice)])
+
+
+def _of_points(drawn: PointsAndLines, points: np.ndarray) -> dict[str, Finding]:
+    """Columns of point data; on periodic lattices they say which points are images."""
+    columns = {name: replace(column, values=column.values[points]) for name, column in drawn.spheres.items()}
+    if len(points) > drawn.scene.lattice.sites:
+        image = np.arange(len(points)) >= drawn.scene.lattice.sites
+        columns["image"] = Finding(image, "1", "sphere once more, where a contact across a periodic side leads to it")
+    return columns
+
+
 def _write_geometry(root: h5py.Group, drawn: PointsAndLines) -> None:
     """Points at their places, height along z in 3D and along y in 2D, and the contacts as lines between them."""
-    lattice = drawn.scene.lattice
-    places = np.zeros((lattice.sites, 3))
-    places[:, : lattice.dimension] = 2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool))
+    lattice, over, ends = drawn.scene.lattice, _over(drawn.scene.lattice), drawn.ends.copy()
+    cells = np.argwhere(np.ones(lattice.shape, dtype=bool))
+    beyond = cells[ends[over, 0]] + np.eye(lattice.dimension, dtype=int)[lattice.axis[over]]
+    ends[over, 1] = lattice.sites + np.arange(len(over))
+    places = np.zeros((lattice.sites + len(over), 3))
+    places[:, : lattice.dimension] = 2 * lattice.radius * np.concatenate([cells, beyond])
     _store(root, "Points", places, "length", "centres of the spheres")
-    root["NumberOfPoints"] = [lattice.sites]
+    root["NumberOfPoints"] = [len(places)]
     for name in TOPOLOGIES:
-        pairs = drawn.ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
+        pairs = ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
         group = root.create_group(name)
         group["NumberOfCells"], group["NumberOfConnectivityIds"] = [len(pairs)], [pairs.size]
         _store(group, "Offsets", 2 * np.arange(len(pairs) + 1), "1", "first of the points of each line")

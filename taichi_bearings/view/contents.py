@@ -69,6 +69,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         "subtitle": _subtitle(drawn),
         "version": VERSION,
         "shape": list(scene.lattice.shape),
+        "periodic": list(scene.lattice.periodic),
         "proven": bool(solution.states_proven[0]),
         "open": ", ".join(
             undecided_kinds(

@@ -61,6 +61,23 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
     assert np.array_equal(points[:, : rows.scene.lattice.dimension], np.argwhere(rows.scene.lattice.is_driven >= 0))
 
 
+def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(periodic, read, tmp_path):
+    report = export(periodic, tmp_path / "a.vtkhdf")
+    rows = points_and_lines(read_run_file(periodic))
+    lattice, sites = rows.scene.lattice, rows.scene.lattice.sites
+    for step, moment in enumerate(rows.moments.spin):
+        points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf", step)
+        assert (report["points"], report["lines"]) == (len(points), len(lines)) == (len(points), lattice.all_contacts)
+        assert np.array_equal(lines[:, 0], rows.ends[:, 0])
+        assert np.array_equal(spheres["spin"][lines], moment[rows.ends])  # an image turns as its sphere
+        assert np.array_equal(spheres["domain"][lines], rows.spheres["domain"].values[rows.ends])
+        assert np.array_equal(contacts["slip"], rows.moments.slip[step])
+    assert np.array_equal(points[lines[:, 1]] - points[lines[:, 0]], np.eye(3)[contacts["axis"]])
+    layers = sites // np.array(lattice.shape)
+    assert len(points) == sites + sum(layers[axis] for axis in lattice.periodic)
+    assert np.array_equal(spheres["image"], np.arange(len(points)) >= sites)
+
+
 def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynamics, read, tmp_path):
     path = tmp_path / "a.vtkhdf"
     rows = points_and_lines(read_run_file(dynamics))
