@@ -206,7 +206,8 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
     found = page.tab.evaluate(
         """(contact) => { const { picture } = bearings;
         picture.camera.position.set(0, -picture.extent * 2, 0); picture.controls.update(); picture.mark({ contact });
-        const place = picture.marker.position.clone().project(picture.camera), box = picture.canvas.getBoundingClientRect();
+        const place = picture.marker.position.clone().project(picture.camera);
+        const box = picture.canvas.getBoundingClientRect();
         return picture.pick((place.x + 1) / 2 * box.width, (1 - place.y) / 2 * box.height); }""",
         int(np.flatnonzero(slipless & over & (lattice.axis == 0) & (rows.ends[:, 0] % lattice.shape[-1] > 0))[0]),
     )
