@@ -141,7 +141,7 @@ class Bottlenecks:
 
 
 def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
-    """Label of the biconnected block of each link from a body `low` to a body `high`, one for all of the same two."""
+    """Label of the biconnected block of each link from body `low` to body `high`; links of the same two share it."""
     graph = rustworkx.PyGraph(multigraph=False)
     graph.add_nodes_from(range(bodies))
     graph.add_edges_from_no_data(list(zip(low.tolist(), high.tolist(), strict=True)))

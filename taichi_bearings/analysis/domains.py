@@ -42,7 +42,7 @@ INTERMEDIATE = LOCKS.index("mixed")  # the first of the kinds that are not locke
 
 @dataclass(frozen=True)
 class RigidDomains:
-    """Domains of one sample; C components as named by spin_axes, D rigid domains.
+    """Domains of one sample of a lattice; C components as named by spin_axes, D rigid domains.
 
     component_domain : (C, *N) label of the domain of each component.
     domain : N, label of the rigid domain: 0, 1, ... by falling number of spheres.

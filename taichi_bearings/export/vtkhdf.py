@@ -3,8 +3,7 @@
 One PolyData: the spheres are its points, the contacts its lines, and what is known of them point data and cell data
 (https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html). The snapshots of a dynamics are time
 steps and its end the last one; what does not change is written once. The arrays of run.h5 cannot be linked to: there
-each axis has contacts of its own, and VTK wants all lines in one array. Where a contact leads over a periodic side, its
-upper sphere is there a second time, beyond that side, or its line would run through the whole lattice.
+each axis has contacts of its own, and VTK wants all lines in one array.
 """
 
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ import numpy as np
 
 from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, opened_to_draw, points_and_lines
 from taichi_bearings.stages import stage
 
@@ -44,7 +44,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
         with stage("writing"):
             write_vtkhdf(path, drawn, told)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    counts = {"points": len(_shown(drawn)), "lines": len(drawn.ends), "steps": steps}
+    counts = {"points": len(_points(drawn.scene.lattice)), "lines": len(drawn.ends), "steps": steps}
     return {"file": str(path), "bytes": path.stat().st_size, **counts}
 
 
@@ -59,32 +59,44 @@ def write_vtkhdf(path: Path, drawn: PointsAndLines, attributes: Mapping[str, Any
         _write_geometry(root, drawn)
         steps = None if drawn.moments is None or drawn.time is None else _start_steps(root, drawn.moments, drawn.time)
         way = {} if drawn.moments is None else _on_the_way(drawn.moments, drawn.contacts)
-        for group, columns in (("PointData", drawn.spheres), ("CellData", drawn.contacts)):
-            rows = _shown(drawn) if columns is drawn.spheres else slice(None)
-            for name, column in columns.items():
-                before = way[name][:, rows] if name in way else None
-                _put(root, steps, group, name, replace(column, values=column.values[rows]), before)
+        points = _points(drawn.scene.lattice)
+        for name, column in _of_points(drawn, points).items():
+            _put(root, steps, "PointData", name, column, way["spin"][:, points] if name == "spin" and way else None)
+        for name, column in drawn.contacts.items():
+            _put(root, steps, "CellData", name, column, way.get(name))
 
     write_hdf5(path, fill)
 
 
-def _shown(drawn: PointsAndLines) -> np.ndarray:
-    """The sphere that each point is: all of them, and once more the upper one of each contact over a periodic side."""
-    low, high = drawn.ends.T
-    return np.append(np.arange(drawn.scene.lattice.sites), high[low > high])
+def _over(lattice: Lattice) -> np.ndarray:
+    """Contacts across periodic sides: their lines lead on to images of the first spheres, behind the last ones."""
+    return np.flatnonzero(lattice.ends[1] < lattice.ends[0])
+
+
+def _points(lattice: Lattice) -> np.ndarray:
+    """Sphere of each point: all of them, then one an image."""
+    return np.append(np.arange(lattice.sites), lattice.ends[1, _over(lattice)])
+
+
+def _of_points(drawn: PointsAndLines, points: np.ndarray) -> dict[str, Finding]:
+    """Columns of point data; on periodic lattices they say which points are images."""
+    columns = {name: replace(column, values=column.values[points]) for name, column in drawn.spheres.items()}
+    if len(points) > drawn.scene.lattice.sites:
+        image = np.arange(len(points)) >= drawn.scene.lattice.sites
+        columns["image"] = Finding(image, "1", "sphere once more, where a contact across a periodic side leads to it")
+    return columns
 
 
 def _write_geometry(root: h5py.Group, drawn: PointsAndLines) -> None:
     """Points at their places, height along z in 3D and along y in 2D, and the contacts as lines between them."""
-    lattice, shown, ends = drawn.scene.lattice, _shown(drawn), drawn.ends.copy()
-    index = np.stack(np.unravel_index(shown, lattice.shape), axis=1)
-    over = np.flatnonzero(ends[:, 0] > ends[:, 1])
-    index[lattice.sites + np.arange(len(over)), lattice.axis[over]] = np.array(lattice.shape)[lattice.axis[over]]
+    lattice, over, ends = drawn.scene.lattice, _over(drawn.scene.lattice), drawn.ends.copy()
+    cells = np.argwhere(np.ones(lattice.shape, dtype=bool))
+    beyond = cells[ends[over, 0]] + np.eye(lattice.dimension, dtype=int)[lattice.axis[over]]
     ends[over, 1] = lattice.sites + np.arange(len(over))
-    places = np.zeros((len(shown), 3))
-    places[:, : lattice.dimension] = 2 * lattice.radius * index
+    places = np.zeros((lattice.sites + len(over), 3))
+    places[:, : lattice.dimension] = 2 * lattice.radius * np.concatenate([cells, beyond])
     _store(root, "Points", places, "length", "centres of the spheres")
-    root["NumberOfPoints"] = [len(shown)]
+    root["NumberOfPoints"] = [len(places)]
     for name in TOPOLOGIES:
         pairs = ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
         group = root.create_group(name)

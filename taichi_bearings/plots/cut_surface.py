@@ -13,7 +13,6 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on, middle_planes
 from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
@@ -25,15 +24,21 @@ SIDES = np.array([to_rgba("#cfdcf3"), to_rgba("#f6d5cd")])  # with the bottom, w
 
 @in_our_style
 def draw_cut_surface(
-    above: np.ndarray, coefficient: Arrays, slips: Arrays, page: Page = PAGE, symbol: str = r"\mu_{ij}"
+    above: np.ndarray,
+    walls: Arrays,
+    coefficient: Arrays,
+    slips: Arrays,
+    page: Page = PAGE,
+    symbol: str = r"\mu_{ij}",
 ) -> Figure:
     """3D: the surface by the coefficients it cuts, its height from above, and cuts with the contacts that slip. 2D: the
     line across the discs with them.
 
-    above : N, True on the top side. coefficient, slips : one array (*contacts) an axis; slips is bool.
+    above : N, True on the top side. walls, coefficient, slips : one array (*contacts) an axis; walls are the contacts
+        between the sides and, like slips, bool.
     symbol : of the coefficients.
     """
-    walls, shape = lattice.walls_between(above, Lattice.of(coefficient)), above.shape
+    shape = above.shape
     if above.ndim == 2:
         width = page.inches("single")
         height = width * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
@@ -72,11 +77,9 @@ def _summary(walls: Arrays, slips: Arrays, gap: str) -> str:
 
 def _draw_surface(axes: Any, above: np.ndarray, walls: Arrays, coefficient: Arrays, view: View, symbol: str) -> None:
     """A square for each contact of the cut, from the back to the front."""
-    corners = np.concatenate(
-        [lattice.squares(np.argwhere(chosen) + 0.5 * np.eye(3)[axis], axis) for axis, chosen in enumerate(walls)]
-    )
-    values = np.concatenate([c[chosen] for c, chosen in zip(coefficient, walls, strict=True)])
-    placed = view.seen(corners)
+    ends, which = lattice.ends_of(walls)
+    values = np.concatenate([c[chosen] for c, chosen in zip(coefficient, walls, strict=True)])[which]
+    placed = view.seen(lattice.squares(ends))
     order = np.argsort(placed[..., 2].mean(axis=1))
     edge = float(np.clip(4.0 / max(above.shape), 0.05, 0.4))
     drawn = PolyCollection(list(placed[order][..., :2]), cmap="cividis", edgecolors="white", lw=edge, zorder=2)

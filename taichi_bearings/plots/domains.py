@@ -4,6 +4,7 @@ Colours say how a domain turns between the two driven planes, in every component
 bottom, 1 with the top. With two components the values panel is the key to the colours.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -30,9 +31,8 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
     colour = colour_of_turn(domains.turn)[domains.domain]
-    walls = lattice.walls_between(domains.domain, domains.lattice)
     shape = colour.shape[:-1]
-    flat = len(shape) == 2
+    flat, walls = len(shape) == 2, lattice.walls_between(domains.domain, domains.lattice)
     planes = () if flat else page.planes or middle_planes(shape)
     maps = 1 + len(planes)
     columns, wide = columns_on(page, maps, NARROW), columns_on(page, 2)
@@ -53,8 +53,8 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
         block.set_title("(a) rigid domains")
         for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
             plane, labels = (np.take(values, index, axis) for values in (colour, domains.domain))
-            cut = lattice.contacts_in_plane(walls, axis, index)
-            _paint(axes, plane, labels, cut, domains, lattice.site_on_paper(0.85 * width, labels.shape))
+            inside = lattice.contacts_in_plane(walls, axis, index)
+            _paint(axes, plane, labels, inside, domains, lattice.site_on_paper(0.85 * width, labels.shape))
             lattice.name_cut(axes, axis, index, f"({letter}) ")
     sizes, values = below.subplots(1, 2) if wide > 1 else below.subplots(2, 1)
     _draw_sizes(sizes, domains)
@@ -77,12 +77,7 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 
 
 def _paint(
-    axes: Any,
-    colour: np.ndarray,
-    domain: np.ndarray,
-    walls: tuple[np.ndarray, ...],
-    domains: RigidDomains,
-    site: float,
+    axes: Any, colour: np.ndarray, domain: np.ndarray, walls: Sequence[np.ndarray], domains: RigidDomains, site: float
 ) -> None:
     lattice.paint_plane(axes, colour)
     lattice.draw_walls(axes, walls, colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0))

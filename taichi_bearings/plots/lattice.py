@@ -63,36 +63,38 @@ def contacts_in_plane(contacts: Sequence[np.ndarray], axis: int, index: int) -> 
 
 
 def walls_between(label: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
-    """True for the contacts whose spheres differ in `label`, shape N, one array (*contacts) an axis."""
+    """True for the contacts whose spheres differ in `label`, one array (*contacts) an axis."""
     low, high = label.ravel()[lattice.ends]
     return lattice.by_axis(low != high)
 
 
-def lines_of(start: np.ndarray, step: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Lines (n, 2, D) from places (E, D) a step further, and the number (n,) of each in E. One that leads over a
-    periodic side is two halves, at either side."""
-    start, end, size = np.asarray(start, dtype=float), start + step, np.array(shape)
-    over = ((end < 0) | (end >= size)).any(axis=1)
-    whole = np.stack([start, np.where(over[:, None], start + step / 2, end)], axis=1)
-    there = (end % size)[over]
-    return np.concatenate([whole, np.stack([there - step[over] / 2, there], axis=1)]), np.append(
-        np.arange(len(over)), np.flatnonzero(over)
-    )
+def ends_of(contacts: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (m, 2, dimension) of the contacts that are True, and which of them each is, (m,); one array an axis.
+
+    A contact across a periodic side is there twice: once from the last sphere on beyond the side, once from beyond the
+    other side to the first sphere.
+    """
+    unit = np.eye(len(contacts), dtype=int)
+    ends = [np.argwhere(chosen)[:, None] + [0 * step, step] for step, chosen in zip(unit, contacts, strict=True)]
+    return on_both_sides(np.concatenate(ends), sides_of(contacts))
 
 
-def steps_of(path: np.ndarray) -> np.ndarray:
-    """(L - 1, D) from sphere to sphere of a path (L, D), also over a periodic side."""
-    step = np.diff(path, axis=0)
-    return np.where(np.abs(step) > 1, -np.sign(step), step)
+def sides_of(contacts: Sequence[np.ndarray]) -> np.ndarray:
+    """Spheres along each axis of a lattice or a plane, (dimension,)."""
+    return np.max([values.shape for values in contacts], axis=0)
 
 
-def trace_of(path: np.ndarray) -> np.ndarray:
-    """A path (L, D) with what breaks a line, NaN, between its halves where it leads over a periodic side."""
-    places = list(path[:1])
-    for here, way, there in zip(path[:-1], steps_of(path), path[1:], strict=True):
-        gap = [] if (here + way == there).all() else [here + way / 2, np.full(len(way), np.nan), there - way / 2]
-        places += [*gap, there]
-    return np.array(places, dtype=float).reshape(-1, path.shape[1])
+def on_both_sides(ends: np.ndarray, sides: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (n, 2, dimension) from spheres, and those that lead over a side once more where they come back; and which
+    step each is."""
+    over = np.flatnonzero((ends[:, 1] % sides != ends[:, 1]).any(axis=1))
+    back = sides * (ends[over, :1] - ends[over, 1:])
+    return np.concatenate([ends, ends[over] + back]), np.append(np.arange(len(ends)), over)
+
+
+def up_to_the_sides(points: np.ndarray, sides: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Points (..., dimension) of contacts; what is beyond a side is drawn up to it, half a contact."""
+    return np.clip(points, -0.5, np.asarray(sides) - 0.5)
 
 
 def paint_plane(axes: Any, colour: np.ndarray) -> None:
@@ -120,35 +122,32 @@ def box_driven_rows(axes: Any, shape: tuple[int, ...]) -> None:
 
 
 def draw_walls(axes: Any, walls: Sequence[np.ndarray], **look: Any) -> LineCollection:
-    """A line across each contact of a plane where `walls` is True, between its two discs."""
-    return _draw_lines(axes, walls, lambda along, across: [(along - across) / 2, (along + across) / 2], look)
+    """A line across each contact of a plane where `walls` is True, between its two discs; `look` as of _draw_lines."""
+
+    def across(low: np.ndarray, high: np.ndarray) -> list[np.ndarray]:
+        return [(low + high + sign * (high - low)[:, ::-1]) / 2 for sign in (-1, 1)]
+
+    return _draw_lines(axes, walls, across, look)
 
 
 def draw_contacts(axes: Any, contacts: Sequence[np.ndarray], **look: Any) -> LineCollection:
-    """A line along each contact of a plane where `contacts` is True, between the two centres."""
-    return _draw_lines(axes, contacts, lambda along, across: [0 * along, along], look)
+    """A line along each contact of a plane where `contacts` is True, between the two centres; `look` as above."""
+    return _draw_lines(axes, contacts, lambda low, high: [low, high], look)
 
 
-def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], ends: Callable[..., Any], look: dict[str, Any]) -> Any:
-    """One line a contact; ends : of the unit vectors along and across it, from its lower disc."""
-    unit, lines = np.eye(2), list[np.ndarray]()
-    for axis, chosen in enumerate(contacts):
-        place, around = np.argwhere(chosen), contacts[1 - axis].shape[axis]
-        of_axis = list(place[:, None] + ends(unit[axis], unit[1 - axis]))
-        for number in np.flatnonzero(place[:, axis] == around - 1):  # over a periodic side: at the other one, too
-            line = of_axis[number]
-            of_axis[number] = np.concatenate([line, [[np.nan] * 2], line - around * unit[axis]])
-        lines += of_axis
-    return axes.add_collection(LineCollection(lines, rasterized=len(lines) > MOST_LINES, **look))
+def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], points: Callable[..., Any], look: dict[str, Any]) -> Any:
+    """One line a contact, through some points of its two ends. look : arrays have an entry a contact."""
+    ends, which = ends_of(contacts)
+    every = up_to_the_sides(np.stack(points(*ends.swapaxes(0, 1)), axis=1), sides_of(contacts))
+    look = {name: value[which] if isinstance(value, np.ndarray) else value for name, value in look.items()}
+    return axes.add_collection(LineCollection(list(every), rasterized=len(every) > MOST_LINES, **look))
 
 
-def squares(centre: np.ndarray, axis: int) -> np.ndarray:
-    """Corners (n, 4, 3) of unit squares across `axis`; centre : (n, 3)."""
-    u, v = (a for a in range(3) if a != axis)
-    corners = np.repeat(np.asarray(centre, dtype=float)[:, None], 4, axis=1)
-    corners[:, :, u] += [-0.5, 0.5, 0.5, -0.5]
-    corners[:, :, v] += [-0.5, -0.5, 0.5, 0.5]
-    return corners
+def squares(ends: np.ndarray) -> np.ndarray:
+    """Corners (n, 4, 3) of unit squares across contacts; ends : (n, 2, 3)."""
+    low, high = ends.swapaxes(0, 1)
+    u, v = np.eye(3)[np.nonzero(low == high)[1].reshape(-1, 2)].swapaxes(0, 1)
+    return np.stack([(low + high + a * u + b * v) / 2 for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
 
 
 def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
@@ -205,6 +204,15 @@ def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
     margin = 0.02 * (high - low).max()
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
     axes.set_axis_off()
+
+
+def broken(path: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """A path as a line, (L, dimension) and more: where one of its steps (L - 1, dimension) leads over a periodic side
+    it goes half a contact on, and comes back, after a row of not-a-number, as much before the next sphere."""
+    over = np.flatnonzero((path[:-1] + steps != path[1:]).any(axis=1))
+    half = steps[over] / 2
+    gaps = np.stack([path[over] + half, np.full(half.shape, np.nan), path[over + 1] - half], axis=1)
+    return np.insert(path.astype(float), np.repeat(over + 1, 3), gaps.reshape(-1, path.shape[1]), axis=0)
 
 
 def draw_path(axes: Any, trace: np.ndarray, longest: int) -> None:

@@ -69,13 +69,14 @@ def behind(points: np.ndarray, shape: tuple[int, ...], view: View) -> np.ndarray
 
 def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float) -> str:
     """The contacts and the path on so many inches; returns which contacts are drawn, in words, if not all."""
-    shape, path = network.lattice.shape, network.shortest_path
-    points, number = lattice.lines_of(network.contact, np.eye(len(shape), dtype=int)[network.axis], shape)
-    colour, words = contact_colours(network)[number], ""
+    shape = network.lattice.shape
+    ends, which = lattice.ends_of(network.lattice.by_axis(network.slipless))
+    points, trace = lattice.up_to_the_sides(ends, shape), lattice.broken(network.shortest_path, network.path_steps)
+    colour, words = contact_colours(network)[which], ""
     if len(shape) == 2:
         lattice.frame_plane(axes, shape)
         lattice.box_driven_rows(axes, shape)
-        lines, trace = points, lattice.trace_of(path)
+        lines = points
         line = lattice.line_on_site(lattice.site_on_paper(width, shape, width), 0.12, 0.2)
     else:
         lattice.frame_block(axes, shape, view)
@@ -88,7 +89,7 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
         near = np.linspace(0.0, 1.0, len(order))
         line = lattice.line_on_site(72 * width / max(shape) / 1.6, 0.12, 0.3, 1.0)
         colour[:, 3] = 0.2 + 0.6 * near if not words else 0.7
-        trace = view.seen(lattice.trace_of(path))[:, :2]
+        trace = view.seen(trace)[:, :2]
     many = len(lines) > lattice.MOST_LINES
     axes.add_collection(LineCollection(list(lines), colors=colour, lw=line, rasterized=many, label="slipless contacts"))
     lattice.draw_path(axes, trace, max(shape))
@@ -111,7 +112,9 @@ def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: 
             axes.text(x, y, turn, ha="center", va="center", fontsize=max(3.0, 60 / max(shape)))
         return
     lattice.frame_block(axes, shape, view)
-    shadow = view.seen(lattice.trace_of(path) * [1, 1, 0] - [0, 0, 0.5])
+    shadow = lattice.broken(path, network.path_steps)
+    shadow[:, 2] = -0.5
+    shadow = view.seen(shadow)
     axes.plot(*shadow[:, :2].T, color=GREEN, alpha=0.4, lw=1.0, zorder=1)
     placed = view.seen(path)
     order = np.argsort(placed[:, 2])

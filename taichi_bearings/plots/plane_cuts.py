@@ -26,22 +26,22 @@ def draw_plane_cuts(
     middle ones if there is none. A circle marks where the path leaves the plane: with a dot towards the reader, with a
     cross away.
     """
-    speed, path = lattice.speed_of(spin, spin_top, spin_bottom), network.shortest_path
+    speed = lattice.speed_of(spin, spin_top, spin_bottom)
+    path, steps = network.shortest_path, network.path_steps
     slipless = network.lattice.by_axis(network.slipless)
     if speed.ndim == 2:
         figure, (axes,), width = _panels([speed], page)
-        joined, _ = lattice.lines_of(path[:-1], lattice.steps_of(path), speed.shape)
+        joined = np.stack([path[:-1], path[:-1] + steps], axis=1)
         _draw_plane(axes, speed, slipless, joined, np.empty((0, 3), dtype=int), width)
-        length = max(len(path) - 1, 0)
-        axes.set_title(_title(length, length))
+        axes.set_title(_title(len(joined), len(joined)))
     else:
         cuts = page.planes or (planes_of(path) if len(path) else middle_planes(speed.shape))
         planes = [np.take(speed, index, axis) for axis, index in cuts]
         figure, each, width = _panels(planes, page)
         for axes, plane, (axis, index) in zip(each, planes, cuts, strict=True):
-            held, joined, leaves = path_in_plane(path, axis, index, speed.shape)
+            joined, leaves = path_in_plane(path, steps, axis, index)
             _draw_plane(axes, plane, lattice.contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
-            lattice.name_cut(axes, axis, index, after=": " + _title(held, len(path) - 1))
+            lattice.name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
         if len(path):
             figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
     below = columns_on(page, len(figure.axes)) < 2 < speed.ndim
@@ -52,13 +52,13 @@ def draw_plane_cuts(
 def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     """(axis, index) of up to three upright planes, each holding most contacts of the path (L, 3) that the ones before
     do not hold."""
-    step = np.diff(path, axis=0)
+    step, lower = np.diff(path, axis=0), np.minimum(path[:-1], path[1:])
     shown, chosen = np.zeros(len(step), dtype=bool), []
     for _ in range(PLANES):
         best, held = None, shown
         for axis in (0, 1):
             for index in np.unique(path[:, axis]):
-                inside = (step[:, axis] == 0) & (path[:-1, axis] == index)
+                inside = (step[:, axis] == 0) & (lower[:, axis] == index)
                 if (shown | inside).sum() > held.sum():
                     best, held = (axis, int(index)), shown | inside
         if best is not None:
@@ -67,23 +67,22 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple(chosen)
 
 
-def path_in_plane(
-    path: np.ndarray, axis: int, index: int, shape: tuple[int, ...]
-) -> tuple[int, np.ndarray, np.ndarray]:
-    """The pieces of a path (L, 3) in the plane `index` across `axis`, and where it leaves the plane.
+def path_in_plane(path: np.ndarray, steps: np.ndarray, axis: int, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pieces of a path (L, 3) of steps (L - 1, 3) in the plane `index` across `axis`, and where it leaves it.
 
-    returns : number of its contacts in the plane; lines (n, 2, 2) of them; (m, 3) the place in the plane where it
-        leaves, and +1 towards the reader or -1 away.
+    returns : ends (n, 2, 2) of its contacts in the plane, over a periodic side outwards; (m, 3) the place in the plane
+        where it leaves, and +1 towards the reader or -1 away.
     """
-    step, inside = lattice.steps_of(path), path[:, axis] == index
-    flat, way, sides = (np.delete(values, axis, axis=-1) for values in (path, step, np.array(shape)))
+    flat = np.delete(path, axis, axis=1)
+    inside = path[:, axis] == index
     both = inside[:-1] & inside[1:]
-    joined, _ = lattice.lines_of(flat[:-1][both], way[both], tuple(sides))
-    side, leaves = TOWARDS_READER[axis] * step[:, axis], []
-    for here, there, sign in ((slice(None, -1), slice(1, None), 1), (slice(1, None), slice(None, -1), -1)):
+    joined = np.stack([flat[:-1][both], (flat[:-1] + np.delete(steps, axis, axis=1))[both]], axis=1)
+    side = TOWARDS_READER[axis] * steps[:, axis]
+    leaves = []
+    for here, there, way in ((slice(None, -1), slice(1, None), side), (slice(1, None), slice(None, -1), -side)):
         out = inside[here] & ~inside[there]
-        leaves.append(np.column_stack([flat[here][out], sign * side[out]]))
-    return int(both.sum()), joined, np.concatenate(leaves)
+        leaves.append(np.column_stack([flat[here][out], way[out]]))
+    return joined, np.concatenate(leaves)
 
 
 def _title(held: int, length: int) -> str:
@@ -109,6 +108,7 @@ def _draw_plane(
     site = lattice.site_on_paper(width, speed.shape)
     lattice.paint_plane(axes, colormaps[lattice.SPIN_COLOURS](speed))
     lattice.draw_contacts(axes, slipless, colors="0.35", lw=lattice.line_on_site(site, 0.1, 0.3), zorder=2)
+    joined = lattice.up_to_the_sides(lattice.on_both_sides(joined, speed.shape)[0], speed.shape)
     for colour, share in (("white", 0.5), (GREEN, 0.3)):
         line = lattice.line_on_site(site, share, 4 * share, 12 * share)
         axes.add_collection(LineCollection(list(joined), colors=colour, lw=line, zorder=3, capstyle="round"))

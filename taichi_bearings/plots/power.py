@@ -8,7 +8,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import BELOW, PAGE, Page, columns_on, middle_planes
 from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
@@ -32,12 +32,13 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
     shape = scene.lattice.shape
     unit, symbol = power_unit(scene)
     slipping = solution.state[replica] == ContactState.SLIPPING
-    power = scene.lattice.by_axis(np.where(slipping, solution.power_per_contact[replica] / unit, 0.0))
+    every = np.where(slipping, solution.power_per_contact[replica] / unit, 0.0)
+    power = scene.lattice.by_axis(every)
     lines = sum(int((p > 0).sum()) for p in power) <= lattice.MOST_LINES or len(shape) == 3
     label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
     title = describe(scene, replica)
     if len(shape) == 2:
-        shown = power if lines else [_at_spheres(power)]
+        shown = power if lines else weights(every[None] / 2, scene.lattice, scene.lattice.all_spin_axes)[0]
         norm = _norm(shown)
         width = page.inches("single")
         height = (width - 0.8) * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
@@ -63,13 +64,6 @@ def _norm(powers: Arrays) -> LogNorm:
     if not len(slipping):
         return LogNorm(1e-1, 1)
     return LogNorm(float(np.quantile(slipping, FAINT_SHARE)), float(slipping.max()))
-
-
-def _at_spheres(power: Arrays) -> np.ndarray:
-    """Half the power of all contacts of each sphere."""
-    of = Lattice.of(power)
-    half = np.tile(of.flat(power) / 2, 2)
-    return np.bincount(of.ends.ravel(), half, minlength=of.sites).reshape(of.shape)
 
 
 def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str, page: Page) -> Figure:
@@ -101,12 +95,12 @@ def _draw_plane(axes: Any, power: Arrays, shape: tuple[int, ...], norm: LogNorm,
         lattice.draw_contacts(
             axes, [values == 0 for values in power], colors=IDLE_GREY, lw=lattice.line_on_site(site, 0.06, 0.25)
         )
-    drawn = lattice.draw_contacts(
+    lattice.draw_contacts(
         axes,
         [values > 0 for values in power],
+        array=np.concatenate([values[values > 0] for values in power]),
         cmap=POWER_COLOURS,
         norm=norm,
         lw=lattice.line_on_site(site, 0.3, 0.8, 3.0),
     )
-    drawn.set_array(np.concatenate([values[values > 0] for values in power]))
     lattice.frame_plane(axes, shape)

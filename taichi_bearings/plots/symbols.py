@@ -17,7 +17,7 @@ def describe(scene: Scene, sample: int | None = 0) -> str:
     seed = f"seeds {scene.seeds[0]} to {scene.seeds[-1]}"
     if sample is not None or scene.replicas == 1:
         seed = f"seed {scene.seeds[sample or 0]}"
-    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}, {seed}"
+    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {seed}"
 
 
 def larger_spin(spin_top: float, spin_bottom: float) -> str:

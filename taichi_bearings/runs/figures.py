@@ -12,7 +12,7 @@ from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import draw_domains
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.history import draw_history
-from taichi_bearings.plots.lattice import contacts_in_plane
+from taichi_bearings.plots.lattice import contacts_in_plane, walls_between
 from taichi_bearings.plots.load_distribution import draw_load_distribution
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.page import AXES, PAGE, Page, check_planes
@@ -35,7 +35,8 @@ def _draw_cut_surface(structure: Structure, page: Page) -> Figure:
     by_axis = structure.scene.lattice.by_axis
     slips, coefficient = by_axis(structure.state == ContactState.SLIPPING), by_axis(structure.scene.coefficient[0])
     symbol = r"\mu_{ij}" if structure.scene.law.holds else r"\eta_{ij}"
-    return draw_cut_surface(structure.interface.above, coefficient, slips, page, symbol)
+    above = structure.interface.above
+    return draw_cut_surface(above, walls_between(above, structure.scene.lattice), coefficient, slips, page, symbol)
 
 
 def _draw_torque_flow(structure: Structure, page: Page) -> Figure | None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.analysis.domains import RigidDomains
+from taichi_bearings.analysis.network import network_of
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, read_analysis
@@ -185,10 +186,9 @@ def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.
         parts = [found[f"{key}/{AXES[a]}"] for a in range(scene.lattice.dimension)]
         values = scene.lattice.flat([part.values for part in parts])
         columns[name] = Finding(values, parts[0].units, parts[0].description)
-    step = np.full(scene.lattice.sites, -2)
-    step[path] = np.arange(len(path))
-    low, high = step[scene.lattice.ends]
-    on_path = (np.abs(low - high) == 1) & (low >= 0) & (high >= 0) & (columns["state"].values == ContactState.SLIPLESS)
+    network = network_of(scene.lattice, solution.state[0])
+    on_path = np.zeros(scene.lattice.all_contacts, dtype=bool)
+    on_path[np.flatnonzero(network.slipless)[network.edges_along(path)]] = True
     columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
     return columns
 

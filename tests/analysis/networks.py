@@ -9,22 +9,25 @@ from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
 
 
-def drawn(shape, *paths):
-    """The network whose links are the steps of these paths; a path is a list of neighbouring positions."""
-    lattice = Lattice(shape)
+def drawn(shape, *paths, periodic=()):
+    """The network whose links are the steps of these paths; a path is a list of neighbouring positions, in rings of
+    more than two also over a periodic side."""
+    lattice = Lattice(shape, periodic=periodic)
     slipless = np.zeros(lattice.all_contacts, dtype=bool)
     of_axis = lattice.by_axis(slipless)
     for path in paths:
         for here, there in pairwise(path):
             step = np.subtract(there, here)
-            assert np.abs(step).sum() == 1, f"{here} and {there} do not touch"
-            of_axis[int(np.abs(step).argmax())][tuple(np.minimum(here, there))] = True
+            axis = int(np.abs(step).argmax())
+            ring = shape[axis] if axis in periodic else 0
+            assert np.abs(step).sum() in {1, ring - 1}, f"{here} and {there} do not touch"
+            of_axis[axis][tuple((np.maximum if np.abs(step).sum() > 1 else np.minimum)(here, there))] = True
     return SliplessNetwork(lattice, slipless)
 
 
-def random_network(shape, share, seed):
+def random_network(shape, share, seed, periodic=()):
     """Every contact that can slip is a link with probability `share`."""
-    lattice, random = Lattice(shape), np.random.default_rng(seed)
+    lattice, random = Lattice(shape, periodic=periodic), np.random.default_rng(seed)
     return SliplessNetwork(lattice, (random.random(lattice.all_contacts) < share) & ~lattice.between_driven)
 
 
@@ -42,13 +45,14 @@ def graph_of_spheres(network):
 
 
 def graph_of_bodies(network):
-    """Each driven plane is one node: "bottom" or "top"; the others are positions. An edge knows its `link`."""
+    """Each driven plane is one node: "bottom" or "top"; the others are positions. An edge knows its `link`; in a
+    ring of two spheres two edges may join the same nodes."""
 
     def name(sphere):
         place = tuple(map(int, np.unravel_index(sphere, network.lattice.shape)))
         return {0: "bottom", network.lattice.shape[-1] - 1: "top"}.get(place[-1], place)
 
-    graph = networkx.Graph()
+    graph = networkx.MultiGraph()
     graph.add_nodes_from(map(name, range(network.lattice.sites)))
     for link, (low, high) in enumerate(network.ends.T.tolist()):
         graph.add_edge(name(low), name(high), link=link)
@@ -80,4 +84,9 @@ RANDOM = [
     random_network((4, 5, 6), 0.42, 17),
     random_network((6, 3, 5), 0.5, 15),
     random_network((3, 4, 9), 0.5, 14),
+    random_network((6, 8), 0.6, 18, (0,)),
+    random_network((2, 7), 0.7, 20, (0,)),
+    random_network((2, 3, 7), 0.55, 22, (0,)),
+    random_network((4, 2, 6), 0.4, 23, (0, 1)),
+    random_network((4, 6, 5), 0.35, 24, (0, 1)),
 ]

@@ -27,6 +27,22 @@ def minimum(solved):
     return solved(shape=(5, 5, 5), seed=7, spin_bottom=0.1)
 
 
+@pytest.fixture(scope="session", params=[(2, 4, 5), (4, 4, 5), (6, 5)], ids=str)
+def periodic(solved, request):
+    """A dynamics with snapshots on a lattice whose sides are closed, one of them a ring of two spheres, and many
+    slipless contacts across them."""
+    sides = "x" if len(request.param) == 2 else "x,y"
+    return solved(
+        shape=request.param,
+        periodic=sides,
+        method="cundall-strack",
+        seed=3,
+        spin_bottom=0.1,
+        duration=2,
+        snapshots="0,1,2",
+    )
+
+
 @pytest.fixture(scope="session")
 def dynamics(solved):
     """A dynamics in 3D with snapshots at its beginning, on its way and at its end."""

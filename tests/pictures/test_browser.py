@@ -181,6 +181,40 @@ def test_what_is_pointed_at_says_its_numbers(minimum, opened):
     assert asked >= 3
 
 
+def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):
+    page, rows = opened(periodic), points_and_lines(read_run_file(periodic))
+    lattice = rows.scene.lattice
+    low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("low", "high"))
+    assert np.array_equal(np.column_stack([low, high]), rows.ends)
+    network = structure_of(read_run_file(periodic).solution).network
+    assert page.ask("bearings.sample.counts.spans") == network.spans
+    assert page.ask("bearings.sample.counts.reached") == pytest.approx(network.reached_fraction)
+    page.press("Network")
+    over = rows.ends[:, 1] < rows.ends[:, 0]
+    layer = "bearings.picture.layers.network"
+    count = page.ask(f"{layer}.count")
+    slipless = rows.contacts["state"].values == 0
+    assert (slipless & over).any()
+    ids = np.array(page.ask(f"Array.from({layer}.ids)"))[:count]
+    assert sorted(ids) == sorted(np.repeat(np.arange(lattice.all_contacts), slipless * (1 + over)))
+    middle = np.array(page.ask(f"Array.from({layer}.place)")).reshape(-1, 4, 3)[:count, 0]
+    axis = np.array([0, 1, 2] if lattice.dimension == 3 else [0, 2])[lattice.axis[ids]]
+    along = np.abs(np.take_along_axis(middle, axis[:, None], axis=1)[:, 0])
+    side = np.array(lattice.shape)[lattice.axis[ids]] / 2
+    assert along[over[ids]] == pytest.approx(side[over[ids]] - 0.25)  # half rods, up to the side
+    assert (along[~over[ids]] <= side[~over[ids]] - 1).all()
+    found = page.tab.evaluate(
+        """(contact) => { const { picture } = bearings;
+        picture.camera.position.set(0, -picture.extent * 2, 0); picture.controls.update(); picture.mark({ contact });
+        const place = picture.marker.position.clone().project(picture.camera);
+        const box = picture.canvas.getBoundingClientRect();
+        return picture.pick((place.x + 1) / 2 * box.width, (1 - place.y) / 2 * box.height); }""",
+        int(np.flatnonzero(slipless & over & (lattice.axis == 0) & (rows.ends[:, 0] % lattice.shape[-1] > 0))[0]),
+    )
+    assert over[found["contact"]]
+    assert page.is_quiet(), (page.complaints, page.requests)
+
+
 def test_snapshots_play_in_time(dynamics, opened):
     page = opened(dynamics)
     assert page.ask("document.title").endswith("seed 5")

@@ -61,21 +61,21 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
     assert np.array_equal(points[:, : rows.scene.lattice.dimension], np.argwhere(rows.scene.lattice.is_driven >= 0))
 
 
-@pytest.mark.parametrize(("shape", "periodic"), [((4, 2, 4), ("x", "y")), ((6, 5), ("x",))])
-def test_lines_over_a_periodic_side_are_as_long_as_others_and_end_at_the_same_sphere(
-    shape, periodic, solved, read, tmp_path
-):
-    run = solved(shape=shape, periodic=periodic, seed=3, radius=2.0)
-    export(run, tmp_path / "a.vtkhdf")
-    rows = points_and_lines(read_run_file(run))
-    points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf")
-    same(contacts, rows.contacts)
-    assert np.linalg.norm(points[lines[:, 1]] - points[lines[:, 0]], axis=1) == pytest.approx(4.0)
-    for name, column in rows.spheres.items():
-        assert np.array_equal(spheres[name][lines.T], column.values[rows.ends.T]), name
-    spacing, sides = 4.0, np.array([*shape, 1][:3])
-    wrapped = np.rint(points / spacing).astype(int) % sides
-    assert np.array_equal(np.ravel_multi_index(tuple(wrapped[lines[:, 1]].T), sides), rows.ends[:, 1])
+def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(periodic, read, tmp_path):
+    report = export(periodic, tmp_path / "a.vtkhdf")
+    rows = points_and_lines(read_run_file(periodic))
+    lattice, sites = rows.scene.lattice, rows.scene.lattice.sites
+    for step, moment in enumerate(rows.moments.spin):
+        points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf", step)
+        assert (report["points"], report["lines"]) == (len(points), len(lines)) == (len(points), lattice.all_contacts)
+        assert np.array_equal(lines[:, 0], rows.ends[:, 0])
+        assert np.array_equal(spheres["spin"][lines], moment[rows.ends])  # an image turns as its sphere
+        assert np.array_equal(spheres["domain"][lines], rows.spheres["domain"].values[rows.ends])
+        assert np.array_equal(contacts["slip"], rows.moments.slip[step])
+    assert np.array_equal(points[lines[:, 1]] - points[lines[:, 0]], np.eye(3)[contacts["axis"]])
+    layers = sites // np.array(lattice.shape)
+    assert len(points) == sites + sum(layers[axis] for axis in lattice.periodic)
+    assert np.array_equal(spheres["image"], np.arange(len(points)) >= sites)
 
 
 def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynamics, read, tmp_path):

@@ -38,7 +38,7 @@ class Picture {
     this.draw();
   }
   /** The squares of a layer, made when it is first shown. */
-  squares(name, shaders, most = this.sample.contacts, opacity = 1) {
+  squares(name, shaders, most = this.sample.lines, opacity = 1) {
     const made = this.layers[name] ??= new Squares(this.scene, shaders, this.uniforms, most, opacity);
     if (OVER.includes(name)) Object.assign(made.mesh, { renderOrder: 2 }).material.transparent = true;
     return made;
@@ -123,16 +123,19 @@ class Picture {
     const { sample, choices, shown } = this, { place, low, high, axis, along } = sample, flat = sample.dimension === 2;
     const across = ACROSS.includes(name) || (flat && name === "slipping"), before = !flat ? 0 : across ? -0.56 : -0.62;
     if (!choices.layers[name] && !this.layers[name]) return;
-    const squares = this.squares(name, across && !flat ? PLATE : ROD, sample.contacts, name === "network" && !flat && sample.contacts > 4 * MANY ? 0.16 : 1);
+    const squares = this.squares(name, across && !flat ? PLATE : ROD, sample.lines, name === "network" && !flat && sample.contacts > 4 * MANY ? 0.16 : 1);
     squares.begin();
     squares.radius = radius;
     if (choices.layers[name])
       for (let c = 0; c < sample.contacts; c++) {
         const a = low[c], b = high[c], paint = (across ? shown[a] || shown[b] : shown[a] && shown[b]) ? colour(c) : null;
         if (!paint) continue;
-        const middle = [0, 1, 2].map((k) => place[3 * a + k] + (k === along[axis[c]] ? 0.5 : 0));  // over a periodic side: beyond it
-        squares.put(c, middle[0], middle[1] + before, middle[2], flat && across ? 2 - along[axis[c]] : along[axis[c]],
-          flat && across ? FLAT[name] : radiusOf ? radiusOf(c) : radius, paint);
+        const k = along[axis[c]], sides = sample.isOver(c) ? 2 : 1, half = sides === 2 && !across, far = half ? 0.25 : 0.5;
+        for (let n = 0; n < sides; n++) {
+          const s = 3 * (n ? b : a), way = n ? -far : far;
+          squares.put(c, place[s] + (k === 0 ? way : 0), place[s + 1] + (k === 1 ? way : 0) + before, place[s + 2] + (k === 2 ? way : 0),
+            (flat && across ? 2 - k : k) + (half ? 3 : 0), flat && across ? FLAT[name] : radiusOf ? radiusOf(c) : radius, paint);
+        }
       }
     squares.end();
   }
@@ -219,7 +222,7 @@ class Picture {
     const pixel = 2 * Math.tan(this.camera.fov * Math.PI / 360) / height;  // its size at distance 1
     let nearest = Infinity, found = null;
     const keep = (distance, what) => { if (distance > 0 && distance < nearest) { nearest = distance; found = what; } };
-    for (const [name, { ids, count, radius, place }] of Object.entries(this.layers)) {
+    for (const [name, { ids, count, radius, place, paint }] of Object.entries(this.layers)) {
       if (name === "frame") continue;
       const plate = ACROSS.includes(name) || (this.sample.dimension === 2 && name === "slipping");
       for (let n = 0; n < count; n++) {
@@ -232,7 +235,7 @@ class Picture {
           continue;
         }
         const axis = this.sample.along[this.sample.axis[ids[n]]], flat = this.sample.dimension === 2;
-        const hit = plate && !flat ? onPlate(q, d, axis) : onRod(q, d, plate ? 2 - axis : axis, ahead, plate ? 0.12 : Math.max(radius, 4 * pixel * ahead));
+        const hit = plate && !flat ? onPlate(q, d, axis) : onRod(q, d, plate ? 2 - axis : axis, ahead, plate ? 0.12 : Math.max(radius, 4 * pixel * ahead), paint[16 * n + 3] > 2 ? 0.25 : 0.5);
         if (hit !== null) keep(hit, { contact: ids[n] });
       }
     }
@@ -242,10 +245,13 @@ class Picture {
     const { sample, marker } = this;
     marker.visible = found !== null;
     if (!found) return;
-    const [a, b] = found.contact === undefined ? [found.sphere, found.sphere] : [sample.low[found.contact], sample.high[found.contact]];
-    marker.position.fromArray(sample.place, 3 * a).lerp(new THREE.Vector3().fromArray(sample.place, 3 * b), 0.5);
-    marker.scale.setScalar(found.contact === undefined ? 1.02 : 0.3);
-    if (found.contact !== undefined) marker.scale.setComponent(sample.along[sample.axis[found.contact]], 1);
+    const c = found.contact;
+    marker.position.fromArray(sample.place, 3 * (c === undefined ? found.sphere : sample.low[c]));
+    marker.scale.setScalar(c === undefined ? 1.02 : 0.3);
+    if (c === undefined) return;
+    const k = sample.along[sample.axis[c]], length = sample.isOver(c) ? 0.5 : 1;
+    marker.position.setComponent(k, marker.position.getComponent(k) + length / 2);
+    marker.scale.setComponent(k, length);
   }
 }
 
@@ -265,10 +271,10 @@ function onPlate(q, d, axis) {
   return Number.isFinite(t) && !misses ? t : null;
 }
 
-/** The same for a rod of length 1 and a radius. */
-function onRod(q, d, axis, ahead, radius) {
+/** The same for a rod of a radius that reaches so far from its middle. */
+function onRod(q, d, axis, ahead, radius, reach) {
   const slope = d[axis], rest = 1 - slope * slope;
-  const along = Math.max(-0.5, Math.min(0.5, rest < 1e-9 ? 0 : (ahead * slope - q[axis]) / rest));
+  const along = Math.max(-reach, Math.min(reach, rest < 1e-9 ? 0 : (ahead * slope - q[axis]) / rest));
   const t = ahead + along * slope, gap = [0, 1, 2].map((k) => q[k] + (k === axis ? along : 0) - t * d[k]);
   return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 < radius * radius ? t - radius : null;
 }

@@ -21,17 +21,18 @@ class Sample {
     this.high = new Int32Array(this.contacts);
     let c = 0;
     for (let k = 0; k < this.dimension; k++)
-      for (let s = 0; s < this.sites; s++) {
-        const last = this.cell[k][s] === this.shape[k] - 1;
-        if (!last || facts.periodic.includes(k)) {
-          this.axis[c] = k; this.low[c] = s; this.high[c] = s + stride[k] * (last ? 1 - this.shape[k] : 1);
+      for (let s = 0; s < this.sites; s++)
+        if (this.cell[k][s] < this.shape[k] - 1 || facts.periodic.includes(k)) {
+          this.axis[c] = k; this.low[c] = s; this.high[c] = s + stride[k] * (this.cell[k][s] < this.shape[k] - 1 ? 1 : 1 - this.shape[k]);
           c++;
         }
-      }
+    this.lines = this.contacts + this.low.reduce((sum, s, c) => sum + this.isOver(c), 0);
     this.stride = stride;
     this.judged = new Uint8Array(this.contacts);
     this.piece = new Uint8Array(this.sites);
   }
+  /** Whether a contact leads over a periodic side: it is drawn as two halves, at both sides. */
+  isOver(c) { return this.high[c] < this.low[c]; }
   isDriven(s) { const z = this.cell[this.dimension - 1][s]; return z === 0 || z === this.shape[this.dimension - 1] - 1; }
   /** Spins and slips at a moment, the last of which is the answer of the run. */
   at(moment) {

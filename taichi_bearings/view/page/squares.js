@@ -51,12 +51,13 @@ const ROD = {
     varying float away, reach;
     void main() {
       colour = paint.rgb;
-      vec3 middle = (modelViewMatrix * vec4(position, 1.0)).xyz, along = normalize(mat3(modelViewMatrix) * unit(axis()));
+      float cut = step(2.5, axis());  // a rod of half the length
+      vec3 middle = (modelViewMatrix * vec4(position, 1.0)).xyz, along = normalize(mat3(modelViewMatrix) * unit(axis() - 3.0 * cut));
       float radius = max(wide, 0.6 * pixel * length(middle));
       sideways = normalize(cross(along, middle) + vec3(1e-6, 0.0, 0.0));
       facing = normalize(cross(sideways, along));
       facing *= sign(dot(facing, -middle) + 1e-9);
-      reach = 0.5 / radius;
+      reach = (0.5 - 0.25 * cut) / radius;
       at = 2.0 * corner() * vec2(1.0, reach + 1.0);
       vec3 point = middle + radius * (at.x * sideways + at.y * along);
       away = length(point);
@@ -110,7 +111,7 @@ class Squares {
     scene.add(this.mesh);
   }
   begin() { this.count = 0; }
-  /** One of them, for the sphere or contact `id`; axis : of the world, along the contact. */
+  /** One of them, for the sphere or contact `id`; axis : of the world, along the contact, and 3 more for half a rod. */
   put(id, x, y, z, axis, wide, colour) {
     const n = this.count++, { place, paint } = this;
     for (let k = 4 * n; k < 4 * n + 4; k++) {
