@@ -14,11 +14,10 @@ def _spaced(unit: str) -> str:
 def describe(scene: Scene, sample: int | None = 0) -> str:
     """Sizes, law and seed of a sample, or of all, in words for a title."""
     shape = r"\times".join(map(str, scene.lattice.shape))
-    closed = f", periodic along {' and '.join(scene.periodic)}" if scene.periodic else ""
     seed = f"seeds {scene.seeds[0]} to {scene.seeds[-1]}"
     if sample is not None or scene.replicas == 1:
         seed = f"seed {scene.seeds[sample or 0]}"
-    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{closed}, {seed}"
+    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {seed}"
 
 
 def larger_spin(spin_top: float, spin_bottom: float) -> str:

@@ -103,7 +103,7 @@ def title_of(drawn: PointsAndLines) -> str:
     """Lattice, law and seed."""
     scene = drawn.scene
     source = f"seed {scene.seeds[0]}" if scene.drawn else "coefficients given"
-    return f"{'×'.join(map(str, scene.lattice.shape))} {scene.law}, {source}"
+    return f"{'×'.join(map(str, scene.lattice.shape))} {scene.law}{scene.closed}, {source}"
 
 
 def _subtitle(drawn: PointsAndLines) -> str:

@@ -45,8 +45,8 @@ def graph_of_spheres(network):
 
 
 def graph_of_bodies(network):
-    """Each driven plane is one node: "bottom" or "top"; the others are positions. An edge knows its `link`; in a ring of
-    two spheres two edges may join the same nodes."""
+    """Each driven plane is one node: "bottom" or "top"; the others are positions. An edge knows its `link`; in a
+    ring of two spheres two edges may join the same nodes."""
 
     def name(sphere):
         place = tuple(map(int, np.unravel_index(sphere, network.lattice.shape)))
