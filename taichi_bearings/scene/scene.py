@@ -196,8 +196,12 @@ class Scene:
         shape, seeds = "x".join(map(str, self.lattice.shape)), f"seed {self.seeds[0]}"
         seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
         top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
-        closed = f", periodic along {' and '.join(self.periodic)}" if self.periodic else ""
-        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{closed}>"
+        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{self.closed}>"
+
+    @property
+    def closed(self) -> str:
+        """Its periodic sides, as the end of a list in words; empty if there are none."""
+        return f", periodic along {' and '.join(self.periodic)}" if self.periodic else ""
 
     @cached_property
     def lattice(self) -> Lattice:

@@ -1,0 +1,134 @@
+"""What is read from lattices whose sides close on themselves: counted by hand, and the same wherever a ring begins."""
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.analysis.bottlenecks import Bottlenecks
+from taichi_bearings.analysis.domains import rigid_domains
+from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.torque_flow import self_stress
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.structure_report import ON_CONTACTS, numbers_of
+from tests.analysis.networks import drawn, random_network
+from tests.scenes import make_scene
+
+CLOSED = [((6, 5), "x"), ((4, 3, 6), "x"), ((4, 4, 5), "xy"), ((2, 4, 5), "xy"), ((2, 6), "x")]
+RING = drawn((4, 5), [(0, 2), (1, 2), (2, 2), (3, 2), (0, 2)], [(1, 2), (1, 3)], periodic=(0,))
+OVER = drawn((4, 5), [(0, 0), (0, 1), (3, 1), (3, 2), (2, 2), (2, 3), (2, 4)], periodic=(0,))
+
+
+def test_a_ring_of_slipless_contacts_is_one_domain_with_one_state_of_self_stress():
+    found = rigid_domains(RING, np.zeros((1, 4, 5)), (2,))
+    assert found.spheres.tolist() == [5, 4, 4, 1, 1, 1, 1, 1, 1, 1]
+    assert len(np.unique(found.domain[:, 2])) == 1
+    assert (RING.components, RING.spans, RING.reached_fraction) == (1, False, 5 / 12)
+    assert self_stress(RING, (2,)).tolist() == [1]
+    assert RING.contact.tolist() == [[0, 2], [1, 2], [2, 2], [3, 2], [1, 2]]
+
+
+def test_a_path_may_lead_over_a_periodic_side():
+    found = Bottlenecks(OVER)
+    assert OVER.shortest_path.tolist() == [[0, 0], [0, 1], [3, 1], [3, 2], [2, 2], [2, 3], [2, 4]]
+    assert OVER.path_steps.tolist() == [[0, 1], [-1, 0], [0, 1], [-1, 0], [0, 1], [0, 1]]
+    assert OVER.edges_along(np.array([0, 1, 16, 17, 12, 13, 14])).tolist() == [2, 1, 5, 0, 3, 4]
+    assert OVER.path_planes == [3]
+    assert found.flow.resistance == pytest.approx(6)
+    assert found.parting.links.all()
+    assert (OVER.disjoint_paths, found.betweenness.mean_distance) == (1, 6)
+
+
+def test_the_two_contacts_of_a_ring_of_two_are_two_links():
+    lattice = Lattice((2, 4), periodic=(0,))
+    slipless = np.zeros(lattice.all_contacts, dtype=bool)
+    along_x, upwards = lattice.by_axis(slipless)
+    upwards[0, 0] = upwards[1, 1] = upwards[1, 2] = along_x[0, 1] = along_x[1, 1] = True
+    network = SliplessNetwork(lattice, slipless)
+    found = Bottlenecks(network)
+    assert network.axis.tolist() == [0, 0, 1, 1, 1]
+    assert found.share.tolist() == [0.5, 0.5, 1, 1, 1]
+    assert found.flow.current == pytest.approx([0.5, 0.5, 1, 1, 1])
+    assert found.flow.resistance == pytest.approx(3.5)
+    assert found.weak.links.tolist() == found.parting.links.tolist() == [False, False, True, True, True]
+    assert [chosen.tolist() for chosen in network.parting_sets] == [[0, 0, 1, 0, 0], [0, 0, 0, 0, 1]]
+    assert self_stress(network, (2,)).tolist() == [1]
+    assert network.path_steps.tolist() == [[0, 1], [1, 0], [0, 1], [0, 1]]  # by the first of the two
+    along_x[0, 1] = False
+    assert SliplessNetwork(lattice, slipless).path_steps.tolist() == [[0, 1], [-1, 0], [0, 1], [0, 1]]
+
+
+@pytest.mark.parametrize(("shape", "sides"), CLOSED, ids=str)
+def test_domains_are_the_connected_components_of_the_contacts(shape, sides):
+    network = random_network(shape, 0.5, 31, tuple(map("xyz".index, sides)))
+    axes = (2,) if len(shape) == 2 else (0, 1)
+    found = rigid_domains(network, np.zeros((len(axes), *shape)), axes)
+    sphere = np.arange(network.lattice.sites).reshape(shape)
+    planes = [(plane.ravel()[:-1], plane.ravel()[1:]) for plane in (sphere[..., 0], sphere[..., -1])]
+    for component, label in zip(axes, found.component_domain.reshape(len(axes), -1), strict=True):
+        pairs = np.concatenate([network.ends[:, network.axis != component], *planes], axis=1)
+        graph = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(sphere.size,) * 2)
+        number, expected = connected_components(graph, directed=False)
+        assert len(set(zip(label.tolist(), expected.tolist(), strict=True))) == number == len(np.unique(label))
+
+
+def rolled(values, lattice, axis):
+    """Values (E, ...) of the contacts two spheres further along an axis."""
+    parts = lattice.by_axis(np.moveaxis(values, 0, -1))
+    return np.moveaxis(lattice.flat([np.roll(part, 2, axis - lattice.dimension) for part in parts]), -1, 0)
+
+
+def any_answer(shape, sides, law):
+    """Spins, slips, states and forces at random: what is read from an answer need not be one."""
+    scene, random = make_scene(shape, law, periodic=tuple(sides), spin_bottom=0.1), np.random.default_rng(4)
+    lattice, vectors = scene.lattice, () if len(shape) == 2 else (3,)
+    axes = scene.minimum_spin_axes
+    staggered = random.choice([0.1, 0.4, 1.0], (len(axes), 1, *shape))
+    states = [ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED]
+    state = np.where(
+        lattice.between_driven, ContactState.DRIVEN, random.choice(states, lattice.all_contacts, p=[0.6, 0.3, 0.1])
+    )
+    slip, friction = random.random(lattice.all_contacts), random.normal(size=(lattice.all_contacts, *vectors))
+    spin = scene.laboratory_spin(scene.impose_driving(staggered, axes), axes)[0]
+    return Structure(scene, spin, slip, state.astype(np.uint8), 2.0, 1.0, friction)
+
+
+def shifted(structure, axis):
+    scene, lattice = structure.scene, structure.scene.lattice
+    parts = {
+        name: tuple(np.roll(values, 2, axis - lattice.dimension) for values in getattr(scene, name))
+        for name in ("coefficients", "viscosity")
+    }
+    moved = {name: rolled(getattr(structure, name), lattice, axis) for name in ("slip", "state", "friction")}
+    return type(structure)(
+        type(scene)(**parts, law=scene.law, periodic=scene.periodic, spin_bottom=scene.spin_bottom, seeds=scene.seeds),
+        np.roll(structure.spin, 2, axis), moved["slip"], moved["state"], 2.0, 1.0, moved["friction"],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("shape", "sides"), CLOSED[:-1], ids=str)
+@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+def test_nothing_depends_on_where_a_ring_begins(shape, sides, law):
+    """Two spheres further on, where the sublattices are the same, is the same structure, rolled."""
+    structure = any_answer(shape, sides, law)
+    lattice, numbers = structure.scene.lattice, numbers_of(structure)
+    assert numbers["spans"]
+    for axis in map("xyz".index, sides):
+        other = shifted(structure, axis)
+        found = numbers_of(other)
+        for name in set(numbers) - {"planes_crossed", "most_loaded", "by_threshold"}:
+            one, first = found[name], numbers[name]
+            assert one == first or one == pytest.approx(first, rel=1e-9, abs=1e-12), name
+        assert found["by_threshold"] == numbers["by_threshold"]
+        for row in ON_CONTACTS:
+            expected = rolled(row.of(structure), lattice, axis)
+            assert row.of(other) == pytest.approx(expected, abs=1e-9), row.name
+        assert other.bottlenecks.visits == pytest.approx(np.roll(structure.bottlenecks.visits, 2, axis), abs=1e-12)
+        assert np.array_equal(other.interface.above, np.roll(structure.interface.above, 2, axis))
+        size, expected = (s.domains.spheres[s.domains.domain] for s in (other, structure))
+        assert np.array_equal(size, np.roll(expected, 2, axis))
+        if structure.saturation is not None:
+            assert np.array_equal(other.saturation.every, structure.saturation.every)
+        assert other.force_distribution.every == pytest.approx(structure.force_distribution.every)
