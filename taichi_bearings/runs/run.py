@@ -56,9 +56,13 @@ def build_scene(settings: RunSettings) -> Scene:
     file = Path(settings.coefficients)
     given["seeds"] = tuple(range(settings.seed, settings.seed + settings.replicas))
     coefficients = read_coefficients(file)
-    if (shape := Lattice.of(coefficients).shape) != settings.shape:
+    lattice = Lattice.of(coefficients)
+    if (shape := lattice.shape) != settings.shape:
         own, asked = ("x".join(map(str, sides)) for sides in (shape, settings.shape))
         raise InputError(f"shape is {asked}, but the coefficients in {file} are of {own} spheres; leave out the shape")
+    if lattice.periodic_names != settings.periodic:
+        own, asked = (",".join(names) or "none" for names in (lattice.periodic_names, settings.periodic))
+        raise InputError(f"periodic is {asked}, but the coefficients in {file} are of a lattice where it is {own}")
     samples = len(coefficients[0]) if coefficients[0].ndim > len(shape) else 1
     if samples != settings.replicas:
         held = counted(samples, "sample") if samples > 1 else "a single sample"

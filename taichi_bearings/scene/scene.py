@@ -205,8 +205,8 @@ class Scene:
 
     @cached_property
     def lattice(self) -> Lattice:
-        *sides, gaps = self.coefficients[-1].shape[-len(self.coefficients) :]
-        return Lattice((*sides, gaps + 1), self.radius, axis_numbers(self.periodic))
+        along_x, closed = self.coefficients[0].shape[-len(self.coefficients) :], axis_numbers(self.periodic)
+        return Lattice((along_x[0] + (0 not in closed), *along_x[1:]), self.radius, closed)
 
     @cached_property
     def coefficient(self) -> np.ndarray:
