@@ -18,7 +18,7 @@ def command(run: Path, replica: int, out: Path | None, force: bool, as_json: boo
 
     \b
     points  the spheres: spin, rigid domain and what that is locked to, piece of the slipless network,
-            betweenness, side of the minimum cut
+            betweenness, side of the minimum cut; with periodic sides also images of the first ones behind the last
     lines   the contacts: slip, power, force, state, proven or not, coefficient, betweenness, current,
             on the minimum cut, on the path, on the backbone
     steps   the snapshots of a dynamics and its end
@@ -38,4 +38,5 @@ def command(run: Path, replica: int, out: Path | None, force: bool, as_json: boo
         return
     steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
     size = f"{report['bytes'] / 1e6:.1f} MB"
-    click.echo(f"{report['file']}: {report['points']:,} spheres, {report['lines']:,} contacts{steps}; {size}")
+    images = f" and {report['images']:,} images" if "images" in report else ""
+    click.echo(f"{report['file']}: {report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}; {size}")

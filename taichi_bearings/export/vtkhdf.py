@@ -44,8 +44,9 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
         with stage("writing"):
             write_vtkhdf(path, drawn, told)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    counts = {"points": len(_points(drawn.scene.lattice)), "lines": len(drawn.ends), "steps": steps}
-    return {"file": str(path), "bytes": path.stat().st_size, **counts}
+    counts = {"points": drawn.scene.lattice.sites, "lines": len(drawn.ends), "steps": steps}
+    images = len(_over(drawn.scene.lattice))
+    return {"file": str(path), "bytes": path.stat().st_size, **counts, **({"images": images} if images else {})}
 
 
 def write_vtkhdf(path: Path, drawn: PointsAndLines, attributes: Mapping[str, Any]) -> None:

@@ -27,6 +27,12 @@ def minimum(solved):
     return solved(shape=(5, 5, 5), seed=7, spin_bottom=0.1)
 
 
+@pytest.fixture(scope="session")
+def ring(solved):
+    """A certified minimum whose sides are closed, one of them a ring of two spheres."""
+    return solved(shape=(2, 4, 5), periodic="x,y", seed=3, spin_bottom=0.1)
+
+
 @pytest.fixture(scope="session", params=[(2, 4, 5), (4, 4, 5), (6, 5)], ids=str)
 def periodic(solved, request):
     """A dynamics with snapshots on a lattice whose sides are closed, one of them a ring of two spheres, and many
