@@ -76,6 +76,10 @@ class Lattice:
             )
 
     @property
+    def periodic_names(self) -> tuple[str, ...]:
+        return tuple(AXIS_NAMES[axis] for axis in self.periodic)
+
+    @property
     def dimension(self) -> int:
         return len(self.shape)
 

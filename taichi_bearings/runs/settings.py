@@ -14,7 +14,6 @@ from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import AXIS_NAMES
 from taichi_bearings.options import (
     COUNT,
     FILE,
@@ -226,9 +225,7 @@ class RunSettings:
         if self.coefficients is None:
             return self
         lattice = Lattice.of(read_coefficients(Path(self.coefficients)))
-        return replace(
-            self, shape=lattice.shape, periodic=self.periodic or tuple(AXIS_NAMES[a] for a in lattice.periodic)
-        )
+        return replace(self, shape=lattice.shape, periodic=self.periodic or lattice.periodic_names)
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
