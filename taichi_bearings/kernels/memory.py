@@ -12,7 +12,7 @@ from taichi_bearings.compiler import ti
 
 VALUES = ti.types.ndarray(ndim=1)
 BLOCKS = ti.types.ndarray(dtype=ti.types.vector())  # on a CPU (blocks, sites of a block); on a GPU as VALUES
-ENDLESS = 2**30  # sites of a ring that does not close
+OPEN_RING = 2**30  # sites of a ring that does not close
 
 
 @ti.func
@@ -75,8 +75,8 @@ def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
     """
     if ti.static(len(periodic) == 0):
         return strides
-    sites = [ring, strides[0], ENDLESS]
-    rings = [sites[axis] if ti.static(axis in periodic) else ENDLESS for axis in ti.static(range(3))]
+    sites = [ring, strides[0], OPEN_RING]
+    rings = [sites[axis] if ti.static(axis in periodic) else OPEN_RING for axis in ti.static(range(3))]
     places = [site % sites[axis] if ti.static(axis in periodic) else strides[axis] for axis in ti.static(range(3))]
     return strides + rings + places
 

@@ -69,7 +69,7 @@ SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32
 BEARING_STATE = Kind(
     _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
 )
-SIDES = Kind(_sides, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
+PERIODIC_AXES = Kind(_sides, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
 THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
@@ -115,7 +115,9 @@ class RunSettings:
         None, BEARING_STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
     )
     periodic: tuple[str, ...] = option(
-        (), SIDES, "Axes, not the height, along which the last spheres touch the first; their lengths must be even."
+        (),
+        PERIODIC_AXES,
+        "Axes, not the height, along which the last spheres touch the first; their lengths must be even.",
     )
     torque: float | None = how(
         None,

@@ -40,7 +40,7 @@ RUNS = {
 }
 WORDS = ("", "x", "Certified", "certified (gap 1e-16)", "uniform:0.1,1.1", *STATUSES, *LAWS, *METHODS)
 ROUNDED = 1e-15  # what docs/proofs.md allows a gap to be off
-SIDES = ("[]", '["x"]', '["y"]', '["x", "y"]', '["z"]', '"x"', "4", "[[]]", "true")
+PERIODIC_LISTS = ("[]", '["x"]', '["y"]', '["x", "y"]', '["z"]', '"x"', "4", "[[]]", "true")
 FACTORS = (1 + 1e-9, 1 - 1e-9, 1 + 1e-6, 0.5, 2.0, -1.0)
 Forgery = tuple[str, str, Callable[[h5py.File], None]]
 """What is done, the field, and the function of an open file that does it."""
@@ -108,7 +108,7 @@ def _line_changed(scene: str, rng: np.random.Generator) -> Forgery | None:
     elif value in ("true", "false"):
         new = "true" if value == "false" else "false"
     elif key == "periodic":
-        new = str(rng.choice(SIDES))
+        new = str(rng.choice(PERIODIC_LISTS))
     else:
         digits = list(re.finditer(r"-?\d+(\.\d+)?(e[-+]?\d+)?", value))
         one = digits[rng.integers(len(digits))]
