@@ -160,7 +160,8 @@ def describe(summary: dict[str, Any], times: str) -> str:
     """A short summary for people. times : where the time went."""
     shape = "x".join(map(str, summary["shape"]))
     status = summary["status"] if isinstance(summary["status"], str) else ", ".join(sorted(set(summary["status"])))
-    lines = [f"{shape} {summary['law']}, {summary['method']}: {status}"]
+    closed = f", periodic along {' and '.join(summary['periodic'])}" if summary["periodic"] else ""
+    lines = [f"{shape} {summary['law']}{closed}, {summary['method']}: {status}"]
     if summary["coefficients"]:
         lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
