@@ -160,7 +160,8 @@ def describe(summary: dict[str, Any], times: str) -> str:
     """A short summary for people. times : where the time went."""
     shape = "x".join(map(str, summary["shape"]))
     status = summary["status"] if isinstance(summary["status"], str) else ", ".join(sorted(set(summary["status"])))
-    closed = f", periodic along {' and '.join(summary['periodic'])}" if summary["periodic"] else ""
+    sides = " and ".join(summary["settings"]["periodic"])
+    closed = f", periodic along {sides}" if sides else ""
     lines = [f"{shape} {summary['law']}{closed}, {summary['method']}: {status}"]
     if summary["coefficients"]:
         lines.append(f"  coefficients from {summary['coefficients']}")
