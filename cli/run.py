@@ -160,9 +160,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
     """A short summary for people. times : where the time went."""
     shape = "x".join(map(str, summary["shape"]))
     status = summary["status"] if isinstance(summary["status"], str) else ", ".join(sorted(set(summary["status"])))
-    sides = " and ".join(summary["settings"]["periodic"])
-    closed = f", periodic along {sides}" if sides else ""
-    lines = [f"{shape} {summary['law']}{closed}, {summary['method']}: {status}"]
+    lines = [f"{shape} {summary['law']}, {summary['method']}: {status}"]
     if summary["coefficients"]:
         lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
