@@ -42,6 +42,7 @@ WHOLE_ATTRIBUTES = (
     "iterations",
     "tied_contacts",
 )
+NEVER_OPEN = ("states_proven",)
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
 REPORTED_SETS = ("slip", "power", "force", "state")
 MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
@@ -84,9 +85,10 @@ class StoredRun:
         elif name in TRUTHS:
             words, kinds = "true or false", {bool}
             found = [bool(v) if self.samples.count > 1 and v in (0.0, 1.0) else v for v in found]
-        for v in found:
-            if v is not None and type(v) not in kinds:
-                raise FileError(f"{self.path} has {v!r} for {name!r}; it must be {words}")
+        for v, given in zip(found, values, strict=True):
+            is_open = v is None and not (name in NEVER_OPEN and name in self.attributes)
+            if not is_open and type(v) not in kinds:
+                raise FileError(f"{self.path} has {given!r} for {name!r}; it must be {words}")
         return found
 
     def setting(self, name: str, default: float) -> float:
