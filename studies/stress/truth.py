@@ -118,9 +118,11 @@ class _Sample:
         rows = []
         self.friction, self.viscosity, self.of = [], [], []
         for axis in axes:
-            n, viscosity = shape[axis], scene.viscosity[axis] if scene.viscosity else None
+            viscosity = scene.viscosity[axis] if scene.viscosity else None
             a, c = _costs(scene, scene.coefficients[axis], viscosity)
-            pairs = [np.take(place, range(first, n - 1 + first), axis).reshape(-1, count) for first in (0, 1)]
+            pairs = [
+                np.stack([of[end].ravel() for of in np.moveaxis(place, -1, 0)], 1) for end in scene.lattice.along(axis)
+            ]
             felt = np.array([int(k != axis) for k in self.jump])
             for number, (low, up, held, flow) in enumerate(zip(*pairs, a, c, strict=True)):
                 if (low.min() < self.unknowns or up.min() < self.unknowns or axis == axes[-1]) and held + flow > 0:

@@ -50,7 +50,7 @@ from taichi_bearings.runs.run import Job, Run, prepare, solve_job, summarise
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Status
 
-KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous", "names", "states")
+KINDS = ("ties", "contrast", "direction", "driving", "continuous", "viscous", "names", "states", "periodic")
 METHODS = {  # share of the runs
     "auto": 0.3,
     "interior-point": 0.34,
@@ -75,6 +75,7 @@ DRAWN_HERE = {  # not among the distributions of the program
     "five-values": lambda rng, shape: rng.choice(np.random.default_rng(5).uniform(0.1, 1.0, 5), shape),
 }
 SHAPES_2D = ("2,3", "3,3", "3,4", "4,4", "6,4", "5,5", "2,9", "8,3", "6,6")
+MIXED = ("ties", "ties", "contrast", "continuous")  # disorder of periodic lattices
 ITERATIONS = 20_000  # limit of every run, and its wall time in seconds
 TIME_LIMIT = 20.0
 PERTURBATION = Decimal("1e-40")
@@ -93,7 +94,9 @@ def draw_settings(kind: str, seed: int, number: int, methods: tuple[str, ...]) -
     planar = rng.random() < 0.2
     flat = rng.random() < 0.15
     settings = {"shape": str(rng.choice(SHAPES_2D if flat else SHAPES_3D)), "seed": int(rng.integers(1, 10**6))}
-    settings["distribution"] = _distribution(kind, rng)
+    if kind == "periodic":
+        settings |= _periodic(settings["shape"], rng)
+    settings["distribution"] = _distribution(str(rng.choice(MIXED)) if kind == "periodic" else kind, rng)
     if kind == "viscous":
         settings["law"] = "viscous"
     settings |= _states(rng, flat) if kind == "states" else _driving(rng, wild=kind == "driving" or rng.random() < 0.1)
@@ -114,6 +117,16 @@ def draw_settings(kind: str, seed: int, number: int, methods: tuple[str, ...]) -
     if rng.random() < 0.08:
         settings["replicas"] = 2
     return settings | {"iterations": ITERATIONS, "time_limit": TIME_LIMIT, "threads": 1}
+
+
+def _periodic(shape: str, rng: np.random.Generator) -> dict:
+    """Sides made even that close on themselves: one or both."""
+    *sides, height = map(int, shape.split(","))
+    closed = rng.random(len(sides)) < 0.6
+    closed[rng.integers(len(sides))] = True
+    sides = [side + side % 2 if is_closed else side for side, is_closed in zip(sides, closed, strict=True)]
+    names = ",".join(name for name, is_closed in zip("xy", closed, strict=False) if is_closed)
+    return {"shape": ",".join(map(str, (*sides, height))), "periodic": names}
 
 
 def _draw_names(rng: np.random.Generator) -> dict:
