@@ -82,7 +82,7 @@ PERTURBATION = Decimal("1e-40")
 PERTURBED = 1e-12  # slip over the largest slip above which a perturbed minimum contradicts "slipless"
 ROUNDING = 1e-14  # by which the gap may be too small
 BELOW = 1e-12
-AT_LIMIT = 1e-12  # margin in the middle of the optimal forces below which a contact is at its limit
+AT_LIMIT = 1e-18  # margin in the middle of the optimal forces below which a contact is at its limit
 STRICT = 4e-16  # rounding of the true slips
 
 
