@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpstrf
 
 from taichi_bearings.dissection import dissected
+from taichi_bearings.numerics.blas import one_thread
 
 LEAF_SPHERES = 8
 NO_PIVOT, SURELY_NONE, SURELY_ONE = 1e-10, 1e-12, 1e-8  # squares of slips over spins; between the last two: undecided
@@ -56,7 +57,7 @@ class Motions:
         for front in reversed(self.fronts):
             if len(front.kept):
                 rest = found[np.concatenate([front.free, front.border])]
-                found[front.kept] = -solve_triangular(front.top, front.below.T @ rest, lower=True, trans="T")
+                found[front.kept] = -dtrsm(1.0, front.top, front.below.T @ rest, lower=1, trans_a=1)
         return found
 
 
@@ -79,7 +80,8 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndar
     position[np.concatenate(nodes)] = np.arange(matrix.shape[0])
     held, fronts, dropped, least, waiting = [], [], 0.0, np.inf, {}
     for number, (own, (_, children)) in enumerate(zip(nodes, parts, strict=True)):
-        front, update, lost = _eliminated(matrix, position, own, [waiting.pop(child) for child in children])
+        with one_thread():
+            front, update, lost = _eliminated(matrix, position, own, [waiting.pop(child) for child in children])
         waiting[number] = (front.border, update)
         held.append(front.free)
         dropped = max(dropped, lost)
@@ -134,7 +136,7 @@ def _eliminated(
     kept, free = pivot[:rank], pivot[rank:]
     top = np.tril(factor[:rank, :rank])
     rest = np.concatenate([free, np.arange(n, len(both))]).astype(np.int64)
-    below = solve_triangular(top, full[np.ix_(kept, rest)], lower=True).T if rank else np.zeros((len(rest), 0))
+    below = dtrsm(1.0, top, full[np.ix_(kept, rest)], lower=1).T if rank else np.zeros((len(rest), 0))
     lost = full[free, free] - (below[: len(free)] ** 2).sum(axis=1)
     outer = below[len(free) :]
     update = full[n:, n:] - outer @ outer.T
