@@ -55,7 +55,7 @@ def followed(system: System, matrix: NewtonMatrix, friction: np.ndarray, viscosi
     """The last point of the path, or an earlier one if that is closer. gap : relative, at which it ends."""
     d = len(system.offset)
     weight = friction + viscosity
-    spins = matrix_start(system, matrix, weight)
+    spins = viscous_spins(system, matrix, weight)
     slip = system.difference(spins)
     speed = np.linalg.norm(slip, axis=0)
     slack = SLACK * max(float(speed.mean()), TINY)
@@ -76,7 +76,7 @@ def followed(system: System, matrix: NewtonMatrix, friction: np.ndarray, viscosi
     return best
 
 
-def matrix_start(system: System, matrix: NewtonMatrix, weight: np.ndarray) -> np.ndarray:
+def viscous_spins(system: System, matrix: NewtonMatrix, weight: np.ndarray) -> np.ndarray:
     """Spins (unknowns,) at which viscous forces of this weight (A,) are in balance."""
     matrix.factorise(isotropic(weight, len(system.offset)))
     spins = np.zeros(system.unknowns)
