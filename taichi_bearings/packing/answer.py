@@ -11,10 +11,11 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.bounds import Bound, lower_bound
-from taichi_bearings.packing.central_path import followed, viscous_spins
+from taichi_bearings.packing.central_path import balanced, followed, viscous_spins
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
 
+from taichi_bearings.packing.polish import polished
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Status
@@ -22,6 +23,7 @@ from taichi_bearings.words import shown
 
 CLOSEST = 1e-13  # relative gap at which the central path ends: states come apart where the gap is small
 MARGIN, RESOLVED, SATURATED = 1e-2, 1e3, 1e-6  # of contacts that rest; powers over what is open, and margin, that slip
+SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # the same at exact minima, slips in units of the largest imposed one
 NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
@@ -69,13 +71,15 @@ class PackingResult:
 
 @dataclass(frozen=True)
 class _Found:
-    """spins (unknowns,), force (d, A) in units of force, state (A,) where it is known exactly, else None."""
+    """spins (unknowns,), force (d, A) in units of force, state (A,) where it is known exactly, else None. slips : (A,)
+    sets of an exact minimum, where they were found."""
 
     spins: np.ndarray
     force: np.ndarray
     method: str
     state: np.ndarray | None = None
     bound: float | None = None
+    slips: np.ndarray | None = None
 
 
 def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
@@ -111,7 +115,10 @@ def _found(system: System, matrix: NewtonMatrix) -> _Found:
     largest = float(max(held.max(), viscosity.max() * fastest))
     scaled = replace(system, offset=system.offset / fastest)
     point = followed(scaled, matrix, held / largest, viscosity * fastest / largest, CLOSEST)
-    return _Found(point.spins * fastest, point.force * largest, "interior-point")
+    exact = polished(point, scaled, matrix)
+    slips = None if exact is None else exact[1]
+    point = balanced(point, scaled, matrix) if exact is None else exact[0]
+    return _Found(point.spins * fastest, point.force * largest, "interior-point", slips=slips)
 
 
 def _judged(system: System, matrix: NewtonMatrix, found: _Found, tolerance: float, begun: float) -> PackingResult:
@@ -190,13 +197,16 @@ def _states(
     open_ = max(left, np.finfo(np.float64).eps * natural)
     if held is None or not held.any():
         rounding = 1e-12 * float(np.abs(packing.imposed).max(initial=0.0))
-        state[system.contact] = np.where(speed > rounding, SLIPPING, UNDECIDED if speed.any() else SLIPLESS)
+        state[system.contact] = np.where(speed > rounding, SLIPPING, SLIPLESS)
         return state
     if not system.offset.any():
         return state
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     rests = (margin > MARGIN) & (held * speed * margin <= RESOLVED * open_) & (held > 0)
     slips = (margin < SATURATED) & (held * speed > RESOLVED * open_) | (held == 0) & (speed > 0)
+    if found.slips is not None:
+        rests = ~found.slips & (margin > SURE_MARGIN)
+        slips = found.slips & (speed > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(rests, SLIPLESS, np.where(slips, SLIPPING, UNDECIDED)).astype(np.uint8)
     if not law.flows:
         own[tied(system, found.force, own)] = UNDECIDED

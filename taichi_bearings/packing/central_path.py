@@ -95,6 +95,17 @@ def _flowing(point: Point, system: System, matrix: NewtonMatrix, d: int) -> Poin
     return replace(point, held=need * min(1.0, 0.5 / max(worst, TINY)) * (point.friction > 0))
 
 
+def balanced(point: Point, system: System, matrix: NewtonMatrix) -> Point:
+    """Take away the torques that rounding has left, in proportion to the square of the margin."""
+    d, speed = len(point.slip), _length(point.held)
+    soft = np.maximum(point.friction - speed, 1e-12 * point.friction) ** 2
+    try:
+        force = matrix.balanced(point.force, isotropic(soft, d))
+    except NotPositiveDefinite:
+        return point
+    return replace(point, held=force - point.viscosity * point.slip)
+
+
 def _length(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt((vectors * vectors).sum(axis=0))
 
