@@ -13,7 +13,8 @@ from taichi_bearings.packing.central_path import TINY, Point
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic, resisted
 from taichi_bearings.packing.system import System
 
-STEPS, HOLD, ALONG = 12, 1e5, 1e-6  # most steps; springs of resting contacts over w; weak ones along slips over w / |y|
+STEPS, ALONG = 12, 1e-7  # most steps; springs along slips over w
+HOLD, MOST_HOLD, STIFFER = 1e5, 1e11, 100.0  # springs of resting contacts over w, and over the stiffest that slip
 TURNED = 1e-7  # change of the direction of a slip at which it counts as found
 OVER = 1e-9  # share by which a resting contact may bear too much
 ROUNDING = 1e-14  # of slips, in units of the largest imposed one
@@ -56,8 +57,11 @@ def _stepped(point: Point, slips: np.ndarray, system: System, matrix: NewtonMatr
     along = point.slip / speed
     curved = np.where(slips, w / speed, 0.0)
     outer = along[:, None] * along[None]
-    stiffness = curved * (np.eye(d)[:, :, None] - (1 - ALONG) * outer) + isotropic(np.where(slips, 0.0, HOLD * w), d)
-    held = np.where(slips, w * along, point.held + HOLD * w * point.slip)
+    stiffest = float(np.divide(curved, w, out=np.zeros_like(w), where=w > 0).max(initial=0.0))
+    springs = np.where(slips, 0.0, min(max(HOLD, STIFFER * stiffest), MOST_HOLD) * w)
+    weak = np.where(slips, ALONG * w, 0.0)
+    stiffness = curved * (np.eye(d)[:, :, None] - outer) + weak * outer + isotropic(springs, d)
+    held = np.where(slips, w * along, point.held + springs * point.slip)
     matrix.factorise(stiffness + isotropic(point.viscosity, d))
     step = matrix.refined(-system.torques(held + point.viscosity * point.slip))
     change = system.change(step)
