@@ -51,6 +51,7 @@ class Point:
         return float((self.friction * self.speed - (self.held * self.slip).sum(axis=0)).sum())
 
 
+@np.errstate(all="ignore")  # numbers that are not finite end the path
 def followed(system: System, matrix: NewtonMatrix, friction: np.ndarray, viscosity: np.ndarray, gap: float) -> Point:
     """The last point of the path, or an earlier one if that is closer. gap : relative, at which it ends."""
     d = len(system.offset)
@@ -67,7 +68,7 @@ def followed(system: System, matrix: NewtonMatrix, friction: np.ndarray, viscosi
         look_up()
         if point.excess < least:
             best, least, last = point, point.excess, number
-        if least <= gap * point.cost or number > last + PATIENCE:
+        if not np.isfinite(point.cost) or least <= gap * point.cost or number > last + PATIENCE:
             break
         try:
             point = _stepped(point, system, matrix)

@@ -71,6 +71,8 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndar
 
     sphere : (unknowns,) that each belongs to. place : (spheres, D). keep : what :meth:`Motions.basis` needs.
     """
+    if not slips.shape[1]:
+        return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
     matrix = (slips.T @ slips).tocsr()
     matrix.sort_indices()
     own_of = _unknowns_of(sphere, len(place))

@@ -27,7 +27,7 @@ def slips_of(packing: Packing, contact: np.ndarray, moved: np.ndarray) -> sparse
     assert packing.normal is not None
     across = tangents(packing.normal[contact])
     d, count, components = across.shape
-    rows, columns, values = [], [], []
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for end in packing.contact[contact].T:
         unknown = moved[end]  # (E, C)
         for k in range(components):
