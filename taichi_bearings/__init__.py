@@ -7,7 +7,8 @@
     course = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=10)
     net = tb.analyse(best)
 
-Scene, or Packing for any other network : what is solved. solve, solve_many : to a :class:`Result`. load : one from a file. analyse : what it is made of.
+Scene : what is solved, or Packing, any network. solve, solve_many : to a :class:`Result`. load : one from a file.
+analyse : what it is made of.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 __version__ = VERSION
 __all__ = [
     "BearingsError", "CundallStrack", "DeviceError", "FileError", "GradientDescent", "ImplicitCundallStrack",
-    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "Packing", "PackingResult", "PlanarCut", "Result",
-    "RigidLimit", "Scene", "__version__", "analyse", "load", "solve", "solve_many",
+    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "Packing", "PackingResult", "PlanarCut",
+    "Result", "RigidLimit", "Scene", "__version__", "analyse", "load", "solve", "solve_many",
 ]  # fmt: skip
 OF_API = ("Packing", "PackingResult", "Result", "Scene", "analyse", "load", "solve", "solve_many")
 

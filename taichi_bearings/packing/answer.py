@@ -8,13 +8,11 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.bounds import Bound, lower_bound
 from taichi_bearings.packing.central_path import balanced, followed, viscous_spins
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
-
 from taichi_bearings.packing.polish import polished
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
@@ -107,7 +105,9 @@ def _found(system: System, matrix: NewtonMatrix) -> _Found:
     if law.is_rate_independent and system.packing.dimension == 2:
         cut = planar.least_power(system)
         return _Found(cut.spins, cut.force, "planar-cut", cut.state, cut.lower_bound)
-    held, viscosity = (np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of)))
+    held, viscosity = (
+        np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
+    )
     fastest = float(np.abs(system.offset).max())
     if not held.any():
         spins = viscous_spins(system, matrix, viscosity)

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern
 from taichi_bearings.numerics.double_double import Pair, add, two_product
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.system import System
@@ -61,7 +62,9 @@ def lower_bound(system: System, matrix: NewtonMatrix, force: np.ndarray, potenti
         return Bound(0.0, "not proven: rounding leaves open how many slipless motions there are")
     else:
         torque, lost, payment = _balanced(system, matrix, vectors, potential)
-        proof = _rests_on(system) if payment < np.inf else "not proven: no floor of the smallest singular value was found"
+        proof = (
+            _rests_on(system) if payment < np.inf else "not proven: no floor of the smallest singular value was found"
+        )
     works = torque[~free] * packing.imposed[~free]
     value = works.sum()
     allowance = (np.abs(packing.imposed[~free]) * lost[~free]).sum() + (works.size + 4) * EPS * np.abs(works).sum()
@@ -85,7 +88,9 @@ def _balanced(
     further = np.einsum("te,tek->ek", springs, system.across)
     torque, lost = torques(system, [vectors, -further])
     size = np.linalg.norm(further, axis=1) * (1 + 8 * EPS)
-    held, viscosity = (law(system.coefficients) for law in (system.packing.kind.holding_force, system.packing.kind.viscosity))
+    held, viscosity = (
+        law(system.coefficients) for law in (system.packing.kind.holding_force, system.packing.kind.viscosity)
+    )
     holds = np.zeros(len(size), dtype=bool) if held is None else held > 0
     payment = 0.0 if held is None else potential * float((size[holds] / held[holds]).max(initial=0.0))
     if viscosity is not None and not holds.all():
@@ -225,9 +230,9 @@ class Floor:
         return 0.0
 
 
-def _indices(pattern: object) -> tuple[np.ndarray, np.ndarray]:
+def _indices(pattern: Pattern | BlockPattern) -> tuple[np.ndarray, np.ndarray]:
     """Unknowns (entries,) of the stored entries of a pattern."""
-    if hasattr(pattern, "row"):
-        return pattern.order[pattern.row], pattern.order[pattern.column]  # type: ignore[attr-defined]
-    column, row = np.divmod(np.arange(pattern.entries), pattern.size)  # type: ignore[attr-defined]
+    if isinstance(pattern, Pattern):
+        return pattern.order[pattern.row], pattern.order[pattern.column]
+    column, row = np.divmod(np.arange(pattern.entries), pattern.size)
     return row, column

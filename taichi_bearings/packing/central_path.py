@@ -21,9 +21,9 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Point:
-    """spins (unknowns,), slips y and friction z (d, A), bounds t (A,). Torques of z + h y are balanced but for rounding.
+    """spins (unknowns,), slips y and friction z (d, A), bounds t (A,). Forces z + h y are balanced but for rounding.
 
-    friction w, viscosity h : (A,), in the units of the path.
+    friction w, viscosity h : (A,).
     """
 
     spins: np.ndarray

@@ -41,8 +41,8 @@ Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
-    """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and sides (N,): 0 at the bottom, 1 on
-    the top, else -1. Spheres are in the order of their cells, contacts bond by bond, so of a cubic lattice axis by axis
+    """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and sides (N,): 0 at the bottom, 1
+    on the top, else -1. Spheres are in the order of their cells, contacts bond by bond, so of a cubic lattice axis by axis
     as in scenes."""
     cell = KINDS[kind]
     dimension = len(cell.size)
@@ -70,7 +70,9 @@ def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
 def _closed(periodic: Any, dimension: int) -> set[int]:
     names = [periodic] if isinstance(periodic, str) else list(periodic)
     if strange := [name for name in names if name not in tuple(AXES[:dimension])]:
-        raise InputError(f"periodic has {shown(strange[0])}; it must be names of axes among {', '.join(AXES[:dimension])}")
+        raise InputError(
+            f"periodic has {shown(strange[0])}; it must be names of axes among {', '.join(AXES[:dimension])}"
+        )
     return {AXES.index(name) for name in names}
 
 

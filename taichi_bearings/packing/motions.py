@@ -80,7 +80,8 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndar
     parts, position = order_of(graph, place), np.empty(matrix.shape[0], dtype=np.int64)
     nodes = [np.concatenate([own_of[i] for i in own] or [np.zeros(0, np.int64)]) for own, _ in parts]
     position[np.concatenate(nodes)] = np.arange(matrix.shape[0])
-    held, fronts, dropped, least, waiting = [], [], 0.0, np.inf, {}
+    held, fronts, dropped, least = [], [], 0.0, np.inf
+    waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for number, (own, (_, children)) in enumerate(zip(nodes, parts, strict=True)):
         with one_thread():
             front, update, lost = _eliminated(matrix, position, own, [waiting.pop(child) for child in children])
@@ -133,7 +134,9 @@ def _eliminated(
     for there, update in updates:
         at = find(there)
         full[np.ix_(at, at)] += update
-    factor, pivot, rank, _ = dpstrf(full[:n, :n], lower=1, tol=NO_PIVOT) if n else (full[:0, :0], np.zeros(0, int), 0, 0)
+    factor, pivot, rank, _ = (
+        dpstrf(full[:n, :n], lower=1, tol=NO_PIVOT) if n else (full[:0, :0], np.zeros(0, int), 0, 0)
+    )
     pivot = np.asarray(pivot) - 1
     kept, free = pivot[:rank], pivot[rank:]
     top = np.tril(factor[:rank, :rank])

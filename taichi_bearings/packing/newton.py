@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite
+from taichi_bearings.numerics.cholesky.fronts import BlockPattern
 from taichi_bearings.packing.motions import order_of, touching
 from taichi_bearings.packing.system import System
 
@@ -79,7 +80,7 @@ class NewtonMatrix:
     def longest_row(self) -> int:
         """Most numbers in a row of the factor: so many products are in a sum at most."""
         pattern = self.cholesky.pattern
-        if not hasattr(pattern, "border"):
+        if isinstance(pattern, BlockPattern):
             return pattern.size
         count = np.zeros(pattern.size, dtype=np.int64)
         np.add.at(count, pattern.border, np.repeat(pattern.own, pattern.width))

@@ -42,7 +42,7 @@ class Structure:
     decided_by: str
 
 
-def structure(packing: Packing) -> Structure:
+def structure_of(packing: Packing) -> Structure:
     """Look through a packing; its coefficients play no part."""
     count, held = packing.spheres, packing.driven >= 0
     parts, label = connected_components(_graph(packing), directed=False)
@@ -92,7 +92,7 @@ def smallest_odd_loop(packing: Packing) -> int | None:
         return None
     cover = sparse.csr_array(sparse.block_array([[None, both], [both, None]]), dtype=np.float64)
     first, best = int(starts[0]), 2.0 * count + 1
-    order, before = breadth_first_order(cover, first)
+    _, before = breadth_first_order(cover, first)
     here, best = first + count, 0.0
     while here != first:
         here, best = int(before[here]), best + 1

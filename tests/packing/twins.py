@@ -1,4 +1,4 @@
-"""Slow twins: Clarabel in the laboratory frame, and networks at random. They share nothing with the package's solvers."""
+"""Slow twins: Clarabel in the laboratory frame, and networks at random; nothing is shared with the solvers."""
 
 import numpy as np
 from scipy import sparse
