@@ -42,8 +42,8 @@ Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
     """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and sides (N,): 0 at the bottom, 1
-    on the top, else -1. Spheres are in the order of their cells, contacts bond by bond, so of a cubic lattice axis by axis
-    as in scenes."""
+    on the top, else -1. Spheres are in the order of their cells, contacts bond by bond, of a cubic lattice axis by
+    axis as in scenes."""
     cell = KINDS[kind]
     dimension = len(cell.size)
     if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):

@@ -1,4 +1,4 @@
-"""Loops, loose parts and slipless motions: the whole table of the mathematics, by singular values and by elimination."""
+"""Loops, loose parts and slipless motions: the whole table, by singular values and by elimination."""
 
 import numpy as np
 import pytest
