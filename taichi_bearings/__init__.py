@@ -7,7 +7,8 @@
     course = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=10)
     net = tb.analyse(best)
 
-Scene : what is solved. solve, solve_many : to a :class:`Result`. load : one from a file. analyse : what it is made of.
+Scene : what is solved, or Packing, any network. solve, solve_many : to a :class:`Result`. load : one from a file.
+analyse : what it is made of.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from taichi_bearings.errors import BearingsError, DeviceError, FileError, InputE
 from taichi_bearings.version import VERSION
 
 if TYPE_CHECKING:
-    from taichi_bearings.api import Result, Scene, analyse, load, solve, solve_many
+    from taichi_bearings.api import Packing, PackingResult, Result, Scene, analyse, load, solve, solve_many
     from taichi_bearings.solvers import (
         CundallStrack,
         GradientDescent,
@@ -31,9 +32,10 @@ if TYPE_CHECKING:
 __version__ = VERSION
 __all__ = [
     "BearingsError", "CundallStrack", "DeviceError", "FileError", "GradientDescent", "ImplicitCundallStrack",
-    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "PlanarCut", "Result", "RigidLimit", "Scene",
-    "__version__", "analyse", "load", "solve", "solve_many",
+    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "Packing", "PackingResult", "PlanarCut",
+    "Result", "RigidLimit", "Scene", "__version__", "analyse", "load", "solve", "solve_many",
 ]  # fmt: skip
+OF_API = ("Packing", "PackingResult", "Result", "Scene", "analyse", "load", "solve", "solve_many")
 
 
 def __getattr__(name: str) -> Any:
@@ -43,7 +45,7 @@ def __getattr__(name: str) -> Any:
     import importlib
     import warnings
 
-    of_api = name in ("Result", "Scene", "analyse", "load", "solve", "solve_many")
+    of_api = name in OF_API
     with warnings.catch_warnings():  # SciPy adds filters of its own
         found = getattr(importlib.import_module(f"{__name__}.{'api' if of_api else 'solvers'}"), name)
     globals()[name] = found

@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
+from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
@@ -264,6 +265,7 @@ OPTIONS = (
 """What :func:`solve` takes beside its own arguments: settings of a run that belong to no method and no scene."""
 
 
+@overload
 def solve(
     scene: Scene,
     method: str | MethodOptions = "auto",
@@ -271,8 +273,22 @@ def solve(
     start: str | np.ndarray = "linear",
     callback: Callable[[Check], bool | None] | None = None,
     **options: Any,
-) -> Result:
-    """Solve a scene; no file is read or written.
+) -> Result: ...
+
+
+@overload
+def solve(scene: Packing, method: str = "auto", tolerance: float = 1e-8) -> PackingResult: ...
+
+
+def solve(
+    scene: Scene | Packing,
+    method: str | MethodOptions = "auto",
+    tolerance: float = 1e-8,
+    start: str | np.ndarray = "linear",
+    callback: Callable[[Check], bool | None] | None = None,
+    **options: Any,
+) -> Result | PackingResult:
+    """Solve a scene, or a packing, with `tolerance` alone; no file is read or written.
 
     method : "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
         `CundallStrack(stiffness=1e6)`.
@@ -289,6 +305,10 @@ def solve(
 
     Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
     """
+    if isinstance(scene, Packing):
+        if method != "auto" or callback is not None or options or not isinstance(start, str) or start != "linear":
+            raise InputError("of the arguments of solve a packing takes tolerance alone")
+        return solve_packing(scene, tolerance)
     if callback is not None and not callable(callback):
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
     monitors = [] if callback is None else [_monitor(scene, callback)]

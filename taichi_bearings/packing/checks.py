@@ -1,0 +1,165 @@
+"""What users bring as a packing, checked: each failure is one sentence that names the value."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.scene.given import own_array
+from taichi_bearings.words import shown
+
+if TYPE_CHECKING:
+    from taichi_bearings.packing.packing import Packing
+
+MOST_SPHERES, MOST_CONTACTS = 20_000_000, 100_000_000
+GAP, OVERLAP = 0.01, 0.2  # of the sum of the radii, that may part the surfaces of a contact, and that it may be pressed
+UNIT_ERROR = 1e-6  # of the length of a normal that is given
+SAME_NORMAL = 1e-6  # distance of normals of contacts of the same two spheres, from which on they are two contacts
+LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of coefficients, forces and radii; and most of spins
+
+
+def places(values: Any) -> np.ndarray:
+    center = own_array("centres", values)
+    if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_SPHERES:
+        raise InputError(
+            f"center has shape {center.shape}; it must be (N, 2) or (N, 3) with N from 1 to {MOST_SPHERES:,}"
+        )
+    _refuse_not_finite("center", center, "sphere")
+    order = np.lexsort(center.T)
+    twice = (center[order[1:]] == center[order[:-1]]).all(axis=1)
+    if twice.any():
+        pair = sorted(order[np.argmax(twice) :][:2].tolist())
+        raise InputError(f"spheres {pair[0]} and {pair[1]} have the same centre; each sphere must be there once")
+    return center
+
+
+def _integers(name: str, values: Any) -> np.ndarray:
+    array = np.asanyarray(values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
+    if array.dtype.kind not in "iu" and not (array.size == 0 and array.dtype.kind == "f"):
+        raise InputError(f"{name} is of type {array.dtype}; it must hold whole numbers")
+    if array.size and array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
+        raise InputError(f"{name} holds {array.max()}; that is too large")
+    copy = np.array(array, dtype=np.int64, order="C", subok=False)
+    copy.setflags(write=False)
+    return copy
+
+
+def pairs(values: Any, spheres: int) -> np.ndarray:
+    contact = _integers("contact", values)
+    contact = contact.reshape(0, 2) if contact.size == 0 else contact
+    if contact.ndim != 2 or contact.shape[1] != 2 or len(contact) > MOST_CONTACTS:
+        raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}")
+    outside = ((contact < 0) | (contact >= spheres)).any(axis=1)
+    if outside.any():
+        e = int(np.argmax(outside))
+        raise InputError(f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}")
+    own = contact[:, 0] == contact[:, 1]
+    if own.any():
+        e = int(np.argmax(own))
+        raise InputError(f"contact {e} is of sphere {contact[e, 0]} with itself")
+    return contact
+
+
+def bodies(values: Any, spheres: int) -> np.ndarray:
+    driven = _integers("driven", values)
+    if driven.shape != (spheres,):
+        raise InputError(f"driven has shape {driven.shape}; it must be ({spheres},), one number a sphere")
+    strange = (driven < -1) | (driven >= spheres)
+    if strange.any():
+        i = int(np.argmax(strange))
+        raise InputError(f"driven of sphere {i} is {driven[i]}; it must be -1, or a body from 0 to {spheres - 1}")
+    return driven
+
+
+def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
+    spin = own_array("spins", values)
+    shape = (spheres, 3) if dimension == 3 else (spheres,)
+    if spin.shape != shape:
+        raise InputError(f"spin has shape {spin.shape}; it must be {shape}")
+    spin = np.where(held.reshape(held.shape + (1,) * (spin.ndim - 1)), spin, 0.0)
+    bad = ~(np.abs(spin) <= MOST_SIZE)
+    if bad.any():
+        i = int(np.argwhere(bad)[0, 0])
+        raise InputError(f"spin of sphere {i} is {shown(spin[i])}; it must be finite and at most {MOST_SIZE:g}")
+    spin.setflags(write=False)
+    return spin
+
+
+def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
+    """(count,) positive numbers, or one for all."""
+    array = own_array(f"values of {name}", values)
+    if array.ndim == 0:
+        array = np.full(count, array)
+    if array.shape != (count,):
+        raise InputError(f"{name} has shape {array.shape}; it must be ({count},), one number a {what}")
+    fine = (array >= LEAST_SIZE) & (array <= MOST_SIZE) | (may_vanish & (array == 0))
+    if not fine.all():
+        i = int(np.argmin(fine))
+        zero = "0, or " if may_vanish else ""
+        raise InputError(f"{name} of {what} {i} is {array[i]}; it must be {zero}from {LEAST_SIZE:g} to {MOST_SIZE:g}")
+    array.setflags(write=False)
+    return array
+
+
+def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
+    bad = ~(np.abs(values) <= MOST_SIZE).all(axis=1)
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise InputError(f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
+
+
+def touching(packing: "Packing") -> np.ndarray:
+    """Normals (E, D) from the centres; InputError for a contact that is none."""
+    first, second = packing.contact.T
+    vector = packing.center[second] - packing.center[first]
+    size, reach = np.linalg.norm(vector, axis=1), packing.radius[first] + packing.radius[second]
+    apart = (size > (1 + GAP) * reach) | (size < (1 - OVERLAP) * reach)
+    if apart.any():
+        e = int(np.argmax(apart))
+        raise InputError(
+            f"contact {e} does not touch: spheres {first[e]} and {second[e]} are {size[e]:.6g} apart and their radii "
+            f"add up to {reach[e]:.6g}; across a periodic side it needs a normal"
+        )
+    normal = vector / size[:, None]
+    normal.setflags(write=False)
+    return normal
+
+
+def normals(values: Any, packing: "Packing") -> np.ndarray:
+    normal, shape = own_array("normals", values), (packing.contacts, packing.dimension)
+    normal = normal.reshape(shape) if normal.size == 0 == packing.contacts else normal
+    if normal.shape != shape:
+        raise InputError(f"normal has shape {normal.shape}; it must be {shape}")
+    _refuse_not_finite("normal", normal, "contact")
+    size = np.linalg.norm(normal, axis=1)
+    bad = ~(np.abs(size - 1) <= UNIT_ERROR)
+    if bad.any():
+        e = int(np.argmax(bad))
+        raise InputError(f"normal of contact {e} has length {size[e]:.9g}; it must be a unit vector")
+    off = np.abs(size - 1) > 4 * np.finfo(np.float64).eps  # others stay as they are, bit by bit
+    normal = np.where(off[:, None], normal / np.where(off, size, 1.0)[:, None], normal)
+    normal.setflags(write=False)
+    return normal
+
+
+def refuse_repeated(packing: "Packing") -> None:
+    """InputError for contacts of the same two spheres, but on a ring of two, where normals tell them apart."""
+    first, second = packing.contact.T
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    key = low * packing.spheres + high
+    _, count = np.unique(key, return_counts=True)
+    if not (count > 1).any():
+        return
+    order = np.argsort(key, kind="stable")
+    ends = np.cumsum(count)
+    assert packing.normal is not None
+    outward = packing.normal * np.where(first < second, 1, -1)[:, None]
+    for group in np.flatnonzero(count > 1):
+        own = order[ends[group] - count[group] : ends[group]]
+        near = np.linalg.norm(outward[own][:, None] - outward[own][None], axis=2) + 2 * np.eye(len(own))
+        if not packing.normals_given or (near < SAME_NORMAL).any():
+            i, j = low[own[0]], high[own[0]]
+            raise InputError(
+                f"contacts {own[0]} and {own[1]} are both of spheres {i} and {j}; two spheres touch once, "
+                "and around a ring of two in two directions whose normals must be given"
+            )

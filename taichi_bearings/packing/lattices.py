@@ -1,0 +1,119 @@
+"""Spheres of regular lattices that touch: a table of cells, and what they make. Lengths in diameters."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.words import shown
+
+MOST_SPHERES = 20_000_000
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A rectangular cell. size : (D,), diameters. basis : its spheres, (n, D), shares of the cell. parity : (n,) and
+    (D,), the sublattice of each sphere and what a step of a cell adds to it; None where loops are odd."""
+
+    size: tuple[float, ...]
+    basis: tuple[tuple[float, ...], ...]
+    parity: tuple[tuple[int, ...], tuple[int, ...]] | None
+
+
+FACES = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
+QUARTER = tuple((x + 0.25, y + 0.25, z + 0.25) for x, y, z in FACES)
+KINDS = {
+    "square": Cell((1.0, 1.0), ((0.0, 0.0),), ((0,), (1, 1))),
+    "triangular": Cell((1.0, 3**0.5), ((0.0, 0.0), (0.5, 0.5)), None),
+    "honeycomb": Cell(
+        (3**0.5, 3.0), ((0.0, 0.0), (0.5, 1 / 6), (0.5, 0.5), (0.0, 2 / 3)), ((0, 1, 0, 1), (0, 0))
+    ),
+    "cubic": Cell((1.0, 1.0, 1.0), ((0.0, 0.0, 0.0),), ((0,), (1, 1, 1))),
+    "bcc": Cell((2 / 3**0.5,) * 3, ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5)), ((0, 1), (0, 0, 0))),
+    "fcc": Cell((2**0.5,) * 3, FACES, None),
+    "diamond": Cell((4 / 3**0.5,) * 3, FACES + QUARTER, ((0, 0, 0, 0, 1, 1, 1, 1), (0, 0, 0))),
+}  # fmt: skip
+Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
+    """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and sides (N,): 0 at the bottom, 1
+    on the top, else -1. Spheres are in the order of their cells, contacts bond by bond, of a cubic lattice axis by
+    axis as in scenes."""
+    cell = KINDS[kind]
+    dimension = len(cell.size)
+    if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):
+        raise InputError(f"cells is {shown(cells)}; a {kind} lattice has {dimension} numbers of cells, 1 or more each")
+    closed = _closed(periodic, dimension)
+    if short := [AXES[axis] for axis in closed if cells[axis] < 2]:
+        raise InputError(f"cells is {shown(cells)}; along {short[0]}, which is periodic, there must be 2 or more")
+    grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, dimension)
+    basis, size = np.array(cell.basis), np.array(cell.size)
+    place = ((grid[:, None] + basis) * size).reshape(-1, dimension)
+    parts = [_of_bond(grid, cells, closed, len(basis), *bond) for bond in _bonds(cell)]
+    contact = np.concatenate([pairs for pairs, _ in parts])
+    normal = np.concatenate([np.broadcast_to(vector, (len(pairs), dimension)) for pairs, vector in parts])
+    sign = np.ones(len(place))
+    if cell.parity is not None:
+        sign = np.where((np.array(cell.parity[0]) + (grid @ np.array(cell.parity[1]))[:, None]).ravel() % 2, -1.0, 1.0)
+    side, height = np.full(len(place), -1), place[:, -1]
+    if dimension - 1 not in closed:
+        side[height > height.max() - 1e-6] = 1
+        side[height < height.min() + 1e-6] = 0
+    return place, contact, normal, sign, side
+
+
+def _closed(periodic: Any, dimension: int) -> set[int]:
+    names = [periodic] if isinstance(periodic, str) else list(periodic)
+    if strange := [name for name in names if name not in tuple(AXES[:dimension])]:
+        raise InputError(
+            f"periodic has {shown(strange[0])}; it must be names of axes among {', '.join(AXES[:dimension])}"
+        )
+    return {AXES.index(name) for name in names}
+
+
+def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+    """First and second sphere of the cell, steps (D,) to the cell of the second, and the unit vector (D,): those whose
+    last step that is not 0 leads up, nearest cells along x first."""
+    basis, size = np.array(cell.basis), np.array(cell.size)
+    steps = [np.array(step[::-1]) for step in product((0, 1, -1), repeat=len(size))]
+    for step in steps:
+        for first, second in product(range(len(basis)), repeat=2):
+            vector = (basis[second] + step - basis[first]) * size
+            if abs(np.linalg.norm(vector) - 1) < 1e-9 and _leads_up(vector):
+                yield first, second, step, _exact(vector)
+
+
+def _leads_up(vector: np.ndarray) -> bool:
+    turned = vector[np.abs(vector) > 1e-9]
+    return bool(turned[-1] > 0)
+
+
+def _exact(vector: np.ndarray) -> np.ndarray:
+    """The unit vector with components of equal size equal, and small ones 0."""
+    components = np.where(np.abs(vector) < 1e-9, 0.0, np.round(vector, 12))
+    return components / np.linalg.norm(components)
+
+
+def _of_bond(
+    grid: np.ndarray,
+    cells: tuple[int, ...],
+    closed: set[int],
+    each: int,
+    first: int,
+    second: int,
+    step: np.ndarray,
+    vector: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts (E, 2) of one bond in all cells."""
+    there = grid + step
+    for axis in closed:
+        there[:, axis] %= cells[axis]
+    inside = ((there >= 0) & (there < cells)).all(axis=1)
+    begin = np.ravel_multi_index(tuple(grid[inside].T), cells)
+    end = np.ravel_multi_index(tuple(there[inside].T), cells)
+    return np.stack([each * begin + first, each * end + second], axis=1), vector

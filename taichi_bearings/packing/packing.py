@@ -1,0 +1,204 @@
+"""Any bearing: spheres or discs at fixed places, what touches what, and which of them are driven.
+
+With u = R omega the slip at a contact with unit normal n, from the first to the second sphere, is -(u_i + u_j) x n:
+radii drop out, and a packing out of a simulation, a space-filling bearing and a lattice are the same convex problem.
+"""
+
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from operator import index
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.options import SEED
+from taichi_bearings.packing import checks
+from taichi_bearings.packing.lattices import KINDS, built
+from taichi_bearings.scene.array_files import read_arrays
+from taichi_bearings.scene.disorder import Distribution, Draw
+from taichi_bearings.scene.given import finite_number, own_array
+from taichi_bearings.scene.law import Coefficients, Law, law_named
+from taichi_bearings.words import meant, shown
+
+NEEDED, OPTIONAL = (
+    ("center", "contact", "driven", "spin"),
+    ("radius", "normal", "friction", "viscosity", "normal_force"),
+)
+DISTRIBUTION = "uniform:0.1,1.0"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Packing:
+    """Spheres (D = 3) or discs (D = 2) that touch; N of them, with E contacts. Arrays are copied and read-only.
+
+    center : (N, D), length. contact : (E, 2) integers, the first and the second sphere of each contact.
+    driven : (N,) integers, -1 for a free sphere, else the number of the driven body that it belongs to.
+    spin : (N, 3), of discs (N,), 1/time; laboratory frame; imposed on driven spheres, ignored on others.
+    radius : (N,) or one for all, length. normal : (E, D), unit vectors from the first to the second sphere; from the
+        centres if None. A contact across a periodic side needs it, and so do several contacts of the same two spheres.
+    friction : (E,), the coefficient of the law: friction, a pure number, or of the law "viscous" damping,
+        force * time / length; 0 where nothing acts. If None drawn in the order of the contacts from ``distribution``.
+    viscosity : (E,), of the law "coulomb-viscous", force * time / length. normal_force : (E,) or one for all, force.
+    law : "coulomb", "viscous" or "coulomb-viscous"; if None the last one where a viscosity is given, else the first.
+    distribution, seed : of coefficients that are not given: a text such as "uniform:0.1,1.0" or a function
+        (rng, shape), and the seed of ``default_rng``; viscosities take ``default_rng([seed, 2])``.
+
+    Raises InputError, one sentence that names the value, for what is no packing.
+    """
+
+    center: np.ndarray
+    contact: np.ndarray
+    driven: np.ndarray
+    spin: np.ndarray
+    radius: Any = 0.5
+    normal: np.ndarray | None = None
+    friction: np.ndarray | None = None
+    viscosity: np.ndarray | None = None
+    normal_force: Any = 50.0
+    law: Law | str | None = None
+    distribution: str | Draw = DISTRIBUTION
+    seed: int = 0
+    normals_given: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "normals_given", self.normal is not None)
+        put = lambda name, values: object.__setattr__(self, name, values)  # noqa: E731
+        put("center", checks.places(self.center))
+        put("contact", checks.pairs(self.contact, self.spheres))
+        put("driven", checks.bodies(self.driven, self.spheres))
+        put("spin", checks.spins(self.spin, self.spheres, self.dimension, self.driven >= 0))
+        put("radius", checks.sizes("radius", self.radius, self.spheres, "sphere"))
+        put("normal", checks.touching(self) if self.normal is None else checks.normals(self.normal, self))
+        checks.refuse_repeated(self)
+        put("law", law_named(self.law or ("coulomb" if self.viscosity is None else "coulomb-viscous")))
+        put("normal_force", checks.sizes("normal_force", self.normal_force, self.contacts, "contact"))
+        self._take_coefficients(put)
+
+    def _take_coefficients(self, put: Any) -> None:
+        two = len(self.kind.quantities) > 1
+        if self.viscosity is not None and not two:
+            raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
+        seed = SEED.read(self.seed)
+        for name, state in (("friction", seed), ("viscosity", [seed, 2])):
+            values = getattr(self, name)
+            if values is None and (name == "friction" or two):
+                draw = (
+                    Distribution.parse(self.distribution) if isinstance(self.distribution, str) else self.distribution
+                )
+                values = draw(np.random.default_rng(state), (self.contacts,))
+            if values is not None:
+                put(name, checks.sizes(name, values, self.contacts, "contact", may_vanish=True))
+
+    @property
+    def kind(self) -> Law:
+        """The law itself."""
+        assert isinstance(self.law, Law)
+        return self.law
+
+    @property
+    def spheres(self) -> int:
+        return len(self.center)
+
+    @property
+    def contacts(self) -> int:
+        return len(self.contact)
+
+    @property
+    def dimension(self) -> int:
+        return self.center.shape[1]
+
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """As laws want them, (E,) each: a friction times the normal force; force or force * time / length."""
+        given = (self.friction, self.viscosity)
+        pairs = zip(self.kind.quantities, given, strict=False)
+        return tuple(np.asarray(v) * (self.normal_force if quantity.is_friction else 1.0) for quantity, v in pairs)
+
+    @cached_property
+    def imposed(self) -> np.ndarray:
+        """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time."""
+        u = self.spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
+        return np.where((self.driven >= 0)[:, None], u, 0.0)
+
+    def __repr__(self) -> str:
+        what = "discs" if self.dimension == 2 else "spheres"
+        held = int((self.driven >= 0).sum())
+        return f"<Packing of {self.spheres:,} {what}, {self.contacts:,} contacts, {held:,} driven, {self.law}>"
+
+    @classmethod
+    def lattice(cls, kind: str, cells: Any, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":
+        """Spheres of a lattice, its lowest and highest layer along the last axis driven as bodies 0 and 1.
+
+        kind : "square", "triangular", "honeycomb" (discs), "cubic", "bcc", "fcc", "diamond". cells : along each axis,
+            of the rectangular cell with 1, 2, 4, 1, 2, 4 and 8 spheres. periodic : names of axes that close on
+            themselves, ("x", "y"); with the last one among them nothing is driven. seed : of the coefficients.
+        others : `radius`, one for all, length; `spin_top`, `spin_bottom` (1/time; 1 and 0) about `direction` (of
+            spheres; (1, 1, 0)), with the sign of the sublattice where there are two; and fields of this class.
+        """
+        if kind not in KINDS:
+            raise InputError(f"kind is {shown(kind)}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
+        radius = finite_number("radius", others.pop("radius", 0.5))
+        top, bottom = (finite_number(n, others.pop(n, d)) for n, d in (("spin_top", 1.0), ("spin_bottom", 0.0)))
+        direction = own_array("components of direction", others.pop("direction", (1.0, 1.0, 0.0)))
+        if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
+            raise InputError(f"direction is {shown(direction)}; it must be a vector that is not 0")
+        place, contact, normal, sign, side = built(kind, _whole(cells), periodic)
+        spin = sign * np.where(side == 0, bottom, top) * (side >= 0)
+        if place.shape[1] == 3:
+            spin = spin[:, None] * (direction / np.linalg.norm(direction))
+        known = {f.name for f in fields(cls) if f.init} - {"center", "contact", "driven", "spin", "normal", "radius"}
+        if strange := [name for name in others if name not in known]:
+            raise InputError(f"{strange[0]} is no part of a lattice{meant(strange[0], known)}")
+        return cls(2 * radius * place, contact, side, spin, radius, normal, seed=seed, **others)
+
+    @classmethod
+    def load(cls, path: str | Path, **others: Any) -> "Packing":
+        """From an npz or HDF5 file with arrays of the names above, in HDF5 also below ``packing``.
+
+        others : what the file does not hold, such as `law`, `seed`, or a `radius` for all. Raises FileError for what
+        cannot be read, InputError for what is no packing.
+        """
+        path = Path(path)
+        try:
+            found = read_arrays(path, NEEDED, OPTIONAL)
+        except FileError as error:
+            if "lacks" not in str(error) or path.suffix == ".npz":
+                raise
+            group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]
+            stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
+            found = {name.rpartition("/")[2]: values for name, values in stored.items()}
+        if "law" in found or "seed" in found:
+            raise FileError(f"{path} is no packing")
+        return cls(**{**found, **others})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What a file holds, by name."""
+        names = (*NEEDED, *OPTIONAL)
+        return {name: np.asarray(value) for name in names if (value := getattr(self, name)) is not None}
+
+    def save(self, path: str | Path) -> Path:
+        """Write the arrays into a new file, npz or HDF5 by its name; WriteError if it is there or cannot be written."""
+        path = Path(path)
+        try:
+            if path.suffix == ".npz":
+                with open(path, "xb") as file:
+                    np.savez(file, **self.arrays())  # type: ignore[arg-type]
+            elif path.suffix in (".h5", ".hdf5"):
+                with h5py.File(path, "x") as stored:
+                    for name, values in self.arrays().items():
+                        stored[name] = values
+            else:
+                raise WriteError(f"{path} must end in .npz, .h5 or .hdf5")
+        except OSError as error:
+            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
+        return path
+
+
+def _whole(cells: Any) -> tuple[int, ...]:
+    try:
+        return tuple(index(number) for number in cells)
+    except TypeError:
+        raise InputError(f"cells is {shown(cells)}; it must be two or three whole numbers") from None

@@ -1,0 +1,123 @@
+"""What a packing is before anything is solved: loops, loose parts, and the spins at which nothing slips."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
+
+from taichi_bearings.packing.motions import MOST_UNKNOWNS, slipless_motions
+from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.system import slips_of
+
+MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
+CHUNK = 256
+DENSE_UNKNOWNS = 600  # up to which the rank is found by singular values
+RANK = 1e-9  # of the largest singular value
+
+
+@dataclass(frozen=True)
+class Structure:
+    """spheres, contacts, driven, bodies : numbers. parts : connected ones. floating : parts with no driven sphere, and
+    rattlers : spheres without contact; free_dangling : free spheres with one contact.
+
+    bipartite : True if no loop is odd: neighbours can turn against each other everywhere. smallest_odd_loop : its
+    contacts; None if there is none or if it was not looked for.
+    free_motions, all_motions : number of slipless motions of the free spheres with the driven at rest, and of all
+    spheres; None where the network is too large, or rounding leaves it open. decided_by : how, in words.
+    """
+
+    spheres: int
+    contacts: int
+    driven: int
+    bodies: int
+    parts: int
+    floating: int
+    rattlers: int
+    free_dangling: int
+    bipartite: bool
+    smallest_odd_loop: int | None
+    free_motions: int | None
+    all_motions: int | None
+    decided_by: str
+
+
+def structure_of(packing: Packing) -> Structure:
+    """Look through a packing; its coefficients play no part."""
+    count, held = packing.spheres, packing.driven >= 0
+    parts, label = connected_components(_graph(packing), directed=False)
+    touched = np.zeros(parts, dtype=bool)
+    touched[label[held]] = True
+    degree = np.bincount(packing.contact.ravel(), minlength=count)
+    sizes = np.bincount(label, minlength=parts)
+    odd = odd_parts(count, *packing.contact.T)[0]
+    free, by = slipless_number(packing, ~held)
+    whole, _ = slipless_number(packing, np.ones(count, dtype=bool))
+    return Structure(
+        count, packing.contacts, int(held.sum()), len(np.unique(packing.driven[held])), int(parts),
+        int((~touched & (sizes > 1)).sum()), int(((degree == 0) & ~held).sum()), int(((degree == 1) & ~held).sum()),
+        not odd.any(), smallest_odd_loop(packing), free, whole, by,
+    )  # fmt: skip
+
+
+def _graph(packing: Packing) -> sparse.csr_array:
+    ones = np.ones(packing.contacts, dtype=np.int8)
+    return sparse.csr_array((ones, tuple(packing.contact.T)), shape=(packing.spheres,) * 2)
+
+
+def odd_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(count,) True for nodes of parts with odd loops; and signs (count,) by which neighbours differ in other parts.
+
+    A part has an odd loop if its two copies in the double cover are joined.
+    """
+    ends = np.concatenate([first, second]), np.concatenate([second, first]) + count
+    cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * count, 2 * count))
+    label = connected_components(cover, directed=False)[1]
+    odd, mirrored = label[:count] == label[count:], label[:count] > label[count:]
+    return odd, np.where(mirrored, -1, 1)
+
+
+def smallest_odd_loop(packing: Packing) -> int | None:
+    """Contacts of the smallest odd loop: the shortest way in the double cover from a sphere to its other copy."""
+    count = packing.spheres
+    inside = odd_parts(count, *packing.contact.T)[0]
+    if not inside.any():
+        return None
+    one = _graph(packing)
+    both = ((one + one.T) > 0).astype(np.int64)
+    if (both @ both).multiply(both).nnz:
+        return 3
+    starts = np.flatnonzero(inside)
+    if len(starts) > MOST_LOOPS:
+        return None
+    cover = sparse.csr_array(sparse.block_array([[None, both], [both, None]]), dtype=np.float64)
+    first, best = int(starts[0]), 2.0 * count + 1
+    _, before = breadth_first_order(cover, first)
+    here, best = first + count, 0.0
+    while here != first:
+        here, best = int(before[here]), best + 1
+    for begin in range(0, len(starts), CHUNK):
+        own = starts[begin : begin + CHUNK]
+        far = dijkstra(cover, indices=own, unweighted=True, limit=best)
+        best = min(best, float(far[np.arange(len(own)), own + count].min()))
+    return int(best)
+
+
+def slipless_number(packing: Packing, free: np.ndarray) -> tuple[int | None, str]:
+    """Number of slipless motions of the spheres that are `free`, (N,), the others at rest; and how it was found."""
+    components = 1 if packing.dimension == 2 else 3
+    moved = np.full((packing.spheres, components), -1)
+    moved[free] = np.arange(free.sum() * components).reshape(-1, components)
+    contact = np.flatnonzero(free[packing.contact].any(axis=1))
+    slips, unknowns = slips_of(packing, contact, moved), int(free.sum()) * components
+    if unknowns <= DENSE_UNKNOWNS:
+        sizes = np.linalg.svd(slips.toarray(), compute_uv=False) if min(slips.shape) else np.zeros(0)
+        return unknowns - int((sizes > RANK * sizes.max(initial=0.0)).sum()), "singular values"
+    if unknowns > MOST_UNKNOWNS:
+        return None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
+    number = np.cumsum(free) - 1
+    motions = slipless_motions(slips, np.repeat(number[free], components), packing.center[free])
+    if not motions.decided:
+        pivots = f"pivots from {motions.largest_dropped:.0e} to {motions.smallest_kept:.0e}"
+        return None, f"not decided: {pivots} are too close to rounding"
+    return motions.number, "elimination"

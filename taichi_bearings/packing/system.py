@@ -1,0 +1,128 @@
+"""What there is to find: the free spins that contacts with driven ones reach, and the slips that they make."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.packing.motions import Motions, slipless_motions
+from taichi_bearings.packing.packing import Packing
+
+
+def tangents(normal: np.ndarray) -> np.ndarray:
+    """Unit vectors (d, E, C) that span the slips of contacts: two across each normal of spheres, 1 for discs."""
+    if normal.shape[1] == 2:
+        return np.ones((1, len(normal), 1))
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normal, first)])
+
+
+def slips_of(packing: Packing, contact: np.ndarray, moved: np.ndarray) -> sparse.csr_array:
+    """K (d * E, unknowns): y = T (u_i + u_j) of these contacts, (E,) numbers, for spins numbered as `moved` (N, C) has
+    them, -1 where they are none."""
+    assert packing.normal is not None
+    across = tangents(packing.normal[contact])
+    d, count, components = across.shape
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
+    for end in packing.contact[contact].T:
+        unknown = moved[end]  # (E, C)
+        for k in range(components):
+            known = unknown[:, k] >= 0
+            for t in range(d):
+                rows.append(t * count + np.flatnonzero(known))
+                columns.append(unknown[known, k])
+                values.append(across[t, known, k])
+    parts = (np.concatenate(part) for part in (values, rows, columns))
+    value, row, column = parts
+    return sparse.csr_array((value, (row, column)), shape=(d * count, int(moved.max(initial=-1)) + 1))
+
+
+@dataclass(frozen=True)
+class System:
+    """The contacts that act, (A,), and the unknowns: spins of free spheres, by component, that have to be found.
+
+    packing. contact : (A,) numbers of contacts with a coefficient and a free end, in parts that touch a driven sphere.
+    moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : of them, before they
+    were held. sphere : (unknowns,). matrix : K. offset : b, (d, A), of the driven spins. coefficients : (A,) each.
+    """
+
+    packing: Packing
+    contact: np.ndarray
+    moved: np.ndarray
+    motions: Motions
+    sphere: np.ndarray
+    matrix: sparse.csr_array
+    offset: np.ndarray
+    coefficients: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, packing: Packing) -> "System":
+        contact = acting(packing)
+        free = packing.driven < 0
+        first, second = packing.contact[contact].T
+        inner = free[first] & free[second]
+        label = _components(packing.spheres, first[inner], second[inner])
+        joined = np.zeros(packing.spheres, dtype=bool)  # by label
+        for end, other in ((first, second), (second, first)):
+            joined[label[end[free[end] & ~free[other]]]] = True
+        moves = free & joined[label]
+        contact = contact[moves[first] | moves[second]]
+        components = 1 if packing.dimension == 2 else 3
+        moved = np.full((packing.spheres, components), -1)
+        moved[moves] = np.arange(moves.sum() * components).reshape(-1, components)
+        matrix = slips_of(packing, contact, moved)
+        sphere = np.repeat(np.flatnonzero(moves), components)
+        number = np.cumsum(moves) - 1
+        motions = slipless_motions(matrix, number[sphere], packing.center[moves])
+        keep = np.ones(matrix.shape[1], dtype=bool)
+        keep[motions.held] = False
+        again = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
+        spins = packing.imposed[packing.contact[contact]].sum(axis=1)  # (A, C)
+        offset = np.einsum("tek,ek->te", tangents(packing.normal[contact]), spins)  # type: ignore[index]
+        of = tuple(values[contact] for values in packing.coefficients)
+        return cls(packing, contact, again[moved], motions, sphere[keep], matrix[:, keep], offset, of)
+
+    @property
+    def unknowns(self) -> int:
+        return len(self.sphere)
+
+    @cached_property
+    def across(self) -> np.ndarray:
+        """(d, A, C)."""
+        return tangents(self.packing.normal[self.contact])  # type: ignore[index]
+
+    @cached_property
+    def transposed(self) -> sparse.csr_array:
+        return self.matrix.T.tocsr()
+
+    def difference(self, spins: np.ndarray) -> np.ndarray:
+        """y = K u + b, (d, A)."""
+        return (self.matrix @ spins).reshape(self.offset.shape) + self.offset
+
+    def change(self, spins: np.ndarray) -> np.ndarray:
+        """K u, (d, A)."""
+        return (self.matrix @ spins).reshape(self.offset.shape)
+
+    def torques(self, force: np.ndarray) -> np.ndarray:
+        """K^T f, (unknowns,), of (d, A)."""
+        return self.transposed @ force.ravel()
+
+    def all_spins(self, spins: np.ndarray) -> np.ndarray:
+        """u of all spheres, (N, C)."""
+        return np.where(self.moved >= 0, np.append(spins, 0.0)[self.moved], self.packing.imposed)
+
+
+def acting(packing: Packing) -> np.ndarray:
+    """Numbers of the contacts with a coefficient that have a free end."""
+    free = packing.driven < 0
+    some = np.any([values > 0 for values in packing.coefficients], axis=0)
+    return np.flatnonzero(some & free[packing.contact].any(axis=1))
+
+
+def _components(spheres: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(spheres, spheres))
+    return np.asarray(connected_components(graph, directed=False)[1])

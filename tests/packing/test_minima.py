@@ -1,0 +1,234 @@
+"""Least dissipation of packings against solvers that share nothing with the package's, and against lattices."""
+
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import taichi_bearings as tb
+from tests.packing.twins import clarabel_least, random_packing
+
+LAWS = ("coulomb", "coulomb-viscous", "viscous")
+CLARABEL = 1e-7  # relative to the power, or 1e-9 of what all contacts would dissipate: what Clarabel reaches
+
+
+def natural(packing):
+    return sum(values.sum() for values in packing.coefficients) * max(np.abs(packing.imposed).max(), 0.01)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_networks_have_clarabels_minimum(seed):
+    """Odd loops, dangling and floating parts, several bodies, radii over two decades, contrasts of a million, ties."""
+    pytest.importorskip("clarabel")
+    law, dimension = LAWS[seed % 3], 2 + seed // 3 % 2
+    packing = random_packing(np.random.default_rng([33, seed]), dimension, law, levels=7 if seed % 7 == 0 else None)
+    found, (power, _, slip, status, _) = tb.solve(packing), clarabel_least(packing)
+    share = 2 if law == "viscous" else 1
+    error = CLARABEL * share * abs(power) + 1e-9 * natural(packing)
+    assert found.lower_bound <= share * power + error
+    assert found.lower_bound <= found.potential
+    assert found.status == "certified" or "not proven" in found.proof
+    if status == "Solved":
+        assert found.potential == pytest.approx(share * power, abs=error)
+        lost = packing.coefficients[0] * slip
+        assert not ((found.state == 0) & (lost > 1e-6 * natural(packing))).any()
+        assert not (
+            (found.state == 1) & (slip < 1e-9) & (packing.coefficients[0] * found.slip > 1e-5 * natural(packing))
+        ).any()
+
+
+def test_forces_are_balanced_admissible_and_oppose_the_slip():
+    packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=5)
+    found = tb.solve(packing)
+    torque = np.zeros((packing.spheres, 3))
+    for end, side in zip(packing.contact.T, (1, -1), strict=True):  # at R n of the first, at -R n of the second sphere
+        arm = side * packing.radius[end][:, None] * packing.normal
+        np.add.at(torque, end, np.cross(arm, -side * found.friction))
+    free = packing.driven < 0
+    limit = packing.friction * packing.normal_force
+    assert np.abs(torque[free]).max() < 1e-12 * limit.max()
+    assert (found.force <= limit * (1 + 1e-12)).all()
+    omega = found.spin[packing.contact] * packing.radius[packing.contact][..., None]
+    slip = -np.cross(omega.sum(axis=1), packing.normal)
+    acts = found.state != 3
+    work = -(found.friction * slip).sum(axis=1)
+    assert work[acts] == pytest.approx(found.power_per_contact[acts], abs=1e-10 * found.power)
+    assert found.power_per_contact[acts].sum() == pytest.approx(found.power, rel=1e-13)
+
+
+def test_no_box_of_driven_values_holds_on_oblique_networks():
+    """A free sphere rolls on two driven ones with a spin that lies outside of the hull of theirs."""
+    normal = np.array([[1.0, 1, 1], [1, -1, 1]]) / np.sqrt(3)
+    center = np.concatenate([[np.zeros(3)], normal])
+    packing = tb.Packing(center, [(0, 1), (0, 2)], [-1, 0, 1], [[0, 0, 0], [0, 0, 0], [0, -2, 0]], friction=[1, 1])
+    found = tb.solve(packing)
+    assert found.power < 1e-12
+    assert found.status == "certified"
+    assert found.lower_bound <= found.power
+    assert np.abs(found.spin[0]) == pytest.approx([1, 1, 1], abs=1e-12)
+    assert (found.state != 1).all()
+
+
+def least_by_enumeration(packing):
+    """Exact least power of a few discs: some minimum has all spins among driven values, their negatives, and 0."""
+    levels = sorted(
+        {Fraction(s) * Fraction(u) for u in packing.imposed[packing.driven >= 0, 0] for s in (1, -1)} | {Fraction(0)}
+    )
+    free = np.flatnonzero(packing.driven < 0)
+    friction = [Fraction(f) for f in packing.coefficients[0]]
+    best = None
+    for choice in product(levels, repeat=len(free)):
+        u = [Fraction(value) for value in packing.imposed[:, 0]]
+        for i, value in zip(free, choice, strict=True):
+            u[i] = value
+        power = sum(
+            f * abs(u[i] + u[j])
+            for (i, j), f in zip(packing.contact.tolist(), friction, strict=True)
+            if packing.driven[i] < 0 or packing.driven[j] < 0
+        )
+        best = power if best is None else min(best, power)
+    return best
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_few_discs_have_the_least_power_of_all_choices(seed):
+    packing = random_packing(np.random.default_rng([7, seed]), 2, spheres=7, levels=2)
+    least, found = least_by_enumeration(packing), tb.solve(packing)
+    assert Fraction(found.lower_bound) <= least
+    assert found.power == pytest.approx(float(least), abs=1e-14 * natural(packing))
+    assert found.status == "certified"
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_states_of_discs_hold_in_all_minima(seed):
+    """By linear programmes: the least and the largest slip of each contact among all minima."""
+    packing = random_packing(np.random.default_rng([8, seed]), 2, spheres=10, contrast=1, levels=3)
+    found = tb.solve(packing)
+    free = np.flatnonzero(packing.driven < 0)
+    number = {int(i): k for k, i in enumerate(free)}
+    acts = np.flatnonzero(found.state != 3)
+    rows, constant = np.zeros((len(acts), len(free))), np.zeros(len(acts))
+    for row, e in enumerate(acts):
+        for i in packing.contact[e]:
+            if int(i) in number:
+                rows[row, number[int(i)]] += 1
+            else:
+                constant[row] += packing.imposed[i, 0]
+    e, unit = np.eye(len(acts)), np.zeros(len(free))
+    above = np.block([[rows, -e], [-rows, -e]])
+    right = np.concatenate([-constant, constant])
+    cost = np.concatenate([unit, packing.coefficients[0][acts]])
+    slack = 1e-9 * max(natural(packing), 1)
+    bounds = [(None, None)] * len(free) + [(0, None)] * len(acts)
+    for row, state in enumerate(found.state[acts]):
+        if state == 0:
+            for sign in (1, -1):
+                target = np.concatenate([sign * rows[row], np.zeros(len(acts))])
+                most = linprog(
+                    -target,
+                    np.vstack([above, cost]),
+                    np.append(right, found.power + slack),
+                    bounds=bounds,
+                    method="highs",
+                )
+                assert -most.fun + sign * constant[row] < 1e-4
+        elif state == 1:
+            target = np.concatenate([unit, np.eye(len(acts))[row]])
+            fewest = linprog(
+                target, np.vstack([above, cost]), np.append(right, found.power + slack), bounds=bounds, method="highs"
+            )
+            assert fewest.fun > 1e-4
+
+
+SCENES = [
+    ((5, 6), {}),
+    ((8, 5), {"periodic": ("x",)}),
+    ((2, 5), {"periodic": ("x",)}),
+    ((4, 5, 6), {}),
+    ((4, 2, 5), {"periodic": ("x", "y")}),
+    ((5, 4, 5), {"direction": (1.0, 0.0, 0.0), "spin_bottom": -0.5}),
+    ((4, 4, 5), {"distribution": "constant:0.5"}),
+    ((4, 5, 4), {"law": "viscous"}),
+    ((4, 5, 4), {"law": "coulomb-viscous"}),
+    ((4, 5), {"law": "coulomb-viscous"}),
+    ((10, 10, 10), {}),
+]
+
+
+@pytest.mark.parametrize(("shape", "options"), SCENES, ids=str)
+def test_a_lattice_given_as_packing_has_the_same_minimum(shape, options):
+    """Powers, slips and states; contacts are in the same order, so that seeds draw the same sample."""
+    scene = tb.Scene.random(shape, seed=3, **options)
+    lattice = tb.solve(scene, tolerance=1e-10, threads=1)
+    options = dict(options)
+    periodic = options.pop("periodic", ())
+    packing = tb.Packing.lattice("square" if len(shape) == 2 else "cubic", shape, periodic, seed=3, **options)
+    assert np.array_equal(np.concatenate([part.ravel() for part in scene.coefficients]), packing.friction)
+    found = tb.solve(packing)
+    state = np.concatenate([part.ravel() for part in lattice.state])
+    slip = np.concatenate([part.ravel() for part in lattice.slip])
+    assert found.power == pytest.approx(lattice.power, rel=1e-10)
+    assert found.status == "certified"
+    assert found.gap < 1e-11
+    assert found.driven_power == pytest.approx(0, abs=1e-12)
+    known = (state != 2) & (found.state != 2)
+    assert (state == 2).sum() >= (found.state == 2).sum()
+    assert np.array_equal(found.state[known], state[known])
+    if not (state == 2).any():
+        assert np.abs(found.slip - slip).max() < 1e-7  # with viscosity the square root of the gap
+
+
+def test_odd_rings_are_half_of_their_double_cover():
+    packing = tb.Packing.lattice("cubic", (3, 4, 4), ("x",), seed=8)
+    count, (first, second) = packing.spheres, packing.contact.T
+    cover = tb.Packing(
+        center=np.concatenate([packing.center, packing.center + 100]),
+        contact=np.concatenate([np.stack([first, second + count], 1), np.stack([first + count, second], 1)]),
+        driven=np.tile(packing.driven, 2), spin=np.concatenate([packing.spin, packing.spin]),
+        normal=np.tile(packing.normal, (2, 1)), friction=np.tile(packing.friction, 2),
+    )  # fmt: skip
+    one, two = tb.solve(packing), tb.solve(cover)
+    assert one.power == pytest.approx(two.power / 2, rel=1e-10)
+    assert {one.status, two.status} == {"certified"}
+
+
+def test_radii_drop_out():
+    """The same velocities u = R omega at other radii."""
+    packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=2)
+    radius = 10 ** np.random.default_rng(1).uniform(-1, 1, packing.spheres)
+    spin = packing.imposed / radius[:, None]
+    given = packing.arrays() | {"radius": radius, "spin": spin}
+    one, two = tb.solve(packing), tb.solve(tb.Packing(**given))
+    assert one.power == pytest.approx(two.power, rel=1e-11)
+    assert np.abs(one.spin * packing.radius[:, None] - two.spin * radius[:, None]).max() < 1e-8
+
+
+def test_what_the_driven_dissipate_is_told_apart():
+    """A triangular row that turns with one spin slips in itself."""
+    packing = tb.Packing.lattice("triangular", (4, 3), seed=1)
+    found = tb.solve(packing)
+    between = (packing.driven[packing.contact] >= 0).all(axis=1)
+    slip = np.abs(packing.imposed[packing.contact, 0].sum(axis=1))
+    assert found.driven_power == pytest.approx((packing.coefficients[0] * slip)[between].sum())
+    assert found.driven_power > 0
+    assert (found.state[between] == 3).all()
+
+
+def test_nothing_to_solve():
+    """All driven, none driven, or no contact."""
+    row = {"center": [[0, 0], [1, 0]], "contact": [[0, 1]], "spin": [1.0, 2.0], "friction": [0.5]}
+    for driven, power in ([0, 1], 0.5 * 50 * 1.5), ([-1, -1], 0.0):
+        found = tb.solve(tb.Packing(driven=driven, **row))
+        assert (found.power, found.lower_bound, found.status) == (0, 0, "certified")
+        assert found.driven_power == pytest.approx(power)
+    found = tb.solve(tb.Packing(driven=[0, -1], **row | {"contact": np.zeros((0, 2), int), "friction": []}))
+    assert (found.power, found.status, len(found.state)) == (0, "certified", 0)
+
+
+def test_solve_refuses_what_a_packing_does_not_take():
+    packing = tb.Packing.lattice("square", (2, 3))
+    for options in ({"method": "cundall-strack"}, {"start": "random"}, {"tolerance": 0}, {"duration": 3}):
+        with pytest.raises(tb.InputError):
+            tb.solve(packing, **options)
