@@ -14,7 +14,7 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.system import System
 
-MOST_STEPS, STEP_SHARE, SLACK = 80, 0.99, 0.3
+MOST_STEPS, BOUNDARY_SHARE, SLACK = 80, 0.99, 0.3
 PATIENCE = 6  # steps without a smaller gap
 TINY = np.finfo(np.float64).tiny
 
@@ -205,7 +205,7 @@ def _stepped(point: Point, system: System, matrix: NewtonMatrix) -> Point:
     g0, g1 = scaling.divided(r0, -(x0 * y1 + y0 * x1))
     q0, q1 = scaling.shrunk(g0 - scaling.scaled0, g1 - scaling.scaled1)
     step, change, wider, harder = solved(q0, q1)
-    one, two = (min(1.0, STEP_SHARE * length) for length in lengths(change, wider, harder))
+    one, two = (min(1.0, BOUNDARY_SHARE * length) for length in lengths(change, wider, harder))
     bounds, frictions = point.bound.copy(), point.held.copy()
     bounds[inside] += one * wider
     frictions[:, inside] += two * harder
