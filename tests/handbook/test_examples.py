@@ -15,6 +15,7 @@ from tests.handbook.pages import NOTEBOOKS, PAGES, ROOT, files, matches, steps
 SMALLER = {  # in commands, files of scans and Python: the same with less work, where it can be without Taichi
     r"--shape 10,10,10( .*--out outputs/cube)": r"--shape 3,3,4 --direction 1,0,0\1",
     r"--shape 10,10,10( --top)": r"--shape 3,3,4\1",
+    r"--shape 10,10,10( --periodic)": r"--shape 4,4,4\1",
     r"--law coulomb-viscous": r"--law coulomb-viscous --method gradient-descent --tolerance 0.1",
     r"\b10,10,10\b": "4,5",
     r"\b200,100\b": "6,5",
