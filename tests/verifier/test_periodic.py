@@ -3,7 +3,6 @@
 from dataclasses import replace
 from decimal import Decimal
 
-import clarabel
 import h5py
 import networkx
 import numpy as np
@@ -105,6 +104,7 @@ def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
 
 def cone_programme(samples):
     """Least objective, and the slips at a minimum in the middle of all, in the laboratory frame with all components."""
+    clarabel = pytest.importorskip("clarabel")
     truth = Laboratory(samples)
     free = {
         site: 3 * n for n, site in enumerate(site for site in np.ndindex(*samples.shape) if not truth.is_driven(site))
