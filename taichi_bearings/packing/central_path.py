@@ -14,7 +14,7 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.system import System
 
-MOST_STEPS, STEP_SHARE, SLACK = 80, 0.99, 0.3
+MOST_STEPS, STEP_SHARE, SHORT_STEP, SLACK = 80, 0.99, 0.2, 0.3
 PATIENCE = 6  # steps without a smaller gap
 ALONG = 1e-7  # springs along the slips of settled contacts, over w
 HOLD, MOST_HOLD, STIFFER = 1e5, 1e11, 100.0  # springs of resting contacts over w, and over the stiffest that slip
@@ -194,6 +194,11 @@ class _Scaling:
         full = other[:, None] * other[None] + outer / (1 + 2 * size)
         return np.where(size > TINY, full, np.eye(d)[:, :, None]) / self.eta**2
 
+    def product(self, wider: np.ndarray, change: np.ndarray, harder: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(W^-1 ds) o (W dz) of a step."""
+        (x0, x1), (y0, y1) = self.shrunk(wider, change), self.stretched(np.zeros_like(wider), -harder)
+        return x0 * y0 + (x1 * y1).sum(axis=0), x0 * y1 + y0 * x1
+
     def divided(self, r0: np.ndarray, r1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x with (scaled point) o x = r."""
         l0, l1 = self.scaled0, self.scaled1
@@ -208,7 +213,7 @@ def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled
     outside = Outside.of(point, settled)
     bound, slip, friction, held = (v[..., inside] for v in (point.bound, point.slip, point.friction, point.held))
     scaling = _Scaling.of(bound, slip, friction, held)
-    d, flows = len(slip), bool(point.viscosity.any())
+    d, together = len(slip), settled is not None or bool(point.viscosity.any())
     stiffness = isotropic(point.viscosity, d)
     soft = scaling.stiffness
     stiffness[..., inside] += soft
@@ -230,7 +235,7 @@ def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled
     def lengths(change: np.ndarray, wider: np.ndarray, harder: np.ndarray) -> tuple[float, float]:
         primal = _reach(bound, slip, wider, change[:, inside])
         dual = _reach(friction, held, np.zeros_like(friction), harder)
-        return (min(primal, dual),) * 2 if flows else (primal, dual)
+        return (min(primal, dual),) * 2 if together else (primal, dual)
 
     product = friction * bound - (held * slip).sum(axis=0)
     mean = float(product.mean()) if len(inside) else 0.0
@@ -238,13 +243,13 @@ def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled
     one, two = (min(1.0, length) for length in lengths(change, wider, harder))
     after = friction * (bound + one * wider) - ((held + two * harder) * (slip + one * change[:, inside])).sum(axis=0)
     target = mean * min(1.0, max(float(after.mean()) / mean, 0.0)) ** 3 if mean > 0 else 0.0
-    x0, x1 = scaling.shrunk(wider, change[:, inside])
-    y0, y1 = scaling.stretched(np.zeros_like(friction), -harder)
-    r0 = target - (x0 * y0 + (x1 * y1).sum(axis=0))
-    g0, g1 = scaling.divided(r0, -(x0 * y1 + y0 * x1))
-    q0, q1 = scaling.shrunk(g0 - scaling.scaled0, g1 - scaling.scaled1)
-    step, change, wider, harder = solved(q0, q1)
-    one, two = (min(1.0, STEP_SHARE * length) for length in lengths(change, wider, harder))
+    second = scaling.product(wider, change[:, inside], harder)
+    for goal, (b0, b1) in ((target, second), (mean, (0.0, np.zeros_like(held)))):
+        g0, g1 = scaling.divided(goal - b0, -b1)
+        step, change, wider, harder = solved(*scaling.shrunk(g0 - scaling.scaled0, g1 - scaling.scaled1))
+        one, two = (min(1.0, STEP_SHARE * length) for length in lengths(change, wider, harder))
+        if min(one, two) > SHORT_STEP:
+            break  # else back to the middle of the cones
     # of those outside the next step finds the friction anew
     bounds, frictions = point.bound.copy(), point.held.copy()
     bounds[inside] += one * wider
