@@ -20,7 +20,7 @@ from taichi_bearings.scene.solution import Status
 from taichi_bearings.words import shown
 
 CLOSEST = 1e-13  # relative gap at which the central path ends: states come apart where the gap is small
-MARGIN, RESOLVED, SATURATED = 1e-2, 1e3, 1e-6  # of contacts that rest; powers over what is open, and margin, that slip
+MARGIN, RESOLVED, NO_MARGIN = 1e-2, 1e3, 1e-6  # of contacts that rest; powers over what is open, and margin, that slip
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # the same at exact minima, slips in units of the largest imposed one
 NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
@@ -203,7 +203,7 @@ def _states(
         return state
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     rests = (margin > MARGIN) & (held * speed * margin <= RESOLVED * open_) & (held > 0)
-    slips = (margin < SATURATED) & (held * speed > RESOLVED * open_) | (held == 0) & (speed > 0)
+    slips = (margin < NO_MARGIN) & (held * speed > RESOLVED * open_) | (held == 0) & (speed > 0)
     if found.slips is not None:
         rests = ~found.slips & (margin > SURE_MARGIN)
         slips = found.slips & (speed > SURE_SLIP * float(np.abs(system.offset).max()))

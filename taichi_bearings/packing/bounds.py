@@ -29,8 +29,8 @@ from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.system import System
 
 EPS = np.finfo(np.float64).eps
-UP = 1 + 1e-9  # more than what rounds in the few sums of positive numbers that it multiplies
-INVERSE_STEPS, SHARES = 10, (0.7, 0.2)  # of the inverse iteration; of the eigenvalue that it finds, tried as floors
+ROUNDED_UP = 1 + 1e-9  # more than what rounds in the few sums of positive numbers that it multiplies
+INVERSE_STEPS, FLOOR_SHARES = 10, (0.7, 0.2)  # of the inverse iteration; of the eigenvalue found, tried as floors
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def lower_bound(system: System, matrix: NewtonMatrix, force: np.ndarray, potenti
     free, box = packing.driven < 0, np.abs(packing.imposed).max(axis=0)
     if along_axes(system):
         torque, lost = torques(system, [vectors])
-        payment, proof = float(((np.abs(torque) + lost)[free] * box).sum()) * UP, "proven"
+        payment, proof = float(((np.abs(torque) + lost)[free] * box).sum()) * ROUNDED_UP, "proven"
     elif not system.motions.decided:
         return Bound(0.0, "not proven: rounding leaves open how many slipless motions there are")
     else:
@@ -71,7 +71,7 @@ def lower_bound(system: System, matrix: NewtonMatrix, force: np.ndarray, potenti
     if law.flows:
         cost = law.conjugate(of, size * (1 + 8 * EPS))
         value, allowance = value - cost.sum(), allowance + (len(cost) + 16) * EPS * cost.sum()
-    found = float((value - allowance * UP - payment) * (1 - 8 * EPS))
+    found = float((value - allowance * ROUNDED_UP - payment) * (1 - 8 * EPS))
     return Bound(max(0.0, found), proof) if np.isfinite(found) else Bound(0.0, proof)
 
 
@@ -100,7 +100,7 @@ def _balanced(
         return torque, lost, np.inf
     start = float(np.sqrt((weight * (system.offset**2).sum(axis=0)).sum()))
     rest = np.linalg.norm(floor.taken(np.abs(torque) + lost) * floor.scale)
-    return torque, lost, float(payment + rest * (np.sqrt(total) + start) / np.sqrt(smallest)) * UP
+    return torque, lost, float(payment + rest * (np.sqrt(total) + start) / np.sqrt(smallest)) * ROUNDED_UP
 
 
 def torques(system: System, forces: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +133,7 @@ def torques(system: System, forces: list[np.ndarray]) -> tuple[np.ndarray, np.nd
         total[0][i], total[1][i] = after
         lost[i] += error[e] + 2.0**-98 * (np.abs(sums[0][e]) + np.abs(after[0]))
     found = total[0] + total[1]
-    return found, (lost + EPS * np.abs(found)) * UP
+    return found, (lost + EPS * np.abs(found)) * ROUNDED_UP
 
 
 def _admitted(vectors: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
@@ -176,11 +176,11 @@ def _weight(system: System, potential: float) -> tuple[np.ndarray, float]:
     held, viscosity = law.holding_force(of), law.viscosity(of)
     if held is None or not (held > 0).any():
         assert viscosity is not None
-        return viscosity, 2 * potential * UP
+        return viscosity, 2 * potential * ROUNDED_UP
     fastest = potential / float(held[held > 0].min())
     if viscosity is None:
-        return held, potential * fastest * UP
-    return held + viscosity * fastest / 2, 2 * potential * fastest * UP
+        return held, potential * fastest * ROUNDED_UP
+    return held + viscosity * fastest / 2, 2 * potential * fastest * ROUNDED_UP
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,8 @@ class Floor:
             least = 1 / float(np.linalg.norm(vector))
         degree = int(np.bincount(system.packing.contact[system.contact].ravel()).max())
         entries = (degree + 24) * EPS * 2 * 3 * (degree + 1)  # largest sum of a row of what rounds in its entries
-        rounded = entries + (2 * matrix.longest_row + 16) * EPS * 2 * system.unknowns * UP
-        for share in SHARES:
+        rounded = entries + (2 * matrix.longest_row + 16) * EPS * 2 * system.unknowns * ROUNDED_UP
+        for share in FLOOR_SHARES:
             shifted = self.values.copy()
             shifted[pattern.diagonal] -= share * least
             if share * least > 2 * rounded and matrix.factorise_entries(shifted):

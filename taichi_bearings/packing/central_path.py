@@ -14,7 +14,7 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.system import System
 
-MOST_STEPS, STEP_SHARE, SHORT_STEP, SLACK = 80, 0.99, 0.2, 0.3
+MOST_STEPS, WAY_SHARE, SHORT_STEP, SLACK = 80, 0.99, 0.2, 0.3
 PATIENCE = 6  # steps without a smaller gap
 ALONG = 1e-7  # springs along the slips of settled contacts, over w
 HOLD, MOST_HOLD, STIFFER = 1e5, 1e11, 100.0  # springs of resting contacts over w, and over the stiffest that slip
@@ -199,7 +199,7 @@ class _Scaling:
         (x0, x1), (y0, y1) = self.shrunk(wider, change), self.stretched(np.zeros_like(wider), -harder)
         return x0 * y0 + (x1 * y1).sum(axis=0), x0 * y1 + y0 * x1
 
-    def divided(self, r0: np.ndarray, r1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def divided(self, r0: np.ndarray | float, r1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x with (scaled point) o x = r."""
         l0, l1 = self.scaled0, self.scaled1
         size = _length(l1)
@@ -247,7 +247,7 @@ def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled
     for goal, (b0, b1) in ((target, second), (mean, (0.0, np.zeros_like(held)))):
         g0, g1 = scaling.divided(goal - b0, -b1)
         step, change, wider, harder = solved(*scaling.shrunk(g0 - scaling.scaled0, g1 - scaling.scaled1))
-        one, two = (min(1.0, STEP_SHARE * length) for length in lengths(change, wider, harder))
+        one, two = (min(1.0, WAY_SHARE * length) for length in lengths(change, wider, harder))
         if min(one, two) > SHORT_STEP:
             break  # else back to the middle of the cones
     # of those outside the next step finds the friction anew

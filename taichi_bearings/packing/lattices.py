@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.packing.checks import MOST_SPHERES
 from taichi_bearings.words import shown
 
-MOST_SPHERES = 20_000_000
 AXES = "xyz"
 
 

@@ -14,7 +14,7 @@ from taichi_bearings.packing.central_path import TINY, Outside, Point, Settled, 
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic, resisted
 from taichi_bearings.packing.system import System
 
-STEPS, FURTHER = 12, 14  # most steps of Newton's method, and of the path of contacts that are not clear
+STEPS, PATH_STEPS = 12, 14  # most steps of Newton's method, and of the path of contacts that are not clear
 CLEAR, CLOSER = 1e3, 1e-2  # slip over margin, or inverse, from which a contact is clear; where they should get to
 TURNED = 1e-7  # change of the direction of a slip at which it counts as found
 OVER = 1e-9  # share by which a resting contact may bear too much
@@ -53,7 +53,7 @@ def polished(point: Point, system: System, matrix: NewtonMatrix) -> tuple[Point,
 
 def _further(point: Point, system: System, matrix: NewtonMatrix) -> Point:
     """On the path with the clear contacts out of their cones, until the others are clear."""
-    for _ in range(FURTHER):
+    for _ in range(PATH_STEPS):
         ratio = _slip_over_margin(point)
         settled = Settled(ratio > CLEAR, ratio < 1 / CLEAR)
         if settled.all.all():
