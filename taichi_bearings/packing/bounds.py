@@ -137,11 +137,11 @@ def torques(system: System, forces: list[np.ndarray]) -> tuple[np.ndarray, np.nd
 
 
 def _admitted(vectors: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
-    """Forces (A, C), all of them shortened alike so that none exceeds its limit (A,)."""
+    """Forces (A, C), those shortened that exceed their limits (A,)."""
     if limit is None:
         return vectors
-    worst = float((np.linalg.norm(vectors, axis=1) * (1 + 16 * EPS) / limit).max(initial=0.0))
-    return vectors / (worst * (1 + 2 * EPS)) if worst > 1 else vectors
+    ratio = np.linalg.norm(vectors, axis=1) * (1 + 16 * EPS) / limit
+    return vectors / np.where(ratio > 1, ratio * (1 + 4 * EPS), 1.0)[:, None]
 
 
 def along_axes(system: System) -> bool:

@@ -16,6 +16,7 @@ from taichi_bearings.packing.system import System
 
 MOST_STEPS, WAY_SHARE, SHORT_STEP, SLACK = 80, 0.99, 0.2, 0.3
 PATIENCE = 6  # steps without a smaller gap
+LEAST_MARGIN = 1e-4  # of a contact that takes a share of the torques that rounding has left, over w
 ALONG = 1e-7  # springs along the slips of settled contacts, over w
 HOLD, MOST_HOLD, STIFFER = 1e5, 1e11, 100.0  # springs of resting contacts over w, and over the stiffest that slip
 TINY = np.finfo(np.float64).tiny
@@ -99,9 +100,10 @@ def _flowing(point: Point, system: System, matrix: NewtonMatrix, d: int) -> Poin
 
 
 def balanced(point: Point, system: System, matrix: NewtonMatrix) -> Point:
-    """Take away the torques that rounding has left, in proportion to the square of the margin."""
+    """Take away the torques that rounding has left, in proportion to friction and the square of the margin."""
     d, speed = len(point.slip), _length(point.held)
-    soft = np.maximum(point.friction - speed, 1e-12 * point.friction) ** 2
+    margin = 1 - speed / np.where(point.friction > 0, point.friction, 1.0)
+    soft = point.friction * np.maximum(margin, LEAST_MARGIN) ** 2 + point.viscosity
     try:
         force = matrix.balanced(point.force, isotropic(soft, d))
     except NotPositiveDefinite:
