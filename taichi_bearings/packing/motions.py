@@ -49,15 +49,16 @@ class Motions:
     fronts: tuple[_Front, ...]
     unknowns: int
     whole: bool = True  # False where some that elimination found slip
+    further: int = 0  # motions of spins that are not among the unknowns
 
     @property
     def number(self) -> int:
-        return len(self.held)
+        return len(self.held) + self.further
 
     def basis(self, shares: np.ndarray | None = None) -> np.ndarray:
         """The motions (unknowns, number), one for each unknown held: 1 there, 0 at the others; or sums with these
         shares (number, k) of them, (unknowns, k)."""
-        shares = np.eye(self.number) if shares is None else shares
+        shares = np.eye(len(self.held)) if shares is None else shares
         found = np.zeros((self.unknowns, shares.shape[1]))
         found[self.held] = shares
         for front in reversed(self.fronts):

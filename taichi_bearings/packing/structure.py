@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, dijk
 
 from taichi_bearings.packing.motions import MOST_UNKNOWNS, slipless_motions
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import slips_of
+from taichi_bearings.packing.system import odd_parts, slips_of
 
 MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
 CHUNK = 256
@@ -63,18 +63,6 @@ def structure_of(packing: Packing) -> Structure:
 def _graph(packing: Packing) -> sparse.csr_array:
     ones = np.ones(packing.contacts, dtype=np.int8)
     return sparse.csr_array((ones, tuple(packing.contact.T)), shape=(packing.spheres,) * 2)
-
-
-def odd_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(count,) True for nodes of parts with odd loops; and signs (count,) by which neighbours differ in other parts.
-
-    A part has an odd loop if its two copies in the double cover are joined.
-    """
-    ends = np.concatenate([first, second]), np.concatenate([second, first]) + count
-    cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * count, 2 * count))
-    label = connected_components(cover, directed=False)[1]
-    odd, mirrored = label[:count] == label[count:], label[:count] > label[count:]
-    return odd, np.where(mirrored, -1, 1)
 
 
 def smallest_odd_loop(packing: Packing) -> int | None:
