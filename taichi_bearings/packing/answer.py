@@ -141,16 +141,19 @@ def _judged(system: System, matrix: NewtonMatrix, found: _Found, tolerance: floa
     natural = float(law.objective(packing.coefficients, np.full(packing.contacts, fastest))[~between].sum())
     unit = total if total > NO_POWER * natural else natural
     gap = (total - value) / unit if unit > 0 else 0.0
-    reached = bound.proven and gap <= tolerance
+    reached = gap <= tolerance
     force, friction = _forces(system, found.force)
-    state = _states(system, found, matrix, slip, max(total - _estimate(system, found) * law.share, 0.0), natural)
+    left = max(total - _estimate(system, found) * law.share, 0.0)
+    state = _states(system, found, slip, left, natural)
+    if not bound.proven and gap > tolerance:
+        state[state != DRIVEN] = UNDECIDED
     spin = spins / np.asarray(packing.radius)[:, None]
-    left = system.torques(found.force)
+    unbalanced = float(np.abs(system.torques(found.force)).max(initial=0.0))
     return PackingResult(
         packing, slip_sum, total, value, gap, bound.proof, (Status.CERTIFIED if reached else Status.STALLED).value,
         found.method, spin[:, 0] if packing.dimension == 2 else spin, slip, force, friction, power, state,
         float(power[between].sum()), system.motions.number if system.motions.decided else None,
-        float(np.abs(left).max(initial=0.0)), perf_counter() - begun,
+        unbalanced, perf_counter() - begun,
     )  # fmt: skip
 
 
@@ -183,9 +186,7 @@ def _estimate(system: System, found: _Found) -> float:
     return work - float(cost)
 
 
-def _states(
-    system: System, found: _Found, matrix: NewtonMatrix, slip: np.ndarray, left: float, natural: float
-) -> np.ndarray:
+def _states(system: System, found: _Found, slip: np.ndarray, left: float, natural: float) -> np.ndarray:
     """States (E,). left : what is open of the power; natural : what all contacts would dissipate."""
     packing, law = system.packing, system.packing.kind
     acts = np.any([values > 0 for values in packing.coefficients], axis=0)

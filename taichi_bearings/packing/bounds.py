@@ -26,14 +26,11 @@ import numpy as np
 from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern
 from taichi_bearings.numerics.double_double import Pair, add, two_product
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
-from taichi_bearings.packing.system import System
+from taichi_bearings.packing.system import System, along_axes
 
 EPS = np.finfo(np.float64).eps
 ROUNDED_UP = 1 + 1e-9  # more than what rounds in the few sums of positive numbers that it multiplies
-INVERSE_STEPS, FLOOR_SHARES = (
-    10,
-    (0.7, 0.2),
-)  # of the inverse iteration; of the eigenvalue that it finds, tried as floors
+INVERSE_STEPS, FLOOR_SHARES = 10, (0.7, 0.2)  # of the inverse iteration; of the eigenvalue found, tried as floors
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ def lower_bound(system: System, matrix: NewtonMatrix, force: np.ndarray, potenti
     vectors = _admitted(np.einsum("te,tek->ek", force, system.across), law.holding_force(of) if not law.flows else None)
     size = np.linalg.norm(vectors, axis=1)
     free, box = packing.driven < 0, np.abs(packing.imposed).max(axis=0)
-    if along_axes(system):
+    if along_axes(packing, system.contact):
         torque, lost = torques(system, [vectors])
         payment, proof = float(((np.abs(torque) + lost)[free] * box).sum()) * ROUNDED_UP, "proven"
     elif not system.motions.decided:
@@ -140,17 +137,11 @@ def torques(system: System, forces: list[np.ndarray]) -> tuple[np.ndarray, np.nd
 
 
 def _admitted(vectors: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
-    """Forces (A, C), all of them shortened alike so that none exceeds its limit (A,)."""
+    """Forces (A, C), those shortened that exceed their limits (A,)."""
     if limit is None:
         return vectors
-    worst = float((np.linalg.norm(vectors, axis=1) * (1 + 16 * EPS) / limit).max(initial=0.0))
-    return vectors / (worst * (1 + 2 * EPS)) if worst > 1 else vectors
-
-
-def along_axes(system: System) -> bool:
-    """True where components do not mix: discs, or normals along the axes."""
-    normal = system.packing.normal[system.contact]  # type: ignore[index]
-    return system.packing.dimension == 2 or bool(((normal != 0).sum(axis=1) == 1).all())
+    ratio = np.linalg.norm(vectors, axis=1) * (1 + 16 * EPS) / limit
+    return vectors / np.where(ratio > 1, ratio * (1 + 4 * EPS), 1.0)[:, None]
 
 
 def _rests_on(system: System) -> str:

@@ -14,8 +14,11 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.system import System
 
-MOST_STEPS, BOUNDARY_SHARE, SLACK = 80, 0.99, 0.3
+MOST_STEPS, WAY_SHARE, SHORT_STEP, SLACK = 80, 0.99, 0.2, 0.3
 PATIENCE = 6  # steps without a smaller gap
+LEAST_MARGIN = 1e-4  # of a contact that takes a share of the torques that rounding has left, over w
+ALONG = 1e-7  # springs along the slips of settled contacts, over w
+HOLD, MOST_HOLD, STIFFER = 1e5, 1e11, 100.0  # springs of resting contacts over w, and over the stiffest that slip
 TINY = np.finfo(np.float64).tiny
 
 
@@ -71,7 +74,7 @@ def followed(system: System, matrix: NewtonMatrix, friction: np.ndarray, viscosi
         if not np.isfinite(point.cost) or least <= gap * point.cost or number > last + PATIENCE:
             break
         try:
-            point = _stepped(point, system, matrix)
+            point = stepped(point, system, matrix)
         except NotPositiveDefinite:
             break
     return best
@@ -97,14 +100,50 @@ def _flowing(point: Point, system: System, matrix: NewtonMatrix, d: int) -> Poin
 
 
 def balanced(point: Point, system: System, matrix: NewtonMatrix) -> Point:
-    """Take away the torques that rounding has left, in proportion to the square of the margin."""
+    """Take away the torques that rounding has left, in proportion to friction and the square of the margin."""
     d, speed = len(point.slip), _length(point.held)
-    soft = np.maximum(point.friction - speed, 1e-12 * point.friction) ** 2
+    margin = 1 - speed / np.where(point.friction > 0, point.friction, 1.0)
+    soft = point.friction * np.maximum(margin, LEAST_MARGIN) ** 2 + point.viscosity
     try:
         force = matrix.balanced(point.force, isotropic(soft, d))
     except NotPositiveDefinite:
         return point
     return replace(point, held=force - point.viscosity * point.slip)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Contacts (A,) that are known to slip, and others that are known to rest."""
+
+    slips: np.ndarray
+    rests: np.ndarray
+
+    @property
+    def all(self) -> np.ndarray:
+        return self.slips | self.rests
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Of settled contacts: their stiffness (d, d, A), and what the law asks for beside the present friction, (d, A)."""
+
+    stiffness: np.ndarray
+    pull: np.ndarray
+
+    @classmethod
+    def of(cls, point: Point, settled: Settled | None) -> "Outside":
+        """Slipping ones bend with their slip, resting ones are held by springs stiffer than any of those."""
+        d, w, speed = len(point.slip), point.friction, np.maximum(point.speed, TINY)
+        if settled is None:
+            return cls(np.zeros((d, *point.slip.shape)), np.zeros_like(point.slip))
+        along, slips = point.slip / speed, settled.slips & (w > 0)
+        curved = np.where(slips, w / speed, 0.0)
+        stiffest = float((curved[slips] / w[slips]).max(initial=0.0))
+        springs = np.where(settled.rests, min(max(HOLD, STIFFER * stiffest), MOST_HOLD) * w, 0.0)
+        outer = along[:, None] * along[None]
+        bent = curved * (np.eye(d)[:, :, None] - outer) + np.where(slips, ALONG * w, 0.0) * outer
+        pull = np.where(slips, w * along - point.held, 0.0) + springs * point.slip
+        return cls(bent + isotropic(springs, d), pull)
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:
@@ -157,7 +196,12 @@ class _Scaling:
         full = other[:, None] * other[None] + outer / (1 + 2 * size)
         return np.where(size > TINY, full, np.eye(d)[:, :, None]) / self.eta**2
 
-    def divided(self, r0: np.ndarray, r1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def product(self, wider: np.ndarray, change: np.ndarray, harder: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(W^-1 ds) o (W dz) of a step."""
+        (x0, x1), (y0, y1) = self.shrunk(wider, change), self.stretched(np.zeros_like(wider), -harder)
+        return x0 * y0 + (x1 * y1).sum(axis=0), x0 * y1 + y0 * x1
+
+    def divided(self, r0: np.ndarray | float, r1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x with (scaled point) o x = r."""
         l0, l1 = self.scaled0, self.scaled1
         size = _length(l1)
@@ -165,15 +209,17 @@ class _Scaling:
         return x0, (r1 - x0 * l1) / l0
 
 
-def _stepped(point: Point, system: System, matrix: NewtonMatrix) -> Point:
-    """One step of predictor and corrector."""
-    inside = np.flatnonzero(point.friction > 0)
+def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled | None = None) -> Point:
+    """One step of predictor and corrector; contacts that are `settled` are in no cone."""
+    inside = np.flatnonzero((point.friction > 0) & ~settled.all if settled else point.friction > 0)
+    outside = Outside.of(point, settled)
     bound, slip, friction, held = (v[..., inside] for v in (point.bound, point.slip, point.friction, point.held))
     scaling = _Scaling.of(bound, slip, friction, held)
-    d, flows = len(slip), bool(point.viscosity.any())
+    d, together = len(slip), settled is not None or bool(point.viscosity.any())
     stiffness = isotropic(point.viscosity, d)
     soft = scaling.stiffness
     stiffness[..., inside] += soft
+    stiffness += outside.stiffness
     matrix.factorise(stiffness)
     m0 = (1 + 2 * (scaling.a1**2).sum(axis=0)) / scaling.eta**2
     m1 = 2 * scaling.a0 * scaling.a1 / scaling.eta**2
@@ -181,7 +227,7 @@ def _stepped(point: Point, system: System, matrix: NewtonMatrix) -> Point:
     def solved(q0: np.ndarray, q1: np.ndarray) -> tuple[np.ndarray, ...]:
         """Steps of spins, slips, bounds and frictions that leave no torque, for W^-2 ds + dz = q."""
         rest = m1 * q0 / m0 - q1
-        force = point.force.copy()
+        force = point.force + outside.pull
         force[:, inside] += rest
         step = matrix.refined(-system.torques(force))
         change = system.change(step)
@@ -191,7 +237,7 @@ def _stepped(point: Point, system: System, matrix: NewtonMatrix) -> Point:
     def lengths(change: np.ndarray, wider: np.ndarray, harder: np.ndarray) -> tuple[float, float]:
         primal = _reach(bound, slip, wider, change[:, inside])
         dual = _reach(friction, held, np.zeros_like(friction), harder)
-        return (min(primal, dual),) * 2 if flows else (primal, dual)
+        return (min(primal, dual),) * 2 if together else (primal, dual)
 
     product = friction * bound - (held * slip).sum(axis=0)
     mean = float(product.mean()) if len(inside) else 0.0
@@ -199,16 +245,18 @@ def _stepped(point: Point, system: System, matrix: NewtonMatrix) -> Point:
     one, two = (min(1.0, length) for length in lengths(change, wider, harder))
     after = friction * (bound + one * wider) - ((held + two * harder) * (slip + one * change[:, inside])).sum(axis=0)
     target = mean * min(1.0, max(float(after.mean()) / mean, 0.0)) ** 3 if mean > 0 else 0.0
-    x0, x1 = scaling.shrunk(wider, change[:, inside])
-    y0, y1 = scaling.stretched(np.zeros_like(friction), -harder)
-    r0 = target - (x0 * y0 + (x1 * y1).sum(axis=0))
-    g0, g1 = scaling.divided(r0, -(x0 * y1 + y0 * x1))
-    q0, q1 = scaling.shrunk(g0 - scaling.scaled0, g1 - scaling.scaled1)
-    step, change, wider, harder = solved(q0, q1)
-    one, two = (min(1.0, BOUNDARY_SHARE * length) for length in lengths(change, wider, harder))
+    second = scaling.product(wider, change[:, inside], harder)
+    for goal, (b0, b1) in ((target, second), (mean, (0.0, np.zeros_like(held)))):
+        g0, g1 = scaling.divided(goal - b0, -b1)
+        step, change, wider, harder = solved(*scaling.shrunk(g0 - scaling.scaled0, g1 - scaling.scaled1))
+        one, two = (min(1.0, WAY_SHARE * length) for length in lengths(change, wider, harder))
+        if min(one, two) > SHORT_STEP:
+            break  # else back to the middle of the cones
+    # of those outside the next step finds the friction anew
     bounds, frictions = point.bound.copy(), point.held.copy()
     bounds[inside] += one * wider
     frictions[:, inside] += two * harder
+    frictions += two * (outside.pull + np.einsum("tse,se->te", outside.stiffness, change))
     spins = point.spins + one * step
     slips = point.slip + one * change
     return replace(point, spins=spins, slip=slips, bound=_outside(bounds, slips), held=frictions)

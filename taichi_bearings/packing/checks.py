@@ -11,7 +11,7 @@ from taichi_bearings.words import shown
 if TYPE_CHECKING:
     from taichi_bearings.packing.packing import Packing
 
-MOST_PACKED, MOST_CONTACTS = 20_000_000, 100_000_000
+MOST_SPHERES, MOST_CONTACTS = 20_000_000, 100_000_000
 GAP, OVERLAP = 0.01, 0.2  # of the sum of the radii, that may part the surfaces of a contact, and that it may be pressed
 UNIT_ERROR = 1e-6  # of the length of a normal that is given
 SAME_NORMAL = 1e-6  # distance of normals of contacts of the same two spheres, from which on they are two contacts
@@ -20,9 +20,9 @@ LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of coefficients, forces and radii; and mo
 
 def places(values: Any) -> np.ndarray:
     center = own_array("centres", values)
-    if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_PACKED:
+    if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_SPHERES:
         raise InputError(
-            f"center has shape {center.shape}; it must be (N, 2) or (N, 3) with N from 1 to {MOST_PACKED:,}"
+            f"center has shape {center.shape}; it must be (N, 2) or (N, 3) with N from 1 to {MOST_SPHERES:,}"
         )
     _refuse_not_finite("center", center, "sphere")
     order = np.lexsort(center.T)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing.checks import MOST_PACKED
+from taichi_bearings.packing.checks import MOST_SPHERES
 from taichi_bearings.words import shown
 
 AXES = "xyz"
@@ -46,7 +46,7 @@ def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
     axis as in scenes."""
     cell = KINDS[kind]
     dimension = len(cell.size)
-    if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_PACKED / len(cell.basis):
+    if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):
         raise InputError(f"cells is {shown(cells)}; a {kind} lattice has {dimension} numbers of cells, 1 or more each")
     closed = _closed(periodic, dimension)
     if short := [AXES[axis] for axis in closed if cells[axis] < 2]:

@@ -6,7 +6,7 @@ held at 0 it leaves a network that has none. Rattlers, floating clusters, sphere
 and mechanisms are all found so.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -17,7 +17,9 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.blas import one_thread
 
 LEAF_SPHERES = 8
-NO_PIVOT, SURELY_NONE, SURELY_ONE = 1e-10, 1e-12, 1e-8  # squares of slips over spins; between the last two: undecided
+NO_PIVOT, SURELY_ONE = 1e-10, 1e-8  # squares of slips over spins: what is eliminated, and what is surely not rounding
+SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11  # slips of a motion over its spins: up to which there is none, and surely one
+PROBES, MOST_PROBED = 4, 500  # random motions that are looked at first, and motions that are looked at one by one
 MOST_UNKNOWNS = 150_000  # for which elimination takes no more than minutes
 
 
@@ -36,24 +38,29 @@ class _Front:
 class Motions:
     """Slipless motions. held : numbers of the unknowns that, held at 0, leave none; as many as there are motions.
 
-    decided : False where pivots are too close to the rounding to tell. largest_dropped, smallest_kept : pivots.
+    decided : False where slips and pivots are too close to the rounding to tell. largest_slip : of a motion, over its
+    spins. smallest_kept : pivot.
     """
 
     held: np.ndarray
     decided: bool
-    largest_dropped: float
+    largest_slip: float
     smallest_kept: float
     fronts: tuple[_Front, ...]
     unknowns: int
+    whole: bool = True  # False where some that elimination found slip
+    further: int = 0  # motions of spins that are not among the unknowns
 
     @property
     def number(self) -> int:
-        return len(self.held)
+        return len(self.held) + self.further
 
-    def basis(self) -> np.ndarray:
-        """The motions (unknowns, number), one for each unknown held: 1 there, 0 at the others."""
-        found = np.zeros((self.unknowns, self.number))
-        found[self.held, np.arange(self.number)] = 1.0
+    def basis(self, shares: np.ndarray | None = None) -> np.ndarray:
+        """The motions (unknowns, number), one for each unknown held: 1 there, 0 at the others; or sums with these
+        shares (number, k) of them, (unknowns, k)."""
+        shares = np.eye(len(self.held)) if shares is None else shares
+        found = np.zeros((self.unknowns, shares.shape[1]))
+        found[self.held] = shares
         for front in reversed(self.fronts):
             if len(front.kept):
                 rest = found[np.concatenate([front.free, front.border])]
@@ -66,10 +73,10 @@ def order_of(graph: sparse.csr_array, place: np.ndarray) -> list[tuple[np.ndarra
     return [(part.nodes, part.children) for part in dissected(graph.tocsr(), place.T, LEAF_SPHERES)]
 
 
-def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndarray, keep: bool = False) -> Motions:
+def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndarray) -> Motions:
     """The kernel of the slips (rows, unknowns) that spins make.
 
-    sphere : (unknowns,) that each belongs to. place : (spheres, D). keep : what :meth:`Motions.basis` needs.
+    sphere : (unknowns,) that each belongs to. place : (spheres, D).
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
@@ -80,20 +87,38 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndar
     parts, position = order_of(graph, place), np.empty(matrix.shape[0], dtype=np.int64)
     nodes = [np.concatenate([own_of[i] for i in own] or [np.zeros(0, np.int64)]) for own, _ in parts]
     position[np.concatenate(nodes)] = np.arange(matrix.shape[0])
-    held, fronts, dropped, least = [], [], 0.0, np.inf
+    held, fronts, least = [], [], np.inf
     waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for number, (own, (_, children)) in enumerate(zip(nodes, parts, strict=True)):
         with one_thread():
-            front, update, lost = _eliminated(matrix, position, own, [waiting.pop(child) for child in children])
+            front, update = _eliminated(matrix, position, own, [waiting.pop(child) for child in children])
         waiting[number] = (front.border, update)
         held.append(front.free)
-        dropped = max(dropped, lost)
         least = min(least, float(np.diagonal(front.top).min(initial=np.inf)) ** 2)
-        if keep:
-            fronts.append(front)
-    decided = dropped < SURELY_NONE and least > SURELY_ONE
-    numbers = np.sort(np.concatenate(held)) if held else np.zeros(0, dtype=np.int64)
-    return Motions(numbers, decided, dropped, least, tuple(fronts), matrix.shape[0])
+        fronts.append(front)
+    numbers = np.sort(np.concatenate(held))
+    return _looked_at(Motions(numbers, least > SURELY_ONE, 0.0, least, tuple(fronts), matrix.shape[0]), slips)
+
+
+def _looked_at(motions: Motions, slips: sparse.csr_array) -> Motions:
+    """Without the motions that slip more than rounding makes them: pivots are squares and hide slips of 1e-8."""
+    if not motions.number:
+        return motions
+    largest = _slips(motions, slips, np.random.default_rng(1).standard_normal((motions.number, PROBES))).max()
+    if largest <= SLIPLESS_SLIP or motions.number > MOST_PROBED:
+        return replace(motions, decided=motions.decided and largest <= SLIPLESS_SLIP, largest_slip=float(largest))
+    each = _slips(motions, slips, np.eye(motions.number))
+    clear = bool(((each <= SLIPLESS_SLIP) | (each > SOME_SLIP)).all())
+    none = each <= SLIPLESS_SLIP
+    return replace(
+        motions, held=motions.held[none], decided=clear, largest_slip=float(each[none].max(initial=0.0)), whole=False
+    )
+
+
+def _slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
+    """Slips of sums of motions, (k,), over their spins."""
+    spins = motions.basis(shares)
+    return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
 
 
 def touching(matrix: sparse.csr_array, sphere: np.ndarray, spheres: int) -> sparse.csr_array:
@@ -115,8 +140,8 @@ def _unknowns_of(sphere: np.ndarray, spheres: int) -> list[np.ndarray]:
 
 def _eliminated(
     matrix: sparse.csr_array, position: np.ndarray, own: np.ndarray, updates: list[tuple[np.ndarray, np.ndarray]]
-) -> tuple[_Front, np.ndarray, float]:
-    """A front, what it leaves on its border, and the largest pivot that counted as 0."""
+) -> tuple[_Front, np.ndarray]:
+    """A front, and what it leaves on its border."""
     begin, end = matrix.indptr[own], matrix.indptr[own + 1]
     rows = [matrix.indices[a:b] for a, b in zip(begin, end, strict=True)]
     start, last = (int(position[own[0]]), int(position[own[-1]])) if len(own) else (0, -1)
@@ -142,8 +167,6 @@ def _eliminated(
     top = np.tril(factor[:rank, :rank])
     rest = np.concatenate([free, np.arange(n, len(both))]).astype(np.int64)
     below = dtrsm(1.0, top, full[np.ix_(kept, rest)], lower=1).T if rank else np.zeros((len(rest), 0))
-    lost = full[free, free] - (below[: len(free)] ** 2).sum(axis=1)
     outer = below[len(free) :]
     update = full[n:, n:] - outer @ outer.T
-    front = _Front(own[kept], own[free], border, top, below)
-    return front, update, float(np.abs(lost).max(initial=0.0))
+    return _Front(own[kept], own[free], border, top, below), update

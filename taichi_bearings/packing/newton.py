@@ -10,7 +10,7 @@ from taichi_bearings.numerics.cholesky.fronts import BlockPattern
 from taichi_bearings.packing.motions import order_of, touching
 from taichi_bearings.packing.system import System
 
-SHIFTS_TRIED = (0.0, 1e-15, 1e-13, 1e-11)  # relative additions to the diagonal, tried one after the other
+RAISED_DIAGONALS = (0.0, 1e-15, 1e-13, 1e-11)  # relative additions to the diagonal, tried one after the other
 REFINEMENTS = 3
 
 
@@ -40,7 +40,7 @@ class NewtonMatrix:
         """For symmetric positive stiffnesses (d, d, A). Raises NotPositiveDefinite where no small shift helps."""
         values = self.entries(stiffness)
         self._stiffness = stiffness
-        for shift in SHIFTS_TRIED:
+        for shift in RAISED_DIAGONALS:
             if self.factorise_entries(values, shift):
                 return
         raise NotPositiveDefinite

@@ -18,8 +18,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow
-from taichi_bearings.packing.structure import odd_parts
-from taichi_bearings.packing.system import System
+from taichi_bearings.packing.system import System, odd_parts
 
 UNIT_BITS = 59  # of the sum of all frictions
 EPS = np.finfo(np.float64).eps

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, dijk
 
 from taichi_bearings.packing.motions import MOST_UNKNOWNS, slipless_motions
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import slips_of
+from taichi_bearings.packing.system import odd_parts, slips_of
 
 MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
 CHUNK = 256
@@ -65,18 +65,6 @@ def _graph(packing: Packing) -> sparse.csr_array:
     return sparse.csr_array((ones, tuple(packing.contact.T)), shape=(packing.spheres,) * 2)
 
 
-def odd_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(count,) True for nodes of parts with odd loops; and signs (count,) by which neighbours differ in other parts.
-
-    A part has an odd loop if its two copies in the double cover are joined.
-    """
-    ends = np.concatenate([first, second]), np.concatenate([second, first]) + count
-    cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * count, 2 * count))
-    label = connected_components(cover, directed=False)[1]
-    odd, mirrored = label[:count] == label[count:], label[:count] > label[count:]
-    return odd, np.where(mirrored, -1, 1)
-
-
 def smallest_odd_loop(packing: Packing) -> int | None:
     """Contacts of the smallest odd loop: the shortest way in the double cover from a sphere to its other copy."""
     count = packing.spheres
@@ -118,6 +106,5 @@ def slipless_number(packing: Packing, free: np.ndarray) -> tuple[int | None, str
     number = np.cumsum(free) - 1
     motions = slipless_motions(slips, np.repeat(number[free], components), packing.center[free])
     if not motions.decided:
-        pivots = f"pivots from {motions.largest_dropped:.0e} to {motions.smallest_kept:.0e}"
-        return None, f"not decided: {pivots} are too close to rounding"
+        return None, "not decided: some motions slip by little more than rounding"
     return motions.number, "elimination"

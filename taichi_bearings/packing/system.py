@@ -1,6 +1,6 @@
 """What there is to find: the free spins that contacts with driven ones reach, and the slips that they make."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -47,7 +47,8 @@ class System:
 
     packing. contact : (A,) numbers of contacts with a coefficient and a free end, in parts that touch a driven sphere.
     moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : of them, before they
-    were held. sphere : (unknowns,). matrix : K. offset : b, (d, A), of the driven spins. coefficients : (A,) each.
+    were held. sphere : (unknowns,). known : (N, C), u of spheres and components that are no unknowns. matrix : K.
+    offset : b, (d, A), of the known spins. coefficients : (A,) each.
     """
 
     packing: Packing
@@ -55,6 +56,7 @@ class System:
     moved: np.ndarray
     motions: Motions
     sphere: np.ndarray
+    known: np.ndarray
     matrix: sparse.csr_array
     offset: np.ndarray
     coefficients: tuple[np.ndarray, ...]
@@ -72,19 +74,21 @@ class System:
         moves = free & joined[label]
         contact = contact[moves[first] | moves[second]]
         components = 1 if packing.dimension == 2 else 3
+        known, settled, further = _without_slip(packing, contact, moves)
         moved = np.full((packing.spheres, components), -1)
-        moved[moves] = np.arange(moves.sum() * components).reshape(-1, components)
+        wanted = moves[:, None] & ~settled
+        moved[wanted] = np.arange(wanted.sum())
         matrix = slips_of(packing, contact, moved)
-        sphere = np.repeat(np.flatnonzero(moves), components)
+        sphere = np.nonzero(wanted)[0]
         number = np.cumsum(moves) - 1
-        motions = slipless_motions(matrix, number[sphere], packing.center[moves])
+        motions = replace(slipless_motions(matrix, number[sphere], packing.center[moves]), further=further)
         keep = np.ones(matrix.shape[1], dtype=bool)
         keep[motions.held] = False
         again = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
-        spins = packing.imposed[packing.contact[contact]].sum(axis=1)  # (A, C)
+        spins = known[packing.contact[contact]].sum(axis=1)  # (A, C)
         offset = np.einsum("tek,ek->te", tangents(packing.normal[contact]), spins)  # type: ignore[index]
         of = tuple(values[contact] for values in packing.coefficients)
-        return cls(packing, contact, again[moved], motions, sphere[keep], matrix[:, keep], offset, of)
+        return cls(packing, contact, again[moved], motions, sphere[keep], known, matrix[:, keep], offset, of)
 
     @property
     def unknowns(self) -> int:
@@ -113,7 +117,54 @@ class System:
 
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
         """u of all spheres, (N, C)."""
-        return np.where(self.moved >= 0, np.append(spins, 0.0)[self.moved], self.packing.imposed)
+        return np.where(self.moved >= 0, np.append(spins, 0.0)[self.moved], self.known)
+
+
+def along_axes(packing: Packing, contact: np.ndarray) -> bool:
+    """True where components do not mix: discs, or normals along the axes at these contacts, (A,)."""
+    normal = packing.normal[contact]  # type: ignore[index]
+    return packing.dimension == 2 or bool(((normal != 0).sum(axis=1) == 1).all())
+
+
+def _without_slip(packing: Packing, contact: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """u (N, C) of driven spheres and of components that slip nowhere; which those are, (C,); and their motions.
+
+    Where normals lie along the axes, components meet in the norms of the slips alone, so a component that can turn
+    without any slip does so at a minimum: along it no driven spheres of a part differ but by the sign of a sublattice.
+    """
+    known, components = packing.imposed.copy(), packing.imposed.shape[1]
+    settled, further = np.zeros(components, dtype=bool), 0
+    if packing.dimension == 2 or not along_axes(packing, contact):
+        return known, settled, further
+    for k in range(components):
+        ends = packing.contact[contact[packing.normal[contact, k] == 0]]  # type: ignore[index]
+        odd, sign = odd_parts(packing.spheres, *ends.T)
+        label = _components(packing.spheres, *ends.T)
+        turned, held = sign * packing.imposed[:, k], packing.driven >= 0
+        low, high = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
+        np.minimum.at(low, label[held], turned[held])
+        np.maximum.at(high, label[held], turned[held])
+        stuck = odd[held] & (turned[held] != 0)
+        if (low < high).any() or stuck.any():
+            continue
+        settled[k] = True
+        loose = np.isinf(low)
+        value = np.where(loose, 0.0, low)[label] * np.where(odd, 0.0, sign)
+        known[moves, k] = value[moves]
+        further += len(np.unique(label[moves & loose[label] & ~odd]))
+    return known, settled, further
+
+
+def odd_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(count,) True for nodes of parts with odd loops; and signs (count,) by which neighbours differ in other parts.
+
+    A part has an odd loop if its two copies in the double cover are joined.
+    """
+    ends = np.concatenate([first, second]), np.concatenate([second, first]) + count
+    cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * count, 2 * count))
+    label = connected_components(cover, directed=False)[1]
+    odd, mirrored = label[:count] == label[count:], label[:count] > label[count:]
+    return odd, np.where(mirrored, -1, 1)
 
 
 def acting(packing: Packing) -> np.ndarray:

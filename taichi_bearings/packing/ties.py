@@ -29,7 +29,7 @@ def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
     found = np.zeros(count, dtype=bool)
     there, sphere = np.unique(system.sphere, return_inverse=True)
     slips = sparse.csr_array(sparse.vstack(rows))
-    motions = slipless_motions(slips, sphere, system.packing.center[there], keep=True)
+    motions = slipless_motions(slips, sphere, system.packing.center[there])
     if not motions.number:
         return found
     if motions.number > MOST_TIES:
