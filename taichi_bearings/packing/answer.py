@@ -145,14 +145,16 @@ def _judged(system: System, matrix: NewtonMatrix, found: _Found, tolerance: floa
     force, friction = _forces(system, found.force)
     left = max(total - _estimate(system, found) * law.share, 0.0)
     state = _states(system, found, slip, left, natural)
+    proof = bound.proof
     if not bound.proven and gap > tolerance:
         state[state != DRIVEN] = UNDECIDED
+        proof += f"; balanced exactly, the forces would prove a gap of {left / unit:.0e}"
     spin = spins / np.asarray(packing.radius)[:, None]
     unbalanced = float(np.abs(system.torques(found.force)).max(initial=0.0))
     return PackingResult(
-        packing, slip_sum, total, value, gap, bound.proof, (Status.CERTIFIED if reached else Status.STALLED).value,
+        packing, slip_sum, total, value, gap, proof, (Status.CERTIFIED if reached else Status.STALLED).value,
         found.method, spin[:, 0] if packing.dimension == 2 else spin, slip, force, friction, power, state,
-        float(power[between].sum()), system.motions.number if system.motions.decided else None,
+        float(power[between].sum()), system.motions.number if system.motions.counted else None,
         unbalanced, perf_counter() - begun,
     )  # fmt: skip
 

@@ -215,7 +215,11 @@ class Floor:
             least = 1 / float(np.linalg.norm(vector))
         degree = int(np.bincount(system.packing.contact[system.contact].ravel()).max())
         entries = (degree + 24) * EPS * 2 * 3 * (degree + 1)  # largest sum of a row of what rounds in its entries
-        rounded = entries + (2 * matrix.longest_row + 16) * EPS * 2 * system.unknowns * ROUNDED_UP
+        row, _ = _indices(pattern)
+        own = np.empty(system.unknowns)
+        own[row[pattern.diagonal]] = self.values[pattern.diagonal]
+        # of the sum with most products at most: |error| <= v v^T with v^2 = (2 m + 16) eps a, so its norm is sum v^2
+        rounded = entries + float(((2 * matrix.rows + 16) * EPS * own).sum()) * ROUNDED_UP
         for share in FLOOR_SHARES:
             shifted = self.values.copy()
             shifted[pattern.diagonal] -= share * least

@@ -17,9 +17,13 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.blas import one_thread
 
 LEAF_SPHERES = 8
-NO_PIVOT, SURELY_ONE = 1e-10, 1e-8  # squares of slips over spins: what is eliminated, and what is surely not rounding
+NO_PIVOT, SURELY_ONE = 1e-10, 1e-9  # squares of slips over spins: what is eliminated, and what is surely not rounding
 SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11  # slips of a motion over its spins: up to which there is none, and surely one
-PROBES, MOST_PROBED = 4, 500  # random motions that are looked at first, and motions that are looked at one by one
+PROBES, MOST_PROBED, CHUNK_MOTIONS = (
+    4,
+    4000,
+    100,
+)  # random motions that are looked at first; that are looked at one by one; at once
 MOST_UNKNOWNS = 150_000  # for which elimination takes no more than minutes
 
 
@@ -38,8 +42,8 @@ class _Front:
 class Motions:
     """Slipless motions. held : numbers of the unknowns that, held at 0, leave none; as many as there are motions.
 
-    decided : False where slips and pivots are too close to the rounding to tell. largest_slip : of a motion, over its
-    spins. smallest_kept : pivot.
+    decided : False where their slips are too close to the rounding to tell; counted : and where pivots are.
+    largest_slip : of a motion, over its spins. smallest_kept : pivot.
     """
 
     held: np.ndarray
@@ -50,6 +54,10 @@ class Motions:
     unknowns: int
     whole: bool = True  # False where some that elimination found slip
     further: int = 0  # motions of spins that are not among the unknowns
+
+    @property
+    def counted(self) -> bool:
+        return self.decided and self.smallest_kept > SURELY_ONE
 
     @property
     def number(self) -> int:
@@ -97,7 +105,7 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndar
         least = min(least, float(np.diagonal(front.top).min(initial=np.inf)) ** 2)
         fronts.append(front)
     numbers = np.sort(np.concatenate(held))
-    return _looked_at(Motions(numbers, least > SURELY_ONE, 0.0, least, tuple(fronts), matrix.shape[0]), slips)
+    return _looked_at(Motions(numbers, True, 0.0, least, tuple(fronts), matrix.shape[0]), slips)
 
 
 def _looked_at(motions: Motions, slips: sparse.csr_array) -> Motions:
@@ -107,7 +115,8 @@ def _looked_at(motions: Motions, slips: sparse.csr_array) -> Motions:
     largest = _slips(motions, slips, np.random.default_rng(1).standard_normal((motions.number, PROBES))).max()
     if largest <= SLIPLESS_SLIP or motions.number > MOST_PROBED:
         return replace(motions, decided=motions.decided and largest <= SLIPLESS_SLIP, largest_slip=float(largest))
-    each = _slips(motions, slips, np.eye(motions.number))
+    parts = np.split(np.arange(motions.number), np.arange(CHUNK_MOTIONS, motions.number, CHUNK_MOTIONS))
+    each = np.concatenate([_slips(motions, slips, np.eye(motions.number)[:, part]) for part in parts])
     clear = bool(((each <= SLIPLESS_SLIP) | (each > SOME_SLIP)).all())
     none = each <= SLIPLESS_SLIP
     return replace(

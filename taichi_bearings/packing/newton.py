@@ -77,15 +77,15 @@ class NewtonMatrix:
         return force
 
     @cached_property
-    def longest_row(self) -> int:
-        """Most numbers in a row of the factor: so many products are in a sum at most."""
+    def rows(self) -> np.ndarray:
+        """Numbers in the rows of the factor, (unknowns,): so many products are in a sum at most."""
         pattern = self.cholesky.pattern
         if isinstance(pattern, BlockPattern):
-            return pattern.size
+            return np.full(pattern.size, pattern.size)
         count = np.zeros(pattern.size, dtype=np.int64)
         np.add.at(count, pattern.border, np.repeat(pattern.own, pattern.width))
         inner = np.arange(pattern.size) - np.repeat(pattern.first, pattern.own)
-        return int((count + inner + 1).max(initial=1))
+        return (count + inner + 1)[pattern.place]
 
 
 def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:

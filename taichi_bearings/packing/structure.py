@@ -105,6 +105,6 @@ def slipless_number(packing: Packing, free: np.ndarray) -> tuple[int | None, str
         return None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
     number = np.cumsum(free) - 1
     motions = slipless_motions(slips, np.repeat(number[free], components), packing.center[free])
-    if not motions.decided:
+    if not motions.counted:
         return None, "not decided: some motions slip by little more than rounding"
     return motions.number, "elimination"

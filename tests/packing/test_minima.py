@@ -232,3 +232,18 @@ def test_solve_refuses_what_a_packing_does_not_take():
     for options in ({"method": "cundall-strack"}, {"start": "random"}, {"tolerance": 0}, {"duration": 3}):
         with pytest.raises(tb.InputError):
             tb.solve(packing, **options)
+
+
+@pytest.mark.parametrize("angle", [1e-3, 1e-5, 1e-7, 1e-9, 1e-12, 1e-15])
+def test_normals_that_nearly_agree_prove_nothing_false(angle):
+    """A sphere between two driven ones rolls on both, with a spin of one over the angle of their normals: P = 0."""
+    normal = np.array([[0, 0, 1.0], [np.sin(angle), 0, np.cos(angle)]])
+    center = np.array([[0, 0, 0], [0, 0, 1.0], [0, 0, 9.0]])
+    spin = [[0, 0, 0], [0, 0, 0], [1.0, 0, 0]]
+    packing = tb.Packing(center, [(0, 1), (0, 2)], [-1, 0, 1], spin, normal=normal, friction=[1.0, 0.5])
+    found = tb.solve(packing)
+    assert found.lower_bound <= found.power
+    assert found.lower_bound == pytest.approx(0, abs=1e-8) or "exact but for the rounding" in found.proof
+    if angle > 1e-6:
+        assert found.power == pytest.approx(0, abs=1e-8)
+        assert found.status == "certified"
