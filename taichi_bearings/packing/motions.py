@@ -19,11 +19,8 @@ from taichi_bearings.numerics.blas import one_thread
 LEAF_SPHERES = 8
 NO_PIVOT, SURELY_ONE = 1e-10, 1e-9  # squares of slips over spins: what is eliminated, and what is surely not rounding
 SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11  # slips of a motion over its spins: up to which there is none, and surely one
-PROBES, MOST_PROBED, CHUNK_MOTIONS = (
-    4,
-    4000,
-    100,
-)  # random motions that are looked at first; that are looked at one by one; at once
+PROBES, MOST_PROBED = 4, 4000  # sums of motions that are looked at first; motions that are looked at one by one
+CHUNK_MOTIONS = 100  # at once
 MOST_UNKNOWNS = 150_000  # for which elimination takes no more than minutes
 
 
