@@ -31,7 +31,8 @@ class PackingResult:
     """What was found for a packing. Contacts between driven spheres, or with no coefficient, are left out of `power`.
 
     power : energy/time. potential : what is minimised; the power, but for "coulomb-viscous". lower_bound : on the least
-    potential of any spins (for "viscous" on the power), rigorous; 0 where nothing is proven.
+    potential of any spins (for "viscous" on the power); 0 where nothing is proven. It is rigorous where `proof` is
+    "proven"; else only if the motions that `proof` counts slip nowhere, which the rounding of normals hides.
     gap : (potential - lower_bound) / potential; where next to nothing is dissipated, over what all contacts would at
     the largest imposed surface velocity. proof : "proven", what it rests on beside, or why there is none.
     status : "certified" if the gap is within the tolerance, else "stalled". method : "planar-cut", "interior-point",

@@ -170,8 +170,6 @@ class Packing:
             group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]
             stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
             found = {name.rpartition("/")[2]: values for name, values in stored.items()}
-        if "law" in found or "seed" in found:
-            raise FileError(f"{path} is no packing")
         return cls(**{**found, **others})
 
     def arrays(self) -> dict[str, np.ndarray]:
