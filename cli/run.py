@@ -101,6 +101,8 @@ def _new(scene: str | None, out: str | None, force: bool, given: dict[str, Any])
         raise InputError(f"out is {stored_out!r}; it must be a text")
     out = out or stored_out
     settings = RunSettings.from_mapping(values | given, scene or "the options")
+    if settings.packing is not None:
+        from taichi_bearings.runs.packing_run import run_packing as run  # type: ignore[assignment]
     return partial(run, settings, Path(out) if out else None, force), out
 
 
@@ -120,7 +122,7 @@ def _values_of(scene: str) -> dict[str, Any]:
 
 def _verdict(found: Any, asked: bool) -> dict[str, Any] | None:
     """What `bearings verify` says of the run, if it was asked for and nobody wants the end."""
-    if not asked or found.solution.interrupted:
+    if not asked or found.interrupted:
         return None
     from taichi_bearings.runs.verify import verify
 
@@ -142,12 +144,12 @@ def _finish(
     if as_json:
         click.echo(json.dumps(summary | ({"verification": verdict} if verdict else {}), allow_nan=False))
     else:
-        tell(describe(summary, times))
+        tell(describe_packing(summary, times) if summary["shape"] is None else describe(summary, times))
         if verdict:
             from taichi_bearings_cli.verify import describe as describe_verdict
 
             tell(describe_verdict(verdict))
-    if found.solution.interrupted:
+    if found.interrupted:
         context.exit(130)
     is_verified = verdict is None or verdict["verified"]
     place = Path(out or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
@@ -190,10 +192,31 @@ def describe(summary: dict[str, Any], times: str) -> str:
     lines.append(
         f"  {counted(summary['iterations'], 'iteration')} on {summary['arch']}, {summary['precision']}; {times}"
     )
-    lines.append(f"  run: {summary['run']}")
+    return "\n".join([*lines, f"  run: {summary['run']}", *_picture(summary)])
+
+
+def describe_packing(summary: dict[str, Any], times: str) -> str:
+    """A short summary of a packing."""
+    within = "exactly" if summary["gap"] == 0 else f"within {summary['gap']:.1e}"
+    proven = {"proven": f"proven {within}"}.get(summary["proof"], f"{within}, {summary['proof']}")
+    others = _others(summary["undecided"], summary["critical"], 0)
+    motions = summary["slipless_motions"]
+    free = "not decided" if motions is None else f"{motions:,}"
+    lines = [
+        f"{summary['spheres']:,} spheres, {summary['driven_spheres']:,} of them driven, {summary['law']}, "
+        f"{summary['method']}: {summary['status']}",
+        f"  P = {summary['power']:.12g}, {proven}; of {summary['contacts']:,} contacts "
+        f"{summary['slipping']:,} slip, {summary['slipless']:,} do not, {others}",
+        f"  slipless motions beside: {free}",
+    ]
+    if summary["driven_power"]:
+        lines.append(f"  contacts between driven spheres dissipate {summary['driven_power']:.12g} beside")
+    return "\n".join([*lines, f"  {times}", f"  run: {summary['run']}", *_picture(summary)])
+
+
+def _picture(summary: dict[str, Any]) -> list[str]:
     picture = Path(summary["run"]) / "power_histogram.png"
-    lines += [f"  histogram: {picture}"] if picture.exists() else []
-    return "\n".join(lines)
+    return [f"  histogram: {picture}"] if picture.exists() else []
 
 
 def _under_torque(summary: dict[str, Any]) -> list[str]:

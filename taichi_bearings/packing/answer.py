@@ -42,6 +42,7 @@ class PackingResult:
     of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
     between driven or absent. driven_power : what contacts between driven spheres dissipate, energy/time.
     slipless_motions : of the free spheres that driven ones reach; None if undecided. unbalanced : largest torque left.
+    seconds : wall time. iterations : factorisations.
     """
 
     packing: Packing
@@ -62,6 +63,17 @@ class PackingResult:
     slipless_motions: int | None
     unbalanced: float
     seconds: float
+    iterations: int = 0
+
+    @property
+    def critical(self) -> int:
+        """Undecided contacts at their friction limit with a slip that the proven gap does not resolve."""
+        held = self.packing.kind.holding_force(self.packing.coefficients)
+        if held is None:
+            return 0
+        left = self.potential - self.lower_bound
+        full = (self.force >= (1 - NO_MARGIN) * held) & (held * self.slip <= left)
+        return int((full & (self.state == UNDECIDED)).sum())
 
     def __repr__(self) -> str:
         words = f"{self.method}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s"
@@ -156,7 +168,7 @@ def _judged(system: System, matrix: NewtonMatrix, found: _Found, tolerance: floa
         packing, slip_sum, total, value, gap, proof, (Status.CERTIFIED if reached else Status.STALLED).value,
         found.method, spin[:, 0] if packing.dimension == 2 else spin, slip, force, friction, power, state,
         float(power[between].sum()), system.motions.number if system.motions.counted else None,
-        unbalanced, perf_counter() - begun,
+        unbalanced, perf_counter() - begun, matrix.factorisations,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ class NewtonMatrix:
     """Factorised matrices of one system; its pattern is analysed once."""
 
     def __init__(self, system: System) -> None:
-        self.system = system
+        self.system, self.factorisations = system, 0
         first, second, source, contact = _pairs(system)
         apart = first != second
         self.cholesky = Cholesky(system.unknowns, lambda: _order(system), (first[apart], second[apart]))
@@ -48,6 +48,7 @@ class NewtonMatrix:
     def factorise_entries(self, values: np.ndarray, shift: float = 0.0) -> bool:
         """True where a matrix with these entries, its diagonal raised by a share, is positive definite in floats."""
         factor, pattern = self.cholesky.factor(), self.cholesky.pattern
+        self.factorisations += 1
         factor.entries[: pattern.entries, 0] = values
         factor.entries[pattern.diagonal, 0] *= 1 + shift
         return bool(np.isfinite(values).all() and factor.factorise()[0])

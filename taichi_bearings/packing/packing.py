@@ -41,7 +41,8 @@ class Packing:
         centres if None. A contact across a periodic side needs it, and so do several contacts of the same two spheres.
     friction : (E,), the coefficient of the law: friction, a pure number, or of the law "viscous" damping,
         force * time / length; 0 where nothing acts. If None drawn in the order of the contacts from ``distribution``.
-    viscosity : (E,), of the law "coulomb-viscous", force * time / length. normal_force : (E,) or one for all, force.
+    viscosity : (E,), of the law "coulomb-viscous", force * time / length, or what they are drawn from, as a
+        `distribution`, the usual one if None. normal_force : (E,) or one for all, force.
     law : "coulomb", "viscous" or "coulomb-viscous"; if None the last one where a viscosity is given, else the first.
     distribution, seed : of coefficients that are not given: a text such as "uniform:0.1,1.0" or a function
         (rng, shape), and the seed of ``default_rng``; viscosities take ``default_rng([seed, 2])``.
@@ -56,7 +57,7 @@ class Packing:
     radius: Any = 0.5
     normal: np.ndarray | None = None
     friction: np.ndarray | None = None
-    viscosity: np.ndarray | None = None
+    viscosity: Any = None
     normal_force: Any = 50.0
     law: Law | str | None = None
     distribution: str | Draw = DISTRIBUTION
@@ -82,15 +83,14 @@ class Packing:
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
         seed = SEED.read(self.seed)
-        for name, state in (("friction", seed), ("viscosity", [seed, 2])):
-            values = getattr(self, name)
-            if values is None and (name == "friction" or two):
-                draw = (
-                    Distribution.parse(self.distribution) if isinstance(self.distribution, str) else self.distribution
-                )
+        usual = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
+        for name, state, values in usual[: 1 + two]:
+            given = getattr(self, name)
+            values = values if given is None else given
+            if isinstance(values, str) or callable(values):
+                draw = Distribution.parse(values) if isinstance(values, str) else values
                 values = draw(np.random.default_rng(state), (self.contacts,))
-            if values is not None:
-                put(name, checks.sizes(name, values, self.contacts, "contact", may_vanish=True))
+            put(name, checks.sizes(name, values, self.contacts, "contact", may_vanish=True))
 
     @property
     def kind(self) -> Law:
@@ -161,6 +161,11 @@ class Packing:
         others : what the file does not hold, such as `law`, `seed`, or a `radius` for all. Raises FileError for what
         cannot be read, InputError for what is no packing.
         """
+        return cls(**{**cls.read(path), **others})
+
+    @staticmethod
+    def read(path: str | Path) -> dict[str, np.ndarray]:
+        """The arrays of such a file by name; FileError if it cannot be read."""
         path = Path(path)
         try:
             found = read_arrays(path, NEEDED, OPTIONAL)
@@ -170,7 +175,7 @@ class Packing:
             group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]
             stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
             found = {name.rpartition("/")[2]: values for name, values in stored.items()}
-        return cls(**{**found, **others})
+        return found
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What a file holds, by name."""

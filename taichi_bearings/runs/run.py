@@ -47,6 +47,8 @@ from taichi_bearings.words import counted
 
 def build_scene(settings: RunSettings) -> Scene:
     """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
+    if settings.packing is not None:
+        raise InputError(f"packing is {settings.packing!r}, which `bearings run` takes; here a lattice is wanted")
     given = {key: getattr(settings, key) for key in Scene.PARAMETERS} | {"law": settings.law}
     has_viscosities = len(law_named(settings.law).quantities) > 1
     if settings.coefficients is None:
@@ -143,6 +145,10 @@ class Run:
     def status(self) -> list[Status]:
         """How each replica ended, (R,)."""
         return self.answered.status
+
+    @property
+    def interrupted(self) -> bool:
+        return self.solution.interrupted
 
     @property
     def summary(self) -> dict[str, Any]:

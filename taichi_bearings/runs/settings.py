@@ -74,6 +74,11 @@ THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", 
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 
+OF_PACKINGS = (
+    "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "threads", "figures",
+)  # fmt: skip
+"""Keys of a run that a packing uses."""
+
 motion = partial(option, methods=attrgetter("is_dynamics"))
 
 
@@ -132,6 +137,13 @@ class RunSettings:
         FILE,
         "Read the coefficients instead of drawing them: an npz file with arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z "
         "(NX,NY,NZ-1), or a run, which bring the shape. docs/scenes.md says more.",
+    )
+    packing: str | None = option(
+        None,
+        FILE,
+        "Spheres and contacts of any kind instead of a lattice: an npz or HDF5 file with arrays center, contact, driven, "
+        "spin, or a run of one. docs/packings.md says more.",
+        not_scanned="a scan is of lattices",
     )
     distribution: str = option(
         "uniform:0.1,1.0",
@@ -219,7 +231,16 @@ class RunSettings:
                 hint = meant(key, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
                 raise InputError(f"unknown key {key!r} in {source}{hint}")
         settings = cls(**values)
+        if settings.packing is not None:
+            return settings if "law" in values else settings.with_law_of_packing()
         return settings if "shape" in values else settings.in_shape_of_coefficients()
+
+    def with_law_of_packing(self) -> "RunSettings":
+        """The settings with the law coulomb-viscous if the file of the packing holds viscosities."""
+        from taichi_bearings.packing import Packing  # and with it much of SciPy
+
+        assert self.packing is not None
+        return replace(self, law="coulomb-viscous") if "viscosity" in Packing.read(self.packing) else self
 
     def in_shape_of_coefficients(self) -> "RunSettings":
         """The settings with the shape of the coefficients file, and its periodic sides unless some are given; FileError
@@ -231,8 +252,13 @@ class RunSettings:
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
-        lines = [f"{key} = {toml_value(value)}" for key, value in self.values.items() if value is not None]
+        lines = [f"{key} = {toml_value(value)}" for key, value in self.described.items() if value is not None]
         return "\n".join(lines) + "\n"
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """The keys that say something of the run, with their values: all; of a packing those that are told of it."""
+        return self.values if self.packing is None else {"law": self.law, "seed": self.seed} | self.given
 
     @property
     def given(self) -> dict[str, Any]:
@@ -371,7 +397,7 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     if path is None:
         return values
     folder = path if path.is_dir() else path.parent
-    for key in ("coefficients", "initial"):
+    for key in ("coefficients", "packing", "initial"):
         value = values.get(key)
         if isinstance(value, str) and (folder / value).is_file():
             values[key] = str(folder / value)

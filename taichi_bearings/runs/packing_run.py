@@ -1,0 +1,258 @@
+"""A run of a packing: solved from its settings, written into a run directory, and read back."""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.histogram_file import write_table
+from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5, write_text
+from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+from taichi_bearings.interrupts import awaited
+from taichi_bearings.packing import Packing, PackingResult, solve_packing
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.quantities import CONTACTS, SPHERES
+from taichi_bearings.runs.run_directory import RunDirectory, default_run_path, run_directory
+from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
+from taichi_bearings.runs.run import versions
+from taichi_bearings.runs.settings import OF_PACKINGS, RunSettings, parse_toml, settings_table
+from taichi_bearings.scene import Status
+from taichi_bearings.scene.law import law_named
+from taichi_bearings.stages import stage
+from taichi_bearings.version import VERSION
+from taichi_bearings.words import shown
+
+ARRAYS = {
+    "center": ("length", "centres of the spheres"),
+    "contact": ("1", "first and second sphere of each contact"),
+    "driven": ("1", "-1 for a free sphere, else the number of its driven body"),
+    "spin": ("1/time", "imposed on driven spheres, laboratory frame"),
+    "radius": ("length", "of the spheres"),
+    "normal": ("1", "unit vector of each contact from its first to its second sphere"),
+    "friction": ("1", "coefficient of the law: friction, or with the law viscous damping, force*time/length"),
+    "viscosity": ("force*time/length", "viscosity of the contacts"),
+    "normal_force": ("force", "normal force of the contacts"),
+}
+"""Data sets of the group /packing: unit and words."""
+FRICTION = {
+    2: "friction on the second disc, component along z x n",
+    3: "friction on the second sphere, laboratory frame",
+}
+"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
+SETS = ("slip", "power", "force", "state", "friction")  # of the group /contact
+NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
+SIZES = ("radius", "normal_force")
+
+
+@dataclass(frozen=True)
+class PackingRun:
+    """A solved packing. path : of the directory or the file that has the run, if any. command : what made it."""
+
+    settings: RunSettings
+    result: PackingResult
+    path: Path | None = None
+    command: str = ""
+    interrupted: bool = False
+
+    @property
+    def status(self) -> list[Status]:
+        return [Status(self.result.status)]
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of the run, as in `--json` of `run`."""
+        result, packing = self.result, self.result.packing
+        states = np.bincount(result.state, minlength=4).tolist()
+        numbers = {
+            "power": result.power,
+            **({"potential": result.potential} if packing.kind.minimises == "potential" else {}),
+            "lower_bound": result.lower_bound,
+            "gap": result.gap,
+            "proof": result.proof,
+            "status": result.status,
+            "method": result.method,
+            "law": str(packing.law),
+            "shape": None,
+            "spheres": packing.spheres,
+            "driven_spheres": int((packing.driven >= 0).sum()),
+            "seed": self.settings.seed,
+            "iterations": result.iterations,
+            "seconds": result.seconds,
+            "seconds_compile": 0.0,
+            "contacts": packing.contacts - states[ContactState.DRIVEN],
+            "slipping": states[ContactState.SLIPPING],
+            "slipless": states[ContactState.SLIPLESS],
+            "undecided": states[ContactState.UNDECIDED],
+            "critical": result.critical,
+            "driven_power": result.driven_power,
+            "slipless_motions": result.slipless_motions,
+            "largest_balance_residual": result.unbalanced,
+            "version": VERSION,
+            "warnings": [] if result.proof == "proven" else [f"what is proven of the least power: {result.proof}"],
+            "coefficients": None,
+            "run": None if self.path is None else str(self.path),
+        }
+        return {
+            key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in numbers.items()
+        }
+
+    @property
+    def histogram(self) -> PowerHistogram:
+        """Of the power over its slipping contacts."""
+        return power_histogram(self.result.power_per_contact[None], self.result.state[None], 0.0)
+
+
+def packing_of(settings: RunSettings) -> Packing:
+    """The packing that the settings describe: the arrays of its file, and of the settings what that lacks."""
+    assert settings.packing is not None
+    given = settings.given
+    if strange := [key for key in given if key not in OF_PACKINGS]:
+        raise InputError(
+            f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(OF_PACKINGS)}"
+        )
+    found = Packing.read(settings.packing)
+    for key, name in (("distribution", "friction"), ("viscosity", "viscosity"), *((n, n) for n in SIZES)):
+        if key in given and name in found:
+            raise InputError(f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out")
+    others = {key: getattr(settings, key) for key in ("law", "seed", "distribution", *SIZES)}
+    if len(law_named(settings.law).quantities) > 1:
+        others["viscosity"] = settings.viscosity
+    elif "viscosity" in given:
+        raise InputError(f"viscosity is {shown(settings.viscosity)}, but the law {settings.law} does not use it")
+    return Packing(**{**others, **found})
+
+
+def run_packing(settings: RunSettings, out: Path | None = None, force: bool = False) -> PackingRun:
+    """Solve a packing and write its run directory: run.h5, summary.json, scene.toml, power_histogram.csv and figures.
+
+    Raises InputError or FileError before anything is computed or overwritten.
+    """
+    with stage("reading"):
+        packing = packing_of(settings)
+    with run_directory(out or default_run_path(), force) as directory:
+        with stage("solving"):
+            result = solve_packing(packing, settings.tolerance)
+        found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]))
+        with awaited() as heard:
+            found = publish_packing(directory, found)
+        if heard.is_set():
+            return replace(found, interrupted=True)
+        if settings.figures == "all":
+            with stage("drawing"):
+                _draw(found)
+    return found
+
+
+def publish_packing(directory: RunDirectory, found: PackingRun) -> PackingRun:
+    """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
+    while True:
+        found = replace(found, path=directory.path)
+        with stage("writing"):
+            _write(directory.partial, found)
+        if directory.publish():
+            return found
+
+
+def _write(folder: Path, found: PackingRun) -> None:
+    arrays = settings_table()  # run.h5 has what these keys led to
+    own = {key: arrays[key].default for key in ("distribution", "viscosity", *SIZES)}
+    stored = replace(found.settings, packing="run.h5", **own)
+    origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
+    write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
+    write_text(folder / "scene.toml", stored.to_toml())
+    full = found.summary | {"settings": found.settings.described, "versions": versions()}
+    write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    write_table(folder / "power_histogram.csv", {None: found.histogram})
+
+
+def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) -> None:
+    file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
+    for key, value in attributes.items():
+        file.attrs[key] = storable(value)
+
+    def put(name: str, values: np.ndarray, unit: str, text: str) -> None:
+        stored = file.create_dataset(name, data=values)
+        stored.attrs["units"], stored.attrs["description"] = unit, text
+
+    for name, values in result.packing.arrays().items():
+        put(f"packing/{name}", values, *ARRAYS[name])
+    put("spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
+    for name, row in CONTACTS.items():
+        values = getattr(result, "power_per_contact" if name == "power" else name, None)
+        if values is not None:
+            put(f"contact/{name}", values, row.unit, row.text)
+    put("contact/friction", result.friction, "force", FRICTION[result.packing.dimension])
+
+
+def _draw(found: PackingRun) -> None:
+    from taichi_bearings.plots.histogram import draw_histogram
+    from taichi_bearings.plots.style import save
+
+    assert found.path is not None
+    save(draw_histogram(found.histogram), found.path / "power_histogram.png")
+
+
+def is_packing_run(run: Path) -> bool:
+    """True for a run directory, or its run.h5, that holds a packing."""
+    file = run / "run.h5" if run.is_dir() else run
+    if not file.is_file() or file.suffix not in (".h5", ".hdf5"):
+        return False
+    try:
+        with open_hdf5(file) as stored:
+            return "packing" in stored
+    except (FileError, *UNREADABLE):
+        return False  # whoever reads it says why it cannot be read
+
+
+def read_packing_run(run: Path) -> PackingRun:
+    """Read a run directory or its run.h5; FileError if it is damaged or was changed."""
+    path = run / "run.h5" if run.is_dir() else run
+    with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
+        attributes = {key: v.item() if isinstance(v, np.generic) else v for key, v in file.attrs.items()}
+        try:
+            settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
+            packing = packing_of(replace(settings, packing=str(path)))
+        except InputError as error:
+            raise FileError(f"{path} is damaged or was changed: {error}") from None
+        arrays = {name: _whole(path, file, name, packing) for name in ("spin", *map("contact/{}".format, SETS))}
+        sets = {name.removeprefix("contact/"): values for name, values in arrays.items()}
+        number = {key: float(attributes[key]) for key in NUMBERS}
+        motions = attributes["slipless_motions"]
+        result = PackingResult(
+            packing=packing,
+            potential=float(attributes.get("potential", number["power"])),
+            proof=str(attributes["proof"]),
+            status=Status(attributes["status"]).value,
+            method=str(attributes["method"]),
+            power_per_contact=sets.pop("power"),
+            slipless_motions=None if motions == "" else int(motions),
+            unbalanced=float(attributes["largest_balance_residual"]),
+            iterations=int(attributes["iterations"]),
+            **sets,
+            **number,
+        )
+    return PackingRun(settings, result, run, str(attributes.get("command", "")))
+
+
+def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarray:
+    """A data set of a run file; FileError for one whose shape or numbers cannot be."""
+    components = () if packing.dimension == 2 else (3,)
+    count = packing.spheres if name == "spin" else packing.contacts
+    shape = (count, *(components if name in ("spin", "contact/friction") else ()))
+    stored = file[name]
+    if stored.shape != shape or stored.dtype.kind not in "fiu":
+        raise FileError(f"{name} in {path} is damaged: it has shape {stored.shape}, and must have {shape}")
+    values = stored[()]
+    if not np.isfinite(values).all():
+        raise FileError(f"{name} in {path} is damaged: it must hold finite numbers")
+    if name == "contact/state" and values.max(initial=0) > ContactState.DRIVEN:
+        raise FileError(f"{name} in {path} is damaged: states are 0 to 3")
+    return np.asarray(values)
