@@ -45,7 +45,22 @@ def command(
 
     with Display() as display:
         report = analyse(run, out, force, replica, threshold, figures)
-    click.echo(json.dumps(report, allow_nan=False) if as_json else describe(report, display.times()))
+    told = _describe_packing if report["shape"] is None else describe
+    click.echo(json.dumps(report, allow_nan=False) if as_json else told(report, display.times()))
+
+
+def _describe_packing(report: dict[str, Any], times: str) -> str:
+    """The report of a packing for people."""
+    from taichi_bearings.quantities import COLUMNS
+
+    lines = [f"{report['spheres']:,} spheres, {report['law']}, {report['method']}; contact states: {_states(report)}"]
+    lines += [
+        f"  {line}"
+        for name, value in report.items()
+        if name in COLUMNS and name not in ("status", "method", "law", "shape", "version", "seconds")
+        for line in _lines(COLUMNS[name].text, value, several=False)
+    ]
+    return "\n".join([*lines, times, *report["files"]])
 
 
 def describe(report: dict[str, Any], times: str) -> str:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,8 +101,10 @@ def _plot_run(
 ) -> None:
     from taichi_bearings.errors import InputError
     from taichi_bearings.files.whole_file import refuse_ending
+    from taichi_bearings.plots.packing import draw_packing
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
+    from taichi_bearings.runs.packing_run import is_packing_run, read_packing_run
     from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_directory import claimed
     from taichi_bearings.runs.run_file import read_run_file
@@ -110,13 +113,22 @@ def _plot_run(
         raise InputError(
             f"--{given[0].replace('_', '-')} belongs to `bearings plot scan`, not to `bearings plot {kind}`"
         )
-    stored = read_run_file(run)
     refuse_ending(out, *ENDINGS)
-    with claimed(out or stored.path.parent / kind, force or out is None):
-        figure = draw_figure(kind, stored.solution, replica, time, settings_of(stored).slip_threshold, page)
+    if is_packing_run(run):
+        if page.planes or time is not None or replica:
+            raise InputError(f"{run} is a run of a packing, whose figures take --width, --dpi and --view alone")
+        result, file = read_packing_run(run).result, run
+        draw = partial(draw_packing, result, kind, page)
+    else:
+        stored = read_run_file(run)
+        file, slowest = stored.path, settings_of(stored).slip_threshold
+        draw = partial(draw_figure, kind, stored.solution, replica, time, slowest, page)
+    folder = file if file.is_dir() else file.parent
+    with claimed(out or folder / kind, force or out is None):
+        figure = draw()
         if out:
             save(figure, out)
-        click.echo(out or save_small(figure, stored.path.parent / kind))
+        click.echo(out or save_small(figure, folder / kind))
 
 
 def _page(width: str | None, dpi: str | None, planes: tuple[str, ...], view: str | None) -> "Page":

@@ -16,13 +16,16 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from taichi_bearings import packing as packings
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.packing import Packing, PackingResult, solve_packing
+from taichi_bearings.packing import Packing, solve_packing
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
+from taichi_bearings.runs.packing_run import PackingRun, is_packing_run, publish_packing, read_packing_run
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
@@ -258,6 +261,28 @@ def _short(value: Any) -> str:
     return format(value, ".10g") if isinstance(value, float) else str(value)
 
 
+class PackingResult(packings.PackingResult):
+    __doc__ = packings.PackingResult.__doc__
+
+    def save(self, path: str | Path, force: bool = False) -> Path:
+        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
+
+        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
+        """
+        settings = RunSettings(packing="run.h5", law=str(self.packing.law))
+        with run_directory(Path(path), force) as directory:
+            found = publish_packing(directory, PackingRun(settings, self, command="taichi_bearings.solve"))
+        assert found.path is not None
+        return found.path
+
+    def plot(self, kind: str = "spins", page: "Page | None" = None) -> "Figure":
+        """A figure: "spins", "power" or "network". page : how it is printed."""
+        from taichi_bearings.plots.packing import draw_packing
+        from taichi_bearings.plots.page import PAGE
+
+        return draw_packing(self, kind, page or PAGE)
+
+
 OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
     "threads",
@@ -308,7 +333,7 @@ def solve(
     if isinstance(scene, Packing):
         if method != "auto" or callback is not None or options or not isinstance(start, str) or start != "linear":
             raise InputError("of the arguments of solve a packing takes tolerance alone")
-        return solve_packing(scene, tolerance)
+        return PackingResult(**vars(solve_packing(scene, tolerance)))
     if callback is not None and not callable(callback):
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
     monitors = [] if callback is None else [_monitor(scene, callback)]
@@ -345,21 +370,30 @@ def solve_many(
     return (Result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
 
 
-def analyse(result: Result | str | Path, threshold: float | None = None, sample: int = 0) -> Analysis:
-    """Minimum cut, slipless network, rigid domains, bottlenecks and forces of an answer, or of a run in a file.
+def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
+    """An :class:`Analysis` of an answer, or of a run in a file: minimum cut, slipless network, rigid domains,
+    bottlenecks and forces. Of a packing a :class:`PackingStructure`.
 
     threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
     sample : the one of several that is shown in figures and as `structure`.
     """
-    run = (result if isinstance(result, Result) else load(result))._run
+    found = load(result) if isinstance(result, (str, os.PathLike)) else result
     threshold = None if threshold is None else finite_number("threshold", threshold)
+    if isinstance(found, PackingResult):
+        return PackingStructure.of(found, threshold)
+    run = found._run
     return Analysis(run.solution, [status.value for status in run.status], threshold, sample)
 
 
-def load(path: str | Path) -> Result:
-    """Read a run directory or its run.h5, whatever wrote it; FileError if it is missing, damaged or was changed."""
+def load(path: str | Path) -> Any:
+    """A :class:`Result`, or of a packing a :class:`PackingResult`, of a run directory or its run.h5, whatever wrote it.
+
+    FileError if it is missing, damaged or was changed.
+    """
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
+    if is_packing_run(Path(path)):
+        return PackingResult(**vars(read_packing_run(Path(path)).result))
     stored = read_run_file(Path(path))
     command = str(stored.attributes.get("command", ""))
     place = stored.path.parent if stored.path.name == "run.h5" else stored.path

@@ -7,17 +7,21 @@ each axis has contacts of its own, and VTK wants all lines in one array.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, opened_to_draw, points_and_lines
+from taichi_bearings.packing import Packing
+from taichi_bearings.runs.packing_run import columns_of_packing, is_packing_run, read_packing_run
+from taichi_bearings.runs.points_and_lines import Moments, opened_to_draw, points_and_lines
+from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -29,6 +33,49 @@ UNKNOWN = "; not-a-number in snapshots, with which it is not kept"
 IN_SNAPSHOTS = {"power": UNKNOWN, "force": UNKNOWN, "state": "; in snapshots by slip alone, see snapshot_threshold"}
 
 
+@dataclass(frozen=True)
+class Geometry:
+    """sphere : (P,) of each point: all of them, then one for each image. place : (P, 3), length, height along z in 3D
+    and along y in 2D. ends : (L, 2), points of each line. spheres : number of them."""
+
+    sphere: np.ndarray
+    place: np.ndarray
+    ends: np.ndarray
+    spheres: int
+
+    @classmethod
+    def of(cls, place: np.ndarray, ends: np.ndarray, step: np.ndarray, over: np.ndarray) -> "Geometry":
+        """place : (N, D) of the spheres. ends : (L, 2) spheres. step : (L, D) between their centres. over : lines
+        across periodic sides, which lead on to images of their second spheres."""
+        sphere, ends = np.append(np.arange(len(place)), ends[over, 1]), ends.copy()
+        beyond = place[ends[over, 0]] + step[over]
+        ends[over, 1] = len(place) + np.arange(len(over))
+        places = np.zeros((len(sphere), 3))
+        places[:, : place.shape[1]] = np.concatenate([place, beyond])
+        return cls(sphere, places, ends, len(sphere) - len(over))
+
+    @classmethod
+    def of_lattice(cls, lattice: Lattice, ends: np.ndarray) -> "Geometry":
+        place = 2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool))
+        step = 2 * lattice.radius * np.eye(lattice.dimension)[lattice.axis]
+        return cls.of(place, ends, step, np.flatnonzero(ends[:, 1] < ends[:, 0]))
+
+    @classmethod
+    def of_packing(cls, packing: Packing) -> "Geometry":
+        first, second = packing.contact.T
+        step = packing.normal * (packing.radius[first] + packing.radius[second])[:, None]
+        far = np.linalg.norm(packing.center[second] - packing.center[first] - step, axis=1)
+        return cls.of(packing.center, packing.contact, step, np.flatnonzero(far > packing.radius[first]))
+
+    def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
+        """Columns of the spheres as point data; where there are images they say which points those are."""
+        found = {name: replace(column, values=column.values[self.sphere]) for name, column in columns.items()}
+        if len(self.sphere) > self.spheres:
+            image = np.arange(len(self.sphere)) >= self.spheres
+            found["image"] = Finding(image, "1", "sphere once more, where a contact across a periodic side leads to it")
+        return found
+
+
 def export(run: Path, out: Path | None = None, force: bool = False, replica: int = 0) -> dict[str, Any]:
     """Write one sample of a run directory or its run.h5 for ParaView, and say what the file holds.
 
@@ -36,70 +83,75 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
+    if is_packing_run(run):
+        return _export_packing(run, out, force, replica)
     with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
         drawn = points_and_lines(stored, replica)
         told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
         if drawn.moments is not None:
             told["snapshot_threshold"] = drawn.moments.threshold
+        geometry = Geometry.of_lattice(drawn.scene.lattice, drawn.ends)
         with stage("writing"):
-            write_vtkhdf(path, drawn, told)
+            write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, told, drawn.moments, drawn.time)
     steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    counts = {"points": drawn.scene.lattice.sites, "lines": len(drawn.ends), "steps": steps}
-    images = len(_over(drawn.scene.lattice))
+    return _told(path, geometry, steps)
+
+
+def _export_packing(run: Path, out: Path | None, force: bool, replica: int) -> dict[str, Any]:
+    if replica:
+        raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
+    found = read_packing_run(run)
+    path = (run if run.is_dir() else run.parent) / VTK_NAME if out is None else out
+    with claimed(path, force or out is None), stage("writing"):
+        geometry = Geometry.of_packing(found.result.packing)
+        told = {key: value for key, value in found.summary.items() if key in TOLD} | {"command": found.command}
+        write_vtkhdf(path, geometry, *columns_of_packing(found.result), told)
+    return _told(path, geometry, 1)
+
+
+def _told(path: Path, geometry: Geometry, steps: int) -> dict[str, Any]:
+    counts = {"points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
+    images = len(geometry.sphere) - geometry.spheres
     return {"file": str(path), "bytes": path.stat().st_size, **counts, **({"images": images} if images else {})}
 
 
-def write_vtkhdf(path: Path, drawn: PointsAndLines, attributes: Mapping[str, Any]) -> None:
-    """Write the file in full or not at all. attributes : for the group /VTKHDF, where VTK does not look at them."""
+def write_vtkhdf(
+    path: Path,
+    geometry: Geometry,
+    spheres: Mapping[str, Finding],
+    contacts: Mapping[str, Finding],
+    attributes: Mapping[str, Any],
+    moments: Moments | None = None,
+    end: float | None = None,
+) -> None:
+    """Write the file in full or not at all. attributes : for the group /VTKHDF, where VTK does not look at them.
+
+    moments, end : of a dynamics.
+    """
 
     def fill(file: h5py.File) -> None:
         root = file.create_group("VTKHDF")
         root.attrs["Version"], root.attrs["Type"] = VTK_VERSION, np.bytes_("PolyData")
         for key, value in attributes.items():
             root.attrs[key] = storable(value)
-        _write_geometry(root, drawn)
-        steps = None if drawn.moments is None or drawn.time is None else _start_steps(root, drawn.moments, drawn.time)
-        way = {} if drawn.moments is None else _on_the_way(drawn.moments, drawn.contacts)
-        points = _points(drawn.scene.lattice)
-        for name, column in _of_points(drawn, points).items():
-            _put(root, steps, "PointData", name, column, way["spin"][:, points] if name == "spin" and way else None)
-        for name, column in drawn.contacts.items():
+        _write_geometry(root, geometry)
+        steps = None if moments is None or end is None else _start_steps(root, moments, end)
+        way = {} if moments is None else _on_the_way(moments, contacts)
+        for name, column in geometry.on_points(spheres).items():
+            before = way["spin"][:, geometry.sphere] if name == "spin" and way else None
+            _put(root, steps, "PointData", name, column, before)
+        for name, column in contacts.items():
             _put(root, steps, "CellData", name, column, way.get(name))
 
     write_hdf5(path, fill)
 
 
-def _over(lattice: Lattice) -> np.ndarray:
-    """Contacts across periodic sides: their lines lead on to images of the first spheres, behind the last ones."""
-    return np.flatnonzero(lattice.ends[1] < lattice.ends[0])
-
-
-def _points(lattice: Lattice) -> np.ndarray:
-    """Sphere of each point: all of them, then one an image."""
-    return np.append(np.arange(lattice.sites), lattice.ends[1, _over(lattice)])
-
-
-def _of_points(drawn: PointsAndLines, points: np.ndarray) -> dict[str, Finding]:
-    """Columns of point data; on periodic lattices they say which points are images."""
-    columns = {name: replace(column, values=column.values[points]) for name, column in drawn.spheres.items()}
-    if len(points) > drawn.scene.lattice.sites:
-        image = np.arange(len(points)) >= drawn.scene.lattice.sites
-        columns["image"] = Finding(image, "1", "sphere once more, where a contact across a periodic side leads to it")
-    return columns
-
-
-def _write_geometry(root: h5py.Group, drawn: PointsAndLines) -> None:
-    """Points at their places, height along z in 3D and along y in 2D, and the contacts as lines between them."""
-    lattice, over, ends = drawn.scene.lattice, _over(drawn.scene.lattice), drawn.ends.copy()
-    cells = np.argwhere(np.ones(lattice.shape, dtype=bool))
-    beyond = cells[ends[over, 0]] + np.eye(lattice.dimension, dtype=int)[lattice.axis[over]]
-    ends[over, 1] = lattice.sites + np.arange(len(over))
-    places = np.zeros((lattice.sites + len(over), 3))
-    places[:, : lattice.dimension] = 2 * lattice.radius * np.concatenate([cells, beyond])
-    _store(root, "Points", places, "length", "centres of the spheres")
-    root["NumberOfPoints"] = [len(places)]
+def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
+    """The points, and the contacts as lines between them."""
+    _store(root, "Points", geometry.place, "length", "centres of the spheres")
+    root["NumberOfPoints"] = [len(geometry.place)]
     for name in TOPOLOGIES:
-        pairs = ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
+        pairs = geometry.ends if name == "Lines" else np.empty((0, 2), dtype=np.int64)
         group = root.create_group(name)
         group["NumberOfCells"], group["NumberOfConnectivityIds"] = [len(pairs)], [pairs.size]
         _store(group, "Offsets", 2 * np.arange(len(pairs) + 1), "1", "first of the points of each line")

@@ -83,9 +83,9 @@ class Packing:
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
         seed = SEED.read(self.seed)
-        usual = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
+        usual: list[Any] = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
         for name, state, values in usual[: 1 + two]:
-            given = getattr(self, name)
+            given: Any = getattr(self, name)
             values = values if given is None else given
             if isinstance(values, str) or callable(values):
                 draw = Distribution.parse(values) if isinstance(values, str) else values

@@ -12,6 +12,7 @@ from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
 from taichi_bearings.files.whole_file import refuse_standing
+from taichi_bearings.runs.packing_run import analyse_packing, is_packing_run
 from taichi_bearings.runs.run import Run, settings_of
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import read_run_file
@@ -132,6 +133,10 @@ def analyse(
     from taichi_bearings.plots.style import save
     from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
 
+    if is_packing_run(path):
+        if replica:
+            raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
+        return analyse_packing(path, out, force, threshold, figures)
     with stage("reading"):
         run = read_run_file(path)
         ended = Run(settings_of(run), run.solution).status

@@ -5,23 +5,26 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import h5py
 import numpy as np
 
 from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.analysis_file import Finding, write_analysis
 from taichi_bearings.files.histogram_file import write_table
-from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5, write_text
+from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5, write_text
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, SPHERES
-from taichi_bearings.runs.run_directory import RunDirectory, default_run_path, run_directory
-from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.run import versions
+from taichi_bearings.runs.run_directory import RunDirectory, default_run_path, run_directory, writable_folder
+from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.settings import OF_PACKINGS, RunSettings, parse_toml, settings_table
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.law import law_named
@@ -41,6 +44,12 @@ ARRAYS = {
     "normal_force": ("force", "normal force of the contacts"),
 }
 """Data sets of the group /packing: unit and words."""
+STRUCTURE_COLUMNS = {
+    "domain": "rigid domain: spheres that slipless contacts make turn as one",
+    "component": "connected piece of the slipless network; a driven body joins its spheres",
+    "above_cut": "on the second body's side of the minimum cut",
+    "on_cut": "on the minimum cut",
+}
 FRICTION = {
     2: "friction on the second disc, component along z x n",
     3: "friction on the second sphere, laboratory frame",
@@ -115,13 +124,14 @@ def packing_of(settings: RunSettings) -> Packing:
     assert settings.packing is not None
     given = settings.given
     if strange := [key for key in given if key not in OF_PACKINGS]:
-        raise InputError(
-            f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(OF_PACKINGS)}"
-        )
+        used = ", ".join(OF_PACKINGS)
+        raise InputError(f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {used}")
     found = Packing.read(settings.packing)
     for key, name in (("distribution", "friction"), ("viscosity", "viscosity"), *((n, n) for n in SIZES)):
         if key in given and name in found:
-            raise InputError(f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out")
+            raise InputError(
+                f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
+            )
     others = {key: getattr(settings, key) for key in ("law", "seed", "distribution", *SIZES)}
     if len(law_named(settings.law).quantities) > 1:
         others["viscosity"] = settings.viscosity
@@ -186,9 +196,9 @@ def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) ->
         put(f"packing/{name}", values, *ARRAYS[name])
     put("spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
     for name, row in CONTACTS.items():
-        values = getattr(result, "power_per_contact" if name == "power" else name, None)
-        if values is not None:
-            put(f"contact/{name}", values, row.unit, row.text)
+        column = getattr(result, "power_per_contact" if name == "power" else name, None)
+        if column is not None:
+            put(f"contact/{name}", column, row.unit, row.text)
     put("contact/friction", result.friction, "force", FRICTION[result.packing.dimension])
 
 
@@ -198,6 +208,68 @@ def _draw(found: PackingRun) -> None:
 
     assert found.path is not None
     save(draw_histogram(found.histogram), found.path / "power_histogram.png")
+
+
+def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
+    """What is known of the spheres (N, ...) and of the contacts (E, ...), by name, for other programs."""
+    packing, structure = result.packing, PackingStructure.of(result)
+    spin = result.spin
+    if packing.dimension == 2:  # along z
+        spin = np.column_stack([np.zeros((packing.spheres, 2)), result.spin])
+    spheres = {
+        "spin": Finding(spin, SPHERES["spin"].unit, SPHERES["spin"].text),
+        "radius": Finding(np.asarray(packing.radius), *ARRAYS["radius"]),
+        "driven": Finding(packing.driven, *ARRAYS["driven"]),
+    }
+    contacts = {
+        name: Finding(getattr(result, "power_per_contact" if name == "power" else name), row.unit, row.text)
+        for name, row in CONTACTS.items()
+        if hasattr(result, name)
+    }
+    for name in ("friction", "viscosity", "normal_force"):
+        if getattr(packing, name) is not None:
+            contacts["coefficient" if name == "friction" else name] = Finding(getattr(packing, name), *ARRAYS[name])
+    of_spheres, of_contacts = structure.columns
+    spheres |= {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in of_spheres.items()}
+    contacts |= {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in of_contacts.items()}
+    return spheres, contacts
+
+
+def analyse_packing(
+    run: Path, out: Path | None = None, force: bool = False, threshold: float | None = None, figures: bool = True
+) -> dict[str, Any]:
+    """Analyse a stored run of a packing, write /analysis and the figure of the network, and return the report.
+
+    out, threshold : as of runs.analysis.analyse. Raises InputError or FileError before anything is computed.
+    """
+    from taichi_bearings.plots.packing import draw_packing
+    from taichi_bearings.plots.style import save
+
+    began = perf_counter()
+    if threshold is not None and not 0 < threshold < np.inf:
+        raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
+    with stage("reading"):
+        found = read_packing_run(run)
+    file = run / "run.h5" if run.is_dir() else run
+    target = file if out is None else out / "analysis.h5"
+    picture = target.parent / "network.png"
+    refuse_standing((target, *((picture,) if figures else ())), force or out is None)
+    with writable_folder(target.parent):
+        with stage("analysing"):
+            structure = PackingStructure.of(found.result, threshold)
+            parts = [
+                {name: Finding(v, "1", STRUCTURE_COLUMNS[name]) for name, v in c.items()} for c in structure.columns
+            ]
+        states = "decided" if threshold is None else "threshold"
+        told = ("status", "method", "law", "shape", "spheres", "contacts", "version")
+        report = structure.numbers | {"threshold": threshold, "states": states}
+        report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
+        with stage("writing"):
+            write_analysis(target, [parts[0] | parts[1]], report, into_run=out is None)
+        if figures:
+            with stage("drawing"):
+                save(draw_packing(found.result, "network"), picture)
+    return report | {"run": str(run), "files": [str(target), *([str(picture)] if figures else [])]}
 
 
 def is_packing_run(run: Path) -> bool:
@@ -223,8 +295,8 @@ def read_packing_run(run: Path) -> PackingRun:
         except InputError as error:
             raise FileError(f"{path} is damaged or was changed: {error}") from None
         arrays = {name: _whole(path, file, name, packing) for name in ("spin", *map("contact/{}".format, SETS))}
-        sets = {name.removeprefix("contact/"): values for name, values in arrays.items()}
-        number = {key: float(attributes[key]) for key in NUMBERS}
+        sets: dict[str, Any] = {name.removeprefix("contact/"): values for name, values in arrays.items()}
+        number: dict[str, Any] = {key: float(attributes[key]) for key in NUMBERS}
         motions = attributes["slipless_motions"]
         result = PackingResult(
             packing=packing,

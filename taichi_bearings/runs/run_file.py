@@ -138,6 +138,8 @@ def read_run_file(run: Path) -> StoredRun:
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
     with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
+        if "packing" in file:
+            raise FileError(f"{run} is a run of a packing, where one of a lattice is wanted")
         attributes = {
             key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()
         }

@@ -141,8 +141,8 @@ class RunSettings:
     packing: str | None = option(
         None,
         FILE,
-        "Spheres and contacts of any kind instead of a lattice: an npz or HDF5 file with arrays center, contact, driven, "
-        "spin, or a run of one. docs/packings.md says more.",
+        "Spheres and contacts of any kind instead of a lattice: an npz or HDF5 file with arrays center, contact, "
+        "driven and spin, or a run of a packing. docs/packings.md says more.",
         not_scanned="a scan is of lattices",
     )
     distribution: str = option(

@@ -21,8 +21,15 @@ from taichi_bearings.words import counted
 RUN_KIND, SCAN_KIND = "run", "scan"
 OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
-NEEDED_FIELDS = {"shape": int, "law": str, "method": str, "seed": int, "status": str, "power": float}
-FURTHER = {"gap": float, "power_normalised": float, "states_proven": bool, "coefficients": str}  # or None
+NEEDED_FIELDS = {"law": str, "method": str, "seed": int, "status": str, "power": float}
+FURTHER = {
+    "shape": int,
+    "spheres": int,
+    "gap": float,
+    "power_normalised": float,
+    "states_proven": bool,
+    "coefficients": str,
+}  # or None
 LARGEST_NUMBER = 1e300  # of a number
 BYTE_UNITS = ("B", "kB", "MB", "GB", "TB")
 
@@ -186,6 +193,8 @@ def _words_of_scan(values: Mapping[str, Any]) -> str:
 
 
 def _shape(values: Mapping[str, Any]) -> str:
+    if values.get("spheres"):
+        return f"{counted(values['spheres'], 'sphere')},"
     return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")
 
 

@@ -1,0 +1,121 @@
+"""A packing on paper: discs or spheres of their radii, coloured by how fast they turn, and its contacts."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.packing import Packing, PackingResult
+from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS
+from taichi_bearings.plots.page import PAGE, VIEW, Page
+from taichi_bearings.plots.power import POWER_COLOURS
+from taichi_bearings.plots.style import GREY, in_our_style, new_figure
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.words import meant
+
+PACKING_FIGURES = ("spins", "power", "network")
+BAR = 0.75  # inches of a colour bar with its label
+SHADE = 0.55  # of the colour of spheres that lie farthest behind
+
+
+@in_our_style
+def draw_packing(result: PackingResult, kind: str = "spins", page: Page = PAGE) -> Figure:
+    """kind : "spins", the surface speed of every sphere and, of discs, slipping contacts in black; "power", of slipping
+    contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim."""
+    if kind not in PACKING_FIGURES:
+        allowed = ", ".join(PACKING_FIGURES)
+        raise InputError(f"the figure is {kind!r}; of a packing there are {allowed}{meant(kind, PACKING_FIGURES)}")
+    packing, view = result.packing, page.view or VIEW
+    flat = packing.dimension == 2
+    seen = np.column_stack([packing.center, np.zeros(packing.spheres)]) if flat else view.seen(packing.center)
+    normal = np.asarray(packing.normal)
+    normal = np.column_stack([normal, np.zeros(packing.contacts)]) if flat else view.seen(normal)
+    radius = np.asarray(packing.radius)
+    low, high = (seen[:, :2] - radius[:, None]).min(axis=0), (seen[:, :2] + radius[:, None]).max(axis=0)
+    width = page.inches("single")
+    height = (width - BAR) * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 2.0))
+    figure = new_figure(width, height + 0.5, page.dpi)
+    axes = figure.add_subplot(aspect="equal", xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    axes.set_axis_off()
+    site = 72 * (width - BAR) / float((high - low)[0]) * float(np.median(radius))
+    chosen = result.state == (ContactState.SLIPLESS if kind == "network" else ContactState.SLIPPING)
+    words = f"{int(chosen.sum()):,} of {int((result.state != ContactState.DRIVEN).sum()):,} contacts "
+    if kind == "spins":
+        speed, fastest = _speed(result)
+        _spheres(axes, packing, seen, colormaps[SPIN_COLOURS](speed / fastest), flat)
+        if flat and chosen.sum() <= MOST_LINES:
+            _lines(axes, _walls(packing, chosen), site, colors="black")
+        label = r"$R\,|\omega|$ over the largest imposed"
+        figure.colorbar(ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=axes, label=label, shrink=0.8, pad=0.02)
+        axes.set_title(f"{_named(packing)}\n{words}slip" + (", in black" if flat else ""))
+        return figure
+    _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
+    lines = _along(packing, seen, normal, chosen)
+    if kind == "network":
+        _lines(axes, lines, site, colors=GREY)
+        axes.set_title(f"{_named(packing)}\n{words}do not slip")
+        return figure
+    power = result.power_per_contact[chosen]
+    some = power[power > 0]
+    norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
+    _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
+    label = "power of a contact (energy / time)"
+    figure.colorbar(ScalarMappable(norm, POWER_COLOURS), ax=axes, label=label, shrink=0.8, pad=0.02, extend="min")
+    axes.set_title(f"{_named(packing)}\n{words}slip")
+    return figure
+
+
+def _named(packing: Packing) -> str:
+    what = "discs" if packing.dimension == 2 else "spheres"
+    return f"{packing.spheres:,} {what}, {str(packing.law).replace('coulomb', 'Coulomb')}"
+
+
+def _speed(result: PackingResult) -> tuple[np.ndarray, float]:
+    """Surface speeds (N,), and the largest imposed one, or 1."""
+    packing = result.packing
+    surface = result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+    return np.linalg.norm(surface, axis=1), float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0)) or 1.0
+
+
+def _spheres(axes: Any, packing: Packing, seen: np.ndarray, colour: np.ndarray, flat: bool) -> None:
+    """Discs of their radii, from the back to the front, those behind darker."""
+    order = np.argsort(seen[:, 2], kind="stable")
+    colour = np.broadcast_to(colour, (packing.spheres, 4))[order].copy()
+    if not flat and np.ptp(seen[:, 2]) > 0:
+        near = (seen[order, 2] - seen[:, 2].min()) / np.ptp(seen[:, 2])
+        colour[:, :3] *= (SHADE + (1 - SHADE) * near)[:, None]
+    size = 2 * np.asarray(packing.radius)[order]
+    rim = np.where(packing.driven[order] >= 0, 0.6, 0.1)
+    axes.add_collection(
+        EllipseCollection(
+            size, size, np.zeros(len(size)), units="xy", offsets=seen[order, :2], transOffset=axes.transData,
+            facecolors=colour, edgecolors="black", linewidths=rim, rasterized=len(size) > MOST_LINES,
+        )
+    )  # fmt: skip
+
+
+def _along(packing: Packing, seen: np.ndarray, normal: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Both halves (2 n, 2, 2) of contacts, each from a centre to the contact: over a periodic side they lead out."""
+    first, second = packing.contact[chosen].T
+    radius, along = np.asarray(packing.radius)[:, None], normal[chosen, :2]
+    starts = [(seen[i, :2], seen[i, :2] + sign * radius[i] * along) for i, sign in ((first, 1), (second, -1))]
+    return np.concatenate([np.stack(ends, axis=1) for ends in starts])
+
+
+def _walls(packing: Packing, chosen: np.ndarray) -> np.ndarray:
+    """Lines (n, 2, 2) across contacts of discs, as long as the smaller radius."""
+    first, second = packing.contact[chosen].T
+    radius, normal = np.asarray(packing.radius), packing.normal[chosen]  # type: ignore[index]
+    middle = packing.center[first] + radius[first, None] * normal
+    half = 0.7 * np.minimum(radius[first], radius[second])[:, None] * np.column_stack([-normal[:, 1], normal[:, 0]])
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def _lines(axes: Any, lines: np.ndarray, site: float, **look: Any) -> None:
+    width = float(np.clip(0.15 * site, 0.3, 2.0))
+    axes.add_collection(LineCollection(list(lines), lw=width, rasterized=len(lines) > MOST_LINES, **look))
