@@ -1,26 +1,60 @@
 """bearings info"""
 
 import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option
+from taichi_bearings_cli.options import FILE_PATH, json_option
 
 
 @click.command()
+@click.argument("packing", required=False, type=FILE_PATH)
 @json_option
-def command(as_json: bool) -> None:
-    """Versions, devices, precision and cache.
+def command(packing: Path | None, as_json: bool) -> None:
+    """Versions, devices, precision and cache; or what the file PACKING holds, before anything is solved.
+
+    Of a packing: its parts, odd loops, and how many motions without any slip it has, which tells whether a bearing
+    state exists. docs/packings.md says more.
 
     \b
-    Example:
+    Examples:
       bearings info --json
+      bearings info packing.npz
     """
+    report = _of_program() if packing is None else _of_packing(packing)
+    if as_json:
+        click.echo(json.dumps(report))
+        return
+    for key, value in report.items():
+        if isinstance(value, dict):
+            value = "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
+        click.echo(f"{key.replace('_', ' '):18} {', '.join(value) if isinstance(value, list) else _word(value)}")
+
+
+def _word(value: Any) -> str:
+    return ("yes" if value else "no") if isinstance(value, bool) else "-" if value is None else str(value)
+
+
+def _of_packing(path: Path) -> dict[str, Any]:
+    """Its structure, with what follows for a bearing."""
+    from taichi_bearings.packing import Packing, structure_of
+
+    packing = Packing.load(path)
+    found = asdict(structure_of(packing))
+    motions = found["all_motions"]
+    bearing = "not decided" if motions is None else "yes" if motions else "none: no spins but rest are free of slip"
+    return {"packing": str(path), "dimension": packing.dimension, **found, "bearing_state": bearing}
+
+
+def _of_program() -> dict[str, Any]:
     from taichi_bearings import __version__, compiler, runtime
     from taichi_bearings.runs.run import versions
     from taichi_bearings.runtime import GPUS
 
     gpus = {arch: found for arch in GPUS if (found := runtime.usable(arch, "f32"))}
-    report = {
+    return {
         "version": __version__,
         **versions(),
         "devices": ["cpu", *gpus],
@@ -33,10 +67,3 @@ def command(as_json: bool) -> None:
         "threads": runtime.available_threads(),
         "kernel_cache": str(compiler.cache_folder() or "none"),
     }
-    if as_json:
-        click.echo(json.dumps(report))
-        return
-    for key, value in report.items():
-        if isinstance(value, dict):
-            value = "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
-        click.echo(f"{key.replace('_', ' '):18} {', '.join(value) if isinstance(value, list) else value}")

@@ -1,0 +1,195 @@
+"""Packings from the command line: runs, what they hold, and what others make of them."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from tests.cli.commands import bearings
+
+CONTRACT = (
+    "power", "lower_bound", "gap", "status", "method", "law", "shape", "seed", "iterations", "seconds",
+    "seconds_compile", "contacts", "slipping", "slipless", "largest_balance_residual", "run", "version",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("packings")
+    tb.Packing.lattice("bcc", (3, 3, 3), seed=3, spin_bottom=0.2).save(place / "bcc.npz")
+    bare = tb.Packing.lattice("triangular", (4, 3), periodic="x")
+    np.savez(place / "bare.npz", center=bare.center, contact=bare.contact, driven=bare.driven, spin=bare.spin,
+             normal=bare.normal)  # fmt: skip
+    for name in ("bcc", "bare"):
+        done = bearings("run", "--packing", f"{name}.npz", "--seed", "5", "--out", name, "--json", cwd=place)
+        assert done.returncode == 0, done.stderr
+        (place / f"{name}.json").write_text(done.stdout)
+    return place
+
+
+def test_a_run_says_what_is_promised_and_holds_the_arrays(folder):
+    told = json.loads((folder / "bcc.json").read_text())
+    assert set(CONTRACT) <= told.keys()
+    assert told["shape"] is None
+    assert told["status"] == "certified"
+    expected = tb.solve(tb.Packing.load(folder / "bcc.npz"))
+    assert told["power"] == expected.power
+    assert told["lower_bound"] == expected.lower_bound
+    with h5py.File(folder / "bcc" / "run.h5") as file:
+        for name, values in expected.packing.arrays().items():
+            assert np.array_equal(file[f"packing/{name}"], values), name
+        assert np.array_equal(file["spin"], expected.spin)
+        assert file["spin"].shape == (54, 3)
+        for name, values in (
+            ("slip", expected.slip), ("power", expected.power_per_contact), ("force", expected.force),
+            ("state", expected.state), ("friction", expected.friction),
+        ):  # fmt: skip
+            assert np.array_equal(file[f"contact/{name}"], values), name
+            assert {"units", "description"} <= file[f"contact/{name}"].attrs.keys()
+        assert file.attrs["power"] == told["power"]
+        assert 'packing = "run.h5"' in file.attrs["scene"]
+
+
+def test_coefficients_are_drawn_as_promised(folder):
+    found = tb.load(folder / "bare").packing
+    assert np.array_equal(found.friction, np.random.default_rng(5).uniform(0.1, 1.0, found.contacts))
+    words = (
+        "--law",
+        "coulomb-viscous",
+        "--viscosity",
+        "uniform:2,3",
+        "--radius",
+        "0.5",
+        "--distribution",
+        "constant:1",
+    )
+    done = bearings("run", "--packing", "bare.npz", *words, "--seed", "7", "--out", "viscous", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    found = tb.load(folder / "viscous").packing
+    assert np.array_equal(found.viscosity, np.random.default_rng([7, 2]).uniform(2, 3, found.contacts))
+    assert (found.friction == 1).all()
+
+
+@pytest.mark.parametrize("name", ["bcc", "bare"])
+def test_a_run_reads_back_to_the_bit_and_runs_again_from_its_directory(folder, tmp_path, name):
+    first = tb.load(folder / name)
+    assert first.save(tmp_path / "saved") == tmp_path / "saved"
+    done = bearings("run", folder / name, "--out", tmp_path / "again")
+    assert done.returncode == 0, done.stderr
+    for place in ("saved", "again"):
+        second = tb.load(tmp_path / place)
+        for key in ("spin", "slip", "force", "friction", "state", "power_per_contact"):
+            assert np.array_equal(getattr(first, key), getattr(second, key)), (place, key)
+        assert (first.power, first.lower_bound, first.proof) == (second.power, second.lower_bound, second.proof)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--packing", "bcc.npz", "--periodic", "x"), "a packing does not use it"),
+        (("--packing", "bcc.npz", "--shape", "4,4,4"), "a packing does not use it"),
+        (("--packing", "bcc.npz", "--distribution", "constant:1"), "bcc.npz holds friction"),
+        (("--packing", "bcc.npz", "--radius", "2"), "bcc.npz holds radius"),
+        (("--packing", "bcc.npz", "--viscosity", "constant:1"), "the law coulomb does not use it"),
+        (("--packing", "none.npz"), "none.npz does not exist"),
+        (("--packing", "bcc.npz", "--out", "bcc"), "already exists"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(folder, words, expected):
+    done = bearings("run", *words, cwd=folder)
+    assert expected in done.stderr
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+
+
+def test_others_draw_it_and_say_where_they_cannot(folder, tmp_path):
+    for words in (("plot", "spins"), ("plot", "power"), ("plot", "network")):
+        done = bearings(*words, folder / "bcc", "--out", tmp_path / f"{words[1]}.png")
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / f"{words[1]}.png").stat().st_size > 5000
+    done = bearings("list", folder, "--json")
+    runs = {entry["path"].split("/")[-1]: entry for entry in json.loads(done.stdout)["entries"]}
+    assert runs["bcc"]["spheres"] == 54
+    assert runs["bcc"]["status"] == "certified"
+    for words in (("plot", "history", folder / "bcc"), ("movie", folder / "bcc")):
+        done = bearings(*words)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert "packing" in done.stderr
+
+
+def test_paraview_gets_every_sphere_and_contact_and_images_over_periodic_sides(folder, tmp_path):
+    done = bearings("export", folder / "bare", "--out", tmp_path / "a.vtkhdf", "--json")
+    told, packing = json.loads(done.stdout), tb.load(folder / "bare").packing
+    assert (told["points"], told["lines"]) == (packing.spheres, packing.contacts)
+    assert told["images"] > 0
+    with h5py.File(tmp_path / "a.vtkhdf") as file:
+        points, ends = file["VTKHDF/Points"][()], file["VTKHDF/Lines/Connectivity"][()].reshape(-1, 2)
+        step = points[ends[:, 1]] - points[ends[:, 0]]
+        assert np.allclose(step[:, :2], packing.normal, atol=1e-9)  # of discs of diameter 1, images in their places
+        assert len(file["VTKHDF/PointData/spin"]) == len(points)
+        assert np.array_equal(file["VTKHDF/CellData/slip"], tb.load(folder / "bare").slip)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
+    scene = tb.Scene.random((6, 6, 6), seed=seed, spin_bottom=0.2)
+    expected = tb.analyse(tb.solve(scene, threads=1)).report
+    friction = np.concatenate([values.ravel() for values in scene.coefficients])
+    found = tb.solve(tb.Packing.lattice("cubic", (6, 6, 6), friction=friction, spin_bottom=0.2))
+    found.save(tmp_path / "run")
+    done = bearings("analyse", tmp_path / "run", "--json")
+    report = json.loads(done.stdout)
+    assert tb.analyse(found).spans == expected["spans"]
+    for name in ("power", "power_minimum_cut", "power_over_cut", "slipless_fraction", "reached_fraction"):
+        assert report[name] == pytest.approx(expected[name], rel=1e-9), name
+    for name in ("cut_is_unique", "cut_contacts", "components", "spans", "shortest_path", "disjoint_paths"):
+        assert report[name] == expected[name], name
+    assert report["spanning_fraction"] == pytest.approx(expected["spanning_fraction"])
+    with h5py.File(tmp_path / "run" / "run.h5") as file:
+        assert np.array_equal(file["analysis/on_cut"], tb.analyse(found).interface.contacts)
+    assert tb.load(tmp_path / "run").power == found.power  # the file is whole with its new group
+
+
+def test_structure_before_anything_is_solved(folder):
+    told = json.loads(bearings("info", folder / "bcc.npz", "--json").stdout)  # two corners dangle at one contact
+    assert told["bipartite"]
+    assert told["all_motions"] == 6
+    assert told["bearing_state"] == "yes"
+    told = json.loads(bearings("info", folder / "bare.npz", "--json").stdout)
+    assert not told["bipartite"]
+    assert told["smallest_odd_loop"] == 3
+    assert told["all_motions"] == 0
+
+
+def _replaced(file, name, values):
+    del file[name]
+    file[name] = values
+
+
+DAMAGES = {
+    "a state that is none": lambda file: file["contact/state"].__setitem__(0, 9),
+    "not-a-number": lambda file: file["spin"].__setitem__(0, np.nan),
+    "a contact of nothing": lambda file: file["packing/contact"].__setitem__((0, 0), 10**6),
+    "a shape that does not fit": lambda file: _replaced(file, "contact/slip", np.ones(3)),
+    "a status that is none": lambda file: file.attrs.__setitem__("status", "perfect"),
+    "no power": lambda file: file.attrs.__delitem__("power"),
+    "no scene": lambda file: file.attrs.__delitem__("scene"),
+    "no spins": lambda file: file.__delitem__("spin"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_file_is_one_sentence(folder, tmp_path, name):
+    from taichi_bearings.checksums import seal
+
+    file = tmp_path / "run.h5"
+    file.write_bytes((folder / "bcc" / "run.h5").read_bytes())
+    with h5py.File(file, "r+") as stored:
+        DAMAGES[name](stored)
+        seal(stored)
+    with pytest.raises(tb.FileError) as refused:
+        tb.load(file)
+    assert str(file) in str(refused.value)
+    assert "\n" not in str(refused.value)
