@@ -19,7 +19,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.words import meant
 
 PACKING_FIGURES = ("spins", "power", "network")
-BAR = 0.75  # inches of a colour bar with its label
+PACKING_BAR = 0.75  # inches of a colour bar with its label
 SHADE = 0.55  # of the colour of spheres that lie farthest behind
 
 
@@ -38,11 +38,11 @@ def draw_packing(result: PackingResult, kind: str = "spins", page: Page = PAGE) 
     radius = np.asarray(packing.radius)
     low, high = (seen[:, :2] - radius[:, None]).min(axis=0), (seen[:, :2] + radius[:, None]).max(axis=0)
     width = page.inches("single")
-    height = (width - BAR) * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 2.0))
+    height = (width - PACKING_BAR) * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 2.0))
     figure = new_figure(width, height + 0.5, page.dpi)
     axes = figure.add_subplot(aspect="equal", xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_axis_off()
-    site = 72 * (width - BAR) / float((high - low)[0]) * float(np.median(radius))
+    site = 72 * (width - PACKING_BAR) / float((high - low)[0]) * float(np.median(radius))
     chosen = result.state == (ContactState.SLIPLESS if kind == "network" else ContactState.SLIPPING)
     words = f"{int(chosen.sum()):,} of {int((result.state != ContactState.DRIVEN).sum()):,} contacts "
     if kind == "spins":

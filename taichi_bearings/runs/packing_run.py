@@ -32,7 +32,7 @@ from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import shown
 
-ARRAYS = {
+PACKING_ARRAYS = {
     "center": ("length", "centres of the spheres"),
     "contact": ("1", "first and second sphere of each contact"),
     "driven": ("1", "-1 for a free sphere, else the number of its driven body"),
@@ -50,13 +50,13 @@ STRUCTURE_COLUMNS = {
     "above_cut": "on the second body's side of the minimum cut",
     "on_cut": "on the minimum cut",
 }
-FRICTION = {
+FRICTION_OF_SECOND = {
     2: "friction on the second disc, component along z x n",
     3: "friction on the second sphere, laboratory frame",
 }
 """By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-SETS = ("slip", "power", "force", "state", "friction")  # of the group /contact
-NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
+CONTACT_SETS = ("slip", "power", "force", "state", "friction")  # of the group /contact
+READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
 SIZES = ("radius", "normal_force")
 
 
@@ -193,13 +193,13 @@ def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) ->
         stored.attrs["units"], stored.attrs["description"] = unit, text
 
     for name, values in result.packing.arrays().items():
-        put(f"packing/{name}", values, *ARRAYS[name])
+        put(f"packing/{name}", values, *PACKING_ARRAYS[name])
     put("spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
     for name, row in CONTACTS.items():
         column = getattr(result, "power_per_contact" if name == "power" else name, None)
         if column is not None:
             put(f"contact/{name}", column, row.unit, row.text)
-    put("contact/friction", result.friction, "force", FRICTION[result.packing.dimension])
+    put("contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
 
 
 def _draw(found: PackingRun) -> None:
@@ -218,8 +218,8 @@ def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[
         spin = np.column_stack([np.zeros((packing.spheres, 2)), result.spin])
     spheres = {
         "spin": Finding(spin, SPHERES["spin"].unit, SPHERES["spin"].text),
-        "radius": Finding(np.asarray(packing.radius), *ARRAYS["radius"]),
-        "driven": Finding(packing.driven, *ARRAYS["driven"]),
+        "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
+        "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
     }
     contacts = {
         name: Finding(getattr(result, "power_per_contact" if name == "power" else name), row.unit, row.text)
@@ -228,7 +228,9 @@ def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[
     }
     for name in ("friction", "viscosity", "normal_force"):
         if getattr(packing, name) is not None:
-            contacts["coefficient" if name == "friction" else name] = Finding(getattr(packing, name), *ARRAYS[name])
+            contacts["coefficient" if name == "friction" else name] = Finding(
+                getattr(packing, name), *PACKING_ARRAYS[name]
+            )
     of_spheres, of_contacts = structure.columns
     spheres |= {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in of_spheres.items()}
     contacts |= {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in of_contacts.items()}
@@ -294,9 +296,9 @@ def read_packing_run(run: Path) -> PackingRun:
             packing = packing_of(replace(settings, packing=str(path)))
         except InputError as error:
             raise FileError(f"{path} is damaged or was changed: {error}") from None
-        arrays = {name: _whole(path, file, name, packing) for name in ("spin", *map("contact/{}".format, SETS))}
+        arrays = {name: _whole(path, file, name, packing) for name in ("spin", *map("contact/{}".format, CONTACT_SETS))}
         sets: dict[str, Any] = {name.removeprefix("contact/"): values for name, values in arrays.items()}
-        number: dict[str, Any] = {key: float(attributes[key]) for key in NUMBERS}
+        number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
         motions = attributes["slipless_motions"]
         result = PackingResult(
             packing=packing,
