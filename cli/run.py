@@ -101,7 +101,7 @@ def _new(scene: str | None, out: str | None, force: bool, given: dict[str, Any])
         raise InputError(f"out is {stored_out!r}; it must be a text")
     out = out or stored_out
     settings = RunSettings.from_mapping(values | given, scene or "the options")
-    if settings.packing is not None:
+    if settings.is_packing:
         from taichi_bearings.runs.packing_run import run_packing as run  # type: ignore[assignment]
     return partial(run, settings, Path(out) if out else None, force), out
 

@@ -37,13 +37,14 @@ KINDS = {
     "fcc": Cell((2**0.5,) * 3, FACES, None),
     "diamond": Cell((4 / 3**0.5,) * 3, FACES + QUARTER, ((0, 0, 0, 0, 1, 1, 1, 1), (0, 0, 0))),
 }  # fmt: skip
-Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, set[int]]
 
 
 def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
-    """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and sides (N,): 0 at the bottom, 1
-    on the top, else -1. Spheres are in the order of their cells, contacts bond by bond, of a cubic lattice axis by
-    axis as in scenes."""
+    """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and the periodic axes.
+
+    Spheres are in the order of their cells, contacts bond by bond, of a cubic lattice axis by axis as in scenes.
+    """
     cell = KINDS[kind]
     dimension = len(cell.size)
     if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):
@@ -60,11 +61,47 @@ def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
     sign = np.ones(len(place))
     if cell.parity is not None:
         sign = np.where((np.array(cell.parity[0]) + (grid @ np.array(cell.parity[1]))[:, None]).ravel() % 2, -1.0, 1.0)
-    side, height = np.full(len(place), -1), place[:, -1]
-    if dimension - 1 not in closed:
-        side[height > height.max() - 1e-6] = 1
-        side[height < height.min() + 1e-6] = 0
-    return place, contact, normal, sign, side
+    return place, contact, normal, sign, closed
+
+
+def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarray:
+    """(N,) 0 at the bottom, 1 on the top, -1 for free spheres. place : (N, D), diameters. closed : periodic axes.
+
+    driven : "planes", "walls" or "shaft:r", as of `Packing.lattice`. InputError for what is none of these.
+    """
+    kind, _, size = driven.partition(":") if isinstance(driven, str) else ("", "", "")
+    body = np.full(len(place), -1)
+    if kind in ("planes", "walls") and not size:
+        axis = place.shape[1] - 1 if kind == "planes" else 0
+        if kind == "walls" and axis in closed:
+            raise InputError(f"driven is {driven!r}, but x is periodic: no wall stands at its ends")
+        if axis not in closed:
+            body[_ends(place, axis, 1)], body[_ends(place, axis, -1)] = 1, 0
+        return body
+    try:
+        radius = float(size) if kind == "shaft" else np.nan
+    except ValueError:
+        radius = np.nan
+    if not 0 < radius < np.inf:
+        raise InputError(
+            f"driven is {shown(driven)}; it must be planes, walls, or shaft:r with its radius in diameters"
+        )
+    if named := [AXES[axis] for axis in (0, 1) if axis in closed]:
+        raise InputError(f"driven is {driven!r}, whose walls are at the ends of x and y, but {named[0]} is periodic")
+    for axis in (0, 1):
+        body[_ends(place, axis, 1) | _ends(place, axis, -1)] = 0
+    middle = (place[:, :2].min(axis=0) + place[:, :2].max(axis=0)) / 2
+    shaft = np.linalg.norm(place[:, :2] - middle, axis=1) <= radius * (1 + 1e-12)
+    if not shaft.any() or (body[shaft] == 0).any():
+        raise InputError(f"driven is {driven!r}: the shaft {'reaches the walls' if shaft.any() else 'holds no sphere'}")
+    body[shaft] = 1
+    return body
+
+
+def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
+    """True for the spheres (N,) that lie at the end of an axis, or at its beginning, side -1."""
+    height = side * place[:, axis]
+    return np.asarray(height > height.max() - 1e-6)
 
 
 def _closed(periodic: Any, dimension: int) -> set[int]:

@@ -16,7 +16,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.options import SEED
 from taichi_bearings.packing import checks
-from taichi_bearings.packing.lattices import KINDS, built
+from taichi_bearings.packing.lattices import KINDS, built, driven_bodies
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.given import finite_number, own_array
@@ -130,29 +130,30 @@ class Packing:
 
     @classmethod
     def lattice(cls, kind: str, cells: Any, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":
-        """Spheres of a lattice, its lowest and highest layer along the last axis driven as bodies 0 and 1.
+        """Spheres of a lattice, two bodies of them driven: 0, the bottom, and 1, the top.
 
         kind : "square", "triangular", "honeycomb" (discs), "cubic", "bcc", "fcc", "diamond". cells : along each axis,
             of the rectangular cell with 1, 2, 4, 1, 2, 4 and 8 spheres. periodic : names of axes that close on
             themselves, ("x", "y"); with the last one among them nothing is driven. seed : of the coefficients.
         others : `radius`, one for all, length; `spin_top`, `spin_bottom` (1/time; 1 and 0) about `direction` (of
-            spheres; (1, 1, 0)), with the sign of the sublattice where there are two; and fields of this class.
+            spheres; (1, 1, 0)), with the sign of the sublattice where there are two, or the bearing states `top`,
+            `bottom`, (A_x, A_y, A_z, C) as of scenes; `driven`, what the bodies are: "planes", the lowest and the
+            highest layer along the last axis; "walls", those along x; "shaft:r", all walls along x and y and the
+            spheres within r diameters of the vertical axis through the middle, of discs of the middle; and fields of
+            this class.
         """
         if kind not in KINDS:
             raise InputError(f"kind is {shown(kind)}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
         radius = finite_number("radius", others.pop("radius", 0.5))
-        top, bottom = (finite_number(n, others.pop(n, d)) for n, d in (("spin_top", 1.0), ("spin_bottom", 0.0)))
-        direction = own_array("components of direction", others.pop("direction", (1.0, 1.0, 0.0)))
-        if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
-            raise InputError(f"direction is {shown(direction)}; it must be a vector that is not 0")
-        place, contact, normal, sign, side = built(kind, _whole(cells), periodic)
-        spin = sign * np.where(side == 0, bottom, top) * (side >= 0)
-        if place.shape[1] == 3:
-            spin = spin[:, None] * (direction / np.linalg.norm(direction))
+        place, contact, normal, sign, closed = built(kind, _whole(cells), periodic)
+        body = driven_bodies(place, closed, others.pop("driven", "planes"))
+        state = _states(others, place.shape[1])[np.maximum(body, 0)]  # (N, 4)
+        spin = sign[:, None] * (body >= 0)[:, None] * (state[:, :3] + state[:, 3:] * 2 * radius * _in_space(place))
+        spin = spin if place.shape[1] == 3 else spin[:, 2]
         known = {f.name for f in fields(cls) if f.init} - {"center", "contact", "driven", "spin", "normal", "radius"}
         if strange := [name for name in others if name not in known]:
             raise InputError(f"{strange[0]} is no part of a lattice{meant(strange[0], known)}")
-        return cls(2 * radius * place, contact, side, spin, radius, normal, seed=seed, **others)
+        return cls(2 * radius * place, contact, body, spin, radius, normal, seed=seed, **others)
 
     @classmethod
     def load(cls, path: str | Path, **others: Any) -> "Packing":
@@ -198,6 +199,30 @@ class Packing:
         except OSError as error:
             raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
         return path
+
+
+def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
+    """Bearing states (2, 4) of bottom and top: A and C. given : what says so is taken out."""
+    spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]
+    direction = own_array("components of direction", given.pop("direction", (1.0, 1.0, 0.0)))
+    if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
+        raise InputError(f"direction is {shown(direction)}; it must be a vector that is not 0")
+    states = [given.pop(name, None) for name in ("bottom", "top")]
+    if states == [None, None]:
+        axis = direction / np.linalg.norm(direction) if dimension == 3 else np.array([0.0, 0.0, 1.0])
+        return np.column_stack([np.outer(spins, axis), np.zeros(2)])
+    found = np.zeros((2, 4))
+    for row, name, state in zip(found, ("bottom", "top"), states, strict=True):
+        numbers = own_array(f"components of {name}", np.zeros(1) if state is None else state).ravel()
+        if len(numbers) not in ((1, 3, 4) if state is None else (1,) if dimension == 2 else (3, 4)):
+            raise InputError(f"{name} is {shown(state)}; it must be A and C, of discs one number")
+        if state is not None:
+            row[2 if dimension == 2 else slice(len(numbers))] = numbers if dimension == 3 else numbers[0]
+    return found
+
+
+def _in_space(place: np.ndarray) -> np.ndarray:
+    return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
 
 
 def _whole(cells: Any) -> tuple[int, ...]:

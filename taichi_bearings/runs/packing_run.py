@@ -19,15 +19,18 @@ from taichi_bearings.files.histogram_file import write_table
 from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5, write_text
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.interrupts import awaited
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, SPHERES
 from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.run_directory import RunDirectory, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
-from taichi_bearings.runs.settings import OF_PACKINGS, RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
 from taichi_bearings.scene import Status
+from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
+from taichi_bearings.solvers.table import InteriorPoint
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import shown
@@ -58,6 +61,7 @@ FRICTION_OF_SECOND = {
 CONTACT_SETS = ("slip", "power", "force", "state", "friction")  # of the group /contact
 READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
 SIZES = ("radius", "normal_force")
+KEPT = ("law", "tolerance", "seed", "threads", "figures")  # keys in scene.toml; run.h5 has what the others led to
 
 
 @dataclass(frozen=True)
@@ -120,12 +124,18 @@ class PackingRun:
 
 
 def packing_of(settings: RunSettings) -> Packing:
-    """The packing that the settings describe: the arrays of its file, and of the settings what that lacks."""
-    assert settings.packing is not None
+    """The packing that the settings describe: the arrays of its file, and of the settings what that lacks; or a lattice
+    with other driven bodies than planes."""
     given = settings.given
-    if strange := [key for key in given if key not in OF_PACKINGS]:
-        used = ", ".join(OF_PACKINGS)
-        raise InputError(f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {used}")
+    used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
+    if strange := [key for key in given if key not in used]:
+        raise InputError(
+            f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
+        )
+    if unused := settings.unused(InteriorPoint):
+        raise InputError(next(iter(unused.values())))
+    if settings.packing is None:
+        return _lattice(settings)
     found = Packing.read(settings.packing)
     for key, name in (("distribution", "friction"), ("viscosity", "viscosity"), *((n, n) for n in SIZES)):
         if key in given and name in found:
@@ -133,11 +143,28 @@ def packing_of(settings: RunSettings) -> Packing:
                 f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
             )
     others = {key: getattr(settings, key) for key in ("law", "seed", "distribution", *SIZES)}
-    if len(law_named(settings.law).quantities) > 1:
-        others["viscosity"] = settings.viscosity
-    elif "viscosity" in given:
-        raise InputError(f"viscosity is {shown(settings.viscosity)}, but the law {settings.law} does not use it")
-    return Packing(**{**others, **found})
+    return Packing(**{**others, **_drawn_viscosity(settings), **found})
+
+
+def _drawn_viscosity(settings: RunSettings) -> dict[str, str]:
+    return {"viscosity": settings.viscosity} if len(law_named(settings.law).quantities) > 1 else {}
+
+
+def _lattice(settings: RunSettings) -> Packing:
+    """A square or cubic lattice with the coefficients that it has between planes."""
+    names = ("periodic", "seed", "law", "distribution", "driven", "spin_top", "spin_bottom", "top", "bottom", *SIZES)
+    others = {key: getattr(settings, key) for key in names} | _drawn_viscosity(settings)
+    if len(settings.shape) == 3:
+        others["direction"] = settings.direction
+    if settings.coefficients is not None:
+        file = Path(settings.coefficients)
+        groups = ("coefficient", "viscosity")[: len(law_named(settings.law).quantities)]
+        for name, group in zip(("friction", "viscosity"), groups, strict=False):
+            found = read_coefficients(file, group, len(settings.shape))
+            if Lattice.of(found).shape != settings.shape or found[0].ndim > len(settings.shape):
+                raise InputError(f"coefficients is {settings.coefficients!r}, which is not of this one lattice")
+            others[name] = np.concatenate([part.ravel() for part in found])
+    return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)
 
 
 def run_packing(settings: RunSettings, out: Path | None = None, force: bool = False) -> PackingRun:
@@ -172,9 +199,7 @@ def publish_packing(directory: RunDirectory, found: PackingRun) -> PackingRun:
 
 
 def _write(folder: Path, found: PackingRun) -> None:
-    arrays = settings_table()  # run.h5 has what these keys led to
-    own = {key: arrays[key].default for key in ("distribution", "viscosity", *SIZES)}
-    stored = replace(found.settings, packing="run.h5", **own)
+    stored = replace(RunSettings(packing="run.h5"), **{key: getattr(found.settings, key) for key in KEPT})
     origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
     write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
     write_text(folder / "scene.toml", stored.to_toml())

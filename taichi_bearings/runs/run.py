@@ -47,8 +47,9 @@ from taichi_bearings.words import counted
 
 def build_scene(settings: RunSettings) -> Scene:
     """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
-    if settings.packing is not None:
-        raise InputError(f"packing is {settings.packing!r}, which `bearings run` takes; here a lattice is wanted")
+    if settings.is_packing:
+        key = "driven" if settings.packing is None else "packing"
+        raise InputError(f"{key} is {getattr(settings, key)!r}: that is for `bearings run` alone, not for this command")
     given = {key: getattr(settings, key) for key in Scene.PARAMETERS} | {"law": settings.law}
     has_viscosities = len(law_named(settings.law).quantities) > 1
     if settings.coefficients is None:

@@ -74,10 +74,12 @@ THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", 
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 
+PLANES = "planes"
+OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 OF_PACKINGS = (
     "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "threads", "figures",
 )  # fmt: skip
-"""Keys of a run that a packing uses."""
+"""Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
 
@@ -123,6 +125,14 @@ class RunSettings:
         (),
         PERIODIC_AXES,
         "Axes, not the height, along which the last spheres touch the first; their lengths must be even.",
+    )
+    driven: str = option(
+        PLANES,
+        TEXT,
+        "What turns as bottom and as top: planes, the lowest and highest layer; walls, the first and the last layer "
+        "along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the axis in the middle. "
+        "Other bodies than planes make a packing (docs/packings.md).",
+        not_scanned="a scan is of lattices between planes",
     )
     torque: float | None = how(
         None,
@@ -254,6 +264,11 @@ class RunSettings:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
         lines = [f"{key} = {toml_value(value)}" for key, value in self.described.items() if value is not None]
         return "\n".join(lines) + "\n"
+
+    @property
+    def is_packing(self) -> bool:
+        """True for a packing out of a file, and for a lattice with other driven bodies than planes."""
+        return self.packing is not None or self.driven != PLANES
 
     @property
     def described(self) -> dict[str, Any]:
