@@ -74,7 +74,7 @@ THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", 
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 
-PLANES = "planes"
+BETWEEN_PLANES = "planes"
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 OF_PACKINGS = (
     "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "threads", "figures",
@@ -127,7 +127,7 @@ class RunSettings:
         "Axes, not the height, along which the last spheres touch the first; their lengths must be even.",
     )
     driven: str = option(
-        PLANES,
+        BETWEEN_PLANES,
         TEXT,
         "What turns as bottom and as top: planes, the lowest and highest layer; walls, the first and the last layer "
         "along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the axis in the middle. "
@@ -268,7 +268,7 @@ class RunSettings:
     @property
     def is_packing(self) -> bool:
         """True for a packing out of a file, and for a lattice with other driven bodies than planes."""
-        return self.packing is not None or self.driven != PLANES
+        return self.packing is not None or self.driven != BETWEEN_PLANES
 
     @property
     def described(self) -> dict[str, Any]:
