@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+import taichi_bearings as tb
 from tests.fuzz.answers import answer_to
 
 SCAN = """shape = [4, 5]
@@ -64,6 +65,11 @@ def make_corpus(folder: Path) -> Corpus:
     x, y = np.full((3, 5), 0.5), np.full((4, 4), 0.25)
     np.savez(folder / "coefficients.npz", x=x, y=y, x_viscosity=x, y_viscosity=y)
     np.savez_compressed(folder / "packed.npz", x=x, y=y)
+    packing = tb.Packing.lattice("bcc", (2, 2, 2), law="coulomb-viscous", driven="planes", seed=1)
+    np.savez_compressed(folder / "bearing.npz", **packing.arrays())
+    packing.save(folder / "bearing.h5")
+    _made("run", "--packing", folder / "bearing.npz", "--figures", "none", "--out", folder / "bearing")
+    _made("analyse", folder / "bearing", "--no-figures")
     np.savez(folder / "spin.npz", spin=np.zeros((4, 5)))
     np.save(folder / "spin.npy", np.zeros((4, 5)))
     return Corpus(folder, tuple(folder / name for name in runs), folder / "resumable", folder / "scan")

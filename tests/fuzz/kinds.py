@@ -334,6 +334,36 @@ def histogram_files(corpus: Corpus, folder: Path, draw: random.Random) -> Answer
     return _as_run(file, folder, draw, figures=0)
 
 
+def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    name = draw.choice(["bearing.npz", "bearing.h5"])
+    file, good = folder / name, (corpus.folder / name).read_bytes()
+    if name.endswith(".npz"):
+        file.write_bytes(npz_made(draw, good))
+    else:
+        file.write_bytes(good)
+        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
+    if draw.random() < 0.3:
+        file.write_bytes(bytes_changed(file.read_bytes(), draw))
+    words = ["info", file] if draw.random() < 0.3 else ["run", "--packing", file, "--out", folder / "out"]
+    return answer_to(*words, *(["--figures", "none"] if words[0] == "run" else []))
+
+
+def packing_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    file = folder / "run.h5"
+    file.write_bytes((corpus.folder / "bearing" / "run.h5").read_bytes())
+    if draw.random() < 0.7:
+        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
+    else:
+        file.write_bytes(bytes_changed(file.read_bytes(), draw))
+    words = [
+        ("verify", file), ("analyse", file, "--no-figures"), ("export", file), ("list", folder), ("view", file),
+        ("run", file, "--out", folder / "out", "--figures", "none"),
+    ]  # fmt: skip
+    if draw.random() < 0.05:
+        return answer_to("plot", draw.choice(["spins", "power", "network"]), file, "--out", folder / "out.png")
+    return answer_to(*draw.choice(words))
+
+
 KINDS: dict[str, tuple[Callable[[Corpus, Path, random.Random], Answer], int]] = {  # name -> (function, share of 1000)
     "options": (options, 300),
     "other options": (other_options, 4),
@@ -341,6 +371,8 @@ KINDS: dict[str, tuple[Callable[[Corpus, Path, random.Random], Answer], int]] = 
     "scene.toml": (scene_toml, 330),
     "scan.toml": (scan_toml, 190),
     "npz and npy": (arrays, 80),
+    "packings": (packings, 60),
+    "run.h5 of a packing": (packing_runs, 40),
     "journals": (journals, 30),
     "run.h5, bytes": (run_bytes, 15),
     "run.h5, content": (run_content, 20),
