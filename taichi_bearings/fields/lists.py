@@ -10,22 +10,37 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
-from taichi_bearings.fields.fields import MOST_FIELD_NUMBERS, FieldSpec, number_type, on_device, team_size
+from taichi_bearings.fields.fields import (
+    CPU_BLOCK,
+    MOST_FIELD_NUMBERS,
+    FieldSpec,
+    number_type,
+    on_device,
+    one_block,
+    team_size,
+)
+from taichi_bearings.memory import aligned_zeros
 
 ListSpec = tuple[FieldSpec, FieldSpec]
 """(name, numbers) of what each sphere has, and of what each contact has."""
+
+
+def list_block() -> int:
+    """Spheres or contacts that a kernel works on together."""
+    return 1 if runtime.current().is_gpu else CPU_BLOCK
 
 
 @dataclass(frozen=True)
 class Lists:
     """Who touches whom, in memory. sphere, contact : numbers in the packing of those that stand here, by place.
 
-    ends : (2 E,), places of the spheres of each contact. start, incident : of each sphere its contacts,
-    incident[start[i] : start[i + 1]].
+    size : lengths of the rows of spheres and contacts, whole blocks. ends : (2 size[1],), places of the first sphere of
+    each contact, then of the second. start, incident : of each sphere its contacts, incident[start[i] : start[i + 1]].
     """
 
     sphere: np.ndarray
     contact: np.ndarray
+    size: tuple[int, int]
     ends: np.ndarray
     start: np.ndarray
     incident: np.ndarray
@@ -33,7 +48,7 @@ class Lists:
     @classmethod
     def of(cls, spheres: int, pairs: np.ndarray) -> "Lists":
         """pairs : (E, 2). Spheres by reverse Cuthill and McKee, contacts by their first sphere there."""
-        ones = np.ones(2 * len(pairs), dtype=np.int8)
+        ones, block = np.ones(2 * len(pairs), dtype=np.int8), list_block()
         graph = sparse.csr_array((ones, (pairs.T.ravel(), pairs[:, ::-1].T.ravel())), shape=(spheres, spheres))
         sphere = reverse_cuthill_mckee(graph, symmetric_mode=True)
         place = np.empty(spheres, dtype=np.int64)
@@ -41,58 +56,52 @@ class Lists:
         ends = np.sort(place[pairs], axis=1)
         contact = np.lexsort((ends[:, 1], ends[:, 0]))
         ends = ends[contact]
-        incident = np.argsort(ends.ravel(), kind="stable") // 2
-        start = np.concatenate([[0], np.cumsum(np.bincount(ends.ravel(), minlength=spheres))])
-        return cls(sphere, contact, *(values.astype(np.int32).ravel() for values in (ends, start, incident)))
+        size = tuple(block * max(1, -(-count // block)) for count in (spheres, len(pairs)))
+        rows = np.zeros((2, size[1]), dtype=np.int32)
+        rows[:, : len(pairs)] = ends.T
+        incident = np.append(np.argsort(ends.ravel(), kind="stable") // 2, 0)
+        start = np.append(0, np.cumsum(np.bincount(ends.ravel(), minlength=size[0])))
+        return cls(sphere, contact, size, rows.ravel(), start.astype(np.int32), incident.astype(np.int32))
 
 
 class ListFields:
     """What `Fields` is on lattices, with arrays (C, 1, N) of spheres and (C, 1, E) of contacts; all 0 at first."""
 
     def __init__(self, lists: Lists, spec: ListSpec) -> None:
-        self.lists, self.spec = lists, spec
-        self._place: dict[str, tuple[slice, np.ndarray]] = {}
+        self._place: dict[str, tuple[slice, int, np.ndarray]] = {}
         end = 0
-        for names, order in zip(spec, (lists.sphere, lists.contact), strict=True):
+        for names, order, size in zip(spec, (lists.sphere, lists.contact), lists.size, strict=True):
             for name, count in names:
-                self._place[name] = slice(end, end + count * len(order)), order
-                end += count * len(order)
+                self._place[name] = slice(end, end + count * size), count, order
+                end += count * size
         if end > MOST_FIELD_NUMBERS:
             raise DeviceError(f"{len(lists.sphere)} spheres are too many here: {end} numbers of {MOST_FIELD_NUMBERS}")
-        self.values = on_device(np.zeros(end))
-        self.blocks, start, incident = (self._integers(values) for values in (lists.ends, lists.start, lists.incident))
-        self.layout = SimpleNamespace(measures=(start, incident, len(lists.sphere), len(lists.contact)))
+        self.on_gpu = runtime.current().is_gpu
+        self.values: Any = on_device(np.zeros(end)) if self.on_gpu else aligned_zeros(end, CPU_BLOCK, number_type())
+        self.blocks = one_block() if self.on_gpu else self.values.reshape(-1, CPU_BLOCK)
+        parts = (on_device(part, "i32") for part in (lists.ends, lists.start, lists.incident))
         spheres: Any = SimpleNamespace(sites=len(lists.sphere))
+        self.layout = SimpleNamespace(measures=(*parts, *lists.size))
         self.team_size = team_size(spheres, sum(count for _, count in spec[0]))
 
-    @staticmethod
-    def _integers(values: np.ndarray) -> Any:
-        if not runtime.current().is_gpu:
-            return values if len(values) else np.zeros(1, np.int32)
-        from taichi_bearings.compiler import ti
-
-        array = ti.ndarray(ti.i32, max(len(values), 1))
-        array.from_numpy(values if len(values) else np.zeros(1, np.int32))
-        return array
-
     def _host(self) -> np.ndarray:
-        return self.values if isinstance(self.values, np.ndarray) else self.values.to_numpy()
+        return self.values.to_numpy() if self.on_gpu else self.values
 
     def load(self, name: str, values: np.ndarray) -> None:
         """Set a field from (C, 1, N) or (C, 1, E)."""
-        (where, order), host = self._place[name], self._host()
-        host[where] = values.reshape(len(values), -1)[:, order].T.ravel().astype(number_type())
-        if host is not self.values:
+        where, count, order = self._place[name]
+        host = self._host()
+        host[where].reshape(count, -1)[:, : len(order)] = values.reshape(count, -1)[:, order]
+        if self.on_gpu:
             self.values.from_numpy(host)
 
     def read(self, name: str) -> np.ndarray:
         """A field as (C, 1, N) or (C, 1, E), float64."""
-        where, order = self._place[name]
-        stored = self._host()[where].reshape(len(order), -1).T
-        found = np.empty(stored.shape)
-        found[:, order] = stored
-        return found[:, None]
+        where, count, order = self._place[name]
+        found = np.empty((count, 1, len(order)))
+        found[:, 0, order] = self._host()[where].reshape(count, -1)[:, : len(order)]
+        return found
 
     def clear(self, name: str) -> None:
-        where, order = self._place[name]
-        self.load(name, np.zeros(((where.stop - where.start) // max(len(order), 1), 1, len(order))))
+        _, count, order = self._place[name]
+        self.load(name, np.zeros((count, 1, len(order))))

@@ -2,19 +2,18 @@
 
 With u = R omega and two unit tangents T of a contact its slip is y = T (u_i + u_j), and its friction pulls both spheres
 by -T f: no side, no sign. A pass over the contacts writes T f, a pass over the spheres gathers it from the contacts of
-each, in the order of a list: no atomics, and the same bits on any number of threads. What a sphere or contact has by
-one name stands together, and spheres in an order in which neighbours are near (fields/lists.py).
+each, in the order of a list: no atomics, and the same bits on any number of threads. Both walk in blocks, row by row as
+on lattices; what they gather from elsewhere is near, by the order of the lists (fields/lists.py).
 """
 
 from functools import lru_cache
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields import FieldSpec, first_slots
-from taichi_bearings.fields.lists import ListSpec
+from taichi_bearings.fields.lists import ListSpec, list_block
 from taichi_bearings.kernels.contact import FORCES, viscous_force
 from taichi_bearings.kernels.cundall_strack import SpringsAndSpins
 from taichi_bearings.kernels.descent import momentum
-from taichi_bearings.kernels.memory import VALUES
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, places, store, store_each, zero
 from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Sweeps, meet
 
 LIST = ti.types.ndarray(dtype=ti.i32, ndim=1)
@@ -30,129 +29,140 @@ def list_sweeps(sweeps: type["ListSweeps"], spec: ListSpec, law: str, corrector:
 class ListSweeps(Sweeps):
     """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin.
 
-    Fields of all: of contacts `across` (d, C), but for discs, `coefficient`, `viscosity`, and `force`, T f, (C).
+    Fields of all: of contacts `across` (d C), but for discs, `coefficient`, `viscosity`, and `force`, T f, (C).
     """
 
     parts = 2
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
-        super().__init__(1)
-        (self.at, self.of_spheres), (self.on, _) = map(slots, spec)
-        names, self.components = set(self.on), dict(spec[1])["force"]
-        self.tangents = 1 if self.components == 1 else 2
+        super().__init__(list_block())
+        self.rows, end = dict[str, tuple[int, ...]](), 0
+        for name, count in (*spec[0], *spec[1]):
+            self.rows[name], end = tuple(range(end, end + count)), end + count
+        self.sphere_rows = sum(count for _, count in spec[0])
+        for name, _ in spec[1]:
+            self.rows[name] = tuple(row - self.sphere_rows for row in self.rows[name])
+        self.components, self.tangents = len(self.rows["force"]), max(1, len(self.rows["across"]) // 3)
+        gear = [f"gear_{n}" for n in range(len(corrector))]
         self.force_law, self.corrector, self.order = FORCES[law], corrector, len(corrector)
-        self.beside = tuple(name for name in ("coefficient", "viscosity") if name in names)
-        self.holds, self.tally, self.averages = "elongation" in names, "work" in names, "force_sum" in names
-        self.momentum = "spin" in self.at
-        self.gear = tuple(f"gear_{n}" for n in range(self.order))
-        self.written = (*self.gear, "predicted", *(("integral",) if self.holds else ()))
+        self.coefficients = sum((self.rows.get(name, ()) for name in ("coefficient", "viscosity")), ())
+        self.holds, self.tally = "elongation" in self.rows, "work" in self.rows
+        self.gear, self.written = (
+            tuple(zip(*(self.rows[name] for name in names if name in self.rows), strict=True))
+            for names in (gear, (*gear, "predicted", "integral"))
+        )  # of each component
+        self.averages, self.momentum = "force_sum" in self.rows, "spin" in self.rows
 
     @ti.func
-    def of_sphere(self, name: ti.template(), sphere, size: ti.template()):
-        """Where what it has by this name begins."""
-        return ti.static(self.at[name][0]) * size[0] + ti.static(self.at[name][1]) * sphere
-
-    @ti.func
-    def of_contact(self, name: ti.template(), contact, size: ti.template()):
-        first = self.of_spheres * size[0] + ti.static(self.on[name][0]) * size[1]
-        return first + ti.static(self.on[name][1]) * contact
-
-    @ti.func
-    def slip(self, values: ti.template(), name: ti.template(), ends: ti.template(), contact, size: ti.template()):
-        """T (u_i + u_j) of the spins, or what else the spheres have by this name."""
-        i = self.of_sphere(name, ends[2 * contact], size)
-        j = self.of_sphere(name, ends[2 * contact + 1], size)
-        both = [values[i + c] + values[j + c] for c in ti.static(range(self.components))]
+    def slip(self, values: ti.template(), rows: ti.template(), across: ti.template(), ends: ti.template(), size: ti.template(), first):  # fmt: skip
+        """T (u_i + u_j) of a block of contacts, for the numbers of the spheres in these rows."""
+        both = [zero(self.block) for _ in rows]
+        for k in ti.static(range(len(rows))):
+            both[k] = self.gathered(values, rows[k] * size[0], ends, first) + self.gathered(
+                values, rows[k] * size[0], ends, size[1] + first
+            )
         if ti.static(self.components == 1):
             return both
-        first = self.of_contact("across", contact, size)
-        return [dot3(values, first + 3 * t, both) for t in ti.static(range(2))]
+        return [dot(across[:3], both), dot(across[3:], both)]
 
     @ti.func
-    def write_force(self, values: ti.template(), contact, size: ti.template(), force: ti.template()):
-        at = self.of_contact("force", contact, size)
+    def gathered(self, values: ti.template(), row, ends: ti.template(), first):
+        """Of the spheres whose numbers stand in the list from `first` on."""
+        if ti.static(self.block == 1):
+            return values[in_range(row + ends[first])]
+        result = ti.Vector.zero(float, self.block)
+        for m in range(self.block):
+            result[m] = values[in_range(row + ends[first + m])]
+        return result
+
+    @ti.func
+    def store_force(self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(), force: ti.template()):  # fmt: skip
         if ti.static(self.components == 1):
-            values[at] = force[0]
+            store_each(values, blocks, rows, self.block, force)
         else:
-            first = self.of_contact("across", contact, size)
-            for c in ti.static(range(3)):
-                values[at + c] = values[first + c] * force[0] + values[first + 3 + c] * force[1]
+            pull = [across[c] * force[0] + across[3 + c] * force[1] for c in ti.static(range(3))]
+            store_each(values, blocks, rows, self.block, pull)
 
     @ti.func
-    def own(self, values: ti.template(), contact, size: ti.template()):
-        """Its coefficients."""
-        return [values[self.of_contact(name, contact, size)] for name in ti.static(self.beside)]
+    def pull(self, values: ti.template(), row, start: ti.template(), incident: ti.template(), first):
+        """Sum of the forces on a block of spheres, of one component."""
+        if ti.static(self.block == 1):
+            return self.pull_on(values, row, start, incident, first)
+        result = ti.Vector.zero(float, self.block)
+        for m in range(self.block):
+            result[m] = self.pull_on(values, row, start, incident, first + m)
+        return result
 
     @ti.func
-    def pull(self, values: ti.template(), start: ti.template(), incident: ti.template(), sphere, size: ti.template()):
-        """Sum of the forces on a sphere, a vector."""
-        gathered = ti.Vector.zero(float, self.components)
+    def pull_on(self, values: ti.template(), row, start: ti.template(), incident: ti.template(), sphere):
+        total = 0.0
         for n in range(start[sphere], start[sphere + 1]):
-            at = self.of_contact("force", incident[n], size)
-            for c in ti.static(range(self.components)):
-                gathered[c] -= values[at + c]
-        return gathered
+            total -= values[in_range(row + incident[n])]
+        return total
 
     @ti.func
-    def at_contact(
-        self, values: ti.template(), ends: ti.template(), contact, size: ti.template(), numbers: ti.template()
-    ):
-        """The first part of a step."""
+    def at_contacts(
+        self, values: ti.template(), blocks: ti.template(), ends: ti.template(), first, size: ti.template(),
+        numbers: ti.template(),
+    ):  # fmt: skip
+        """The first part of a step, for a block. size : lengths of the rows of spheres and of contacts."""
 
     @ti.func
-    def at_sphere(self, values: ti.template(), sphere, pull, size: ti.template(), numbers: ti.template(), sweep):
-        """The second one."""
+    def at_spheres(
+        self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
+        numbers: ti.template(), sweep,
+    ):  # fmt: skip
+        """The second one, for one component."""
+
+    @ti.func
+    def on(self, name: ti.template(), size: ti.template(), first):
+        """Where the numbers of a block of contacts by this name stand."""
+        return places(self.rows[name], size[1], self.sphere_rows * size[0] + first)
 
     @ti.func
     def visit(
-        self, part: ti.template(), values: ti.template(), ends: ti.template(), start: ti.template(),
-        incident: ti.template(), k, size: ti.template(), numbers: ti.template(), sweep,
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), ends: ti.template(),
+        start: ti.template(), incident: ti.template(), first, size: ti.template(), numbers: ti.template(), sweep,
     ):  # fmt: skip
+        """A block of contacts, or of spheres."""
         if ti.static(part == 0):
-            self.at_contact(values, ends, k, size, numbers)
+            self.at_contacts(values, blocks, ends, first, size, numbers)
         else:
-            self.at_sphere(values, k, self.pull(values, start, incident, k, size), size, numbers, sweep)
+            for c in ti.static(range(self.components)):
+                row = self.sphere_rows * size[0] + self.rows["force"][c] * size[1]
+                pull = self.pull(values, row, start, incident, first)
+                self.at_spheres(values, blocks, c, pull, first, size, numbers, sweep)
 
     @ti.kernel
     def turns(
-        self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, ends: LIST, start: LIST,
-        incident: LIST, spheres: int, contacts: int, constants: VALUES,
+        self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, ends: LIST,
+        start: LIST, incident: LIST, spheres: int, contacts: int, constants: VALUES,
     ):  # fmt: skip
         """Turns `begin` ... `end` - 1, as those of all sweeps."""
         if ti.static(self.on_gpu):
             for again, part in ti.static(ti.ndrange(self.repeats, 2)):
                 for k in range((contacts if ti.static(part == 0) else spheres) * (end - begin)):
-                    numbers = [constants[n] for n in ti.static(range(self.numbers))]
-                    size = [spheres, contacts]
-                    self.visit(part, values, ends, start, incident, k, size, numbers, begin * self.repeats + again)
+                    numbers, size = [constants[n] for n in ti.static(range(self.numbers))], [spheres, contacts]
+                    sweep = begin * self.repeats + again
+                    self.visit(part, values, values, ends, start, incident, k, size, numbers, sweep)
         else:
             for item in range(workers * LEAST_CHUNK):
                 if item % LEAST_CHUNK == 0:
-                    worker, met, size = item // LEAST_CHUNK, 0, [spheres, contacts]
+                    worker, met, size = item // LEAST_CHUNK, 0, [in_range(spheres), in_range(contacts)]
                     numbers = [constants[n] for n in ti.static(range(self.numbers))]
                     for sweep in range(begin * self.repeats, end * self.repeats):
                         for part in ti.static(range(2)):
-                            count = size[1 - part]
-                            for k in range(share(count, worker, workers), share(count, worker + 1, workers)):
-                                self.visit(part, values, ends, start, incident, k, size, numbers, sweep)
+                            count = size[1 - part] // self.block
+                            for k in range(count * worker // workers, count * (worker + 1) // workers):
+                                first = in_range(k * self.block)
+                                self.visit(part, values, blocks, ends, start, incident, first, size, numbers, sweep)
                             met += workers
                             meet(arrived, met)
 
 
 @ti.func
-def share(count, worker, workers):
-    """Where the share of a worker begins."""
-    return ti.cast(ti.cast(count, ti.i64) * worker // workers, int)
-
-
-@ti.func
-def dot3(values: ti.template(), first, vector: ti.template()):
-    return values[first] * vector[0] + values[first + 1] * vector[1] + values[first + 2] * vector[2]
-
-
-def slots(spec: FieldSpec) -> tuple[dict[str, tuple[int, int]], int]:
-    """Of each name how many numbers stand before and how many there are; and how many there are in all."""
-    return {name: (row, dict(spec)[name]) for name, row in first_slots(spec).items()}, sum(dict(spec).values())
+def dot(a: ti.template(), b: ti.template()):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @ti.data_oriented
@@ -163,42 +173,44 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
     numbers = 8
 
     @ti.func
-    def at_contact(
-        self, values: ti.template(), ends: ti.template(), contact, size: ti.template(), numbers: ti.template()
-    ):
+    def at_contacts(
+        self, values: ti.template(), blocks: ti.template(), ends: ti.template(), first, size: ti.template(),
+        numbers: ti.template(),
+    ):  # fmt: skip
+        force = self.on("force", size, first)
+        across = load_each(values, self.on("across", size, first), self.block)
         if ti.static(self.tally):
-            speed, at = self.slip(values, "gear_0", ends, contact, size), self.of_contact("force", contact, size)
-            work = self.of_contact("work", contact, size)
+            work, speed = self.on("work", size, first), self.slip(values, self.rows["gear_0"], across, ends, size, first)
+            total, before = load(values, work[0], self.block), load_each(values, force, self.block)
             if ti.static(self.components == 1):
-                values[work] += values[at] * speed[0]
+                total += before[0] * speed[0]
             else:
-                first = self.of_contact("across", contact, size)
-                force = [values[at + c] for c in ti.static(range(3))]
-                values[work] += dot3(values, first, force) * speed[0] + dot3(values, first + 3, force) * speed[1]
-        speed, coefficients = self.slip(values, "predicted", ends, contact, size), self.own(values, contact, size)
+                total += dot(across[:3], before) * speed[0] + dot(across[3:], before) * speed[1]
+            store(values, blocks, work[0], self.block, total)
+        own = load_each(values, places(self.coefficients, size[1], self.sphere_rows * size[0] + first), self.block)
+        speed = self.slip(values, self.rows["predicted"], across, ends, size, first)
         if ti.static(self.holds):
-            at = self.of_contact("elongation", contact, size)
-            before = [values[at + t] for t in ti.static(range(self.tangents))]
-            moved = self.slip(values, "integral", ends, contact, size)
-            new = self.spring(moved, speed, before, coefficients, numbers)
-            for t in ti.static(range(self.tangents)):
-                values[at + t] = new[t]
-            self.write_force(values, contact, size, new[self.tangents :])
+            at = self.on("elongation", size, first)
+            moved = self.slip(values, self.rows["integral"], across, ends, size, first)
+            new = self.spring(moved, speed, load_each(values, at, self.block), own, numbers)
+            store_each(values, blocks, at, self.block, new[: self.tangents])
+            self.store_force(values, blocks, force, across, new[self.tangents :])
         else:
-            self.write_force(values, contact, size, viscous_force(speed, coefficients, 0.0))
+            self.store_force(values, blocks, force, across, viscous_force(speed, own, 0.0))
 
     @ti.func
-    def at_sphere(self, values: ti.template(), sphere, pull, size: ti.template(), numbers: ti.template(), sweep):
-        is_free = values[self.of_sphere("is_free", sphere, size)]
-        for c in ti.static(range(self.components)):
-            to = [self.of_sphere(name, sphere, size) + c for name in ti.static(self.written)]
-            old = [values[to[n]] for n in ti.static(range(self.order))]
-            new = self.motion(old, pull[c], is_free, numbers[7])
-            for n in ti.static(range(len(to))):
-                values[to[n]] = new[n]
-            if ti.static(self.tally):
-                if is_free == 0.0:
-                    values[self.of_sphere("impulse", sphere, size) + c] += pull[c]
+    def at_spheres(
+        self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
+        numbers: ti.template(), sweep,
+    ):  # fmt: skip
+        is_free = load(values, in_range(self.rows["is_free"][0] * size[0] + first), self.block)
+        old = load_each(values, places(self.gear[c], size[0], first), self.block)
+        new = self.motion(old, pull, is_free, numbers[7])
+        store_each(values, blocks, places(self.written[c], size[0], first), self.block, new)
+        if ti.static(self.tally):
+            impulse = in_range(self.rows["impulse"][c] * size[0] + first)
+            felt = ti.select(is_free > 0.0, 0.0, pull)
+            store(values, blocks, impulse, self.block, load(values, impulse, self.block) + felt)
 
 
 @ti.data_oriented
@@ -208,29 +220,38 @@ class DescentLists(ListSweeps):
     repeats, numbers = 2, 9
 
     @ti.func
-    def at_contact(
-        self, values: ti.template(), ends: ti.template(), contact, size: ti.template(), numbers: ti.template()
-    ):
-        slip, coefficients = self.slip(values, "point", ends, contact, size), self.own(values, contact, size)
-        force = self.force_law(slip, coefficients, numbers[1])
-        self.write_force(values, contact, size, force)
-        if ti.static(self.averages):
+    def at_contacts(
+        self, values: ti.template(), blocks: ti.template(), ends: ti.template(), first, size: ti.template(),
+        numbers: ti.template(),
+    ):  # fmt: skip
+        across = load_each(values, self.on("across", size, first), self.block)
+        own = load_each(values, places(self.coefficients, size[1], self.sphere_rows * size[0] + first), self.block)
+        force = self.force_law(self.slip(values, self.rows["point"], across, ends, size, first), own, numbers[1])
+        self.store_force(values, blocks, self.on("force", size, first), across, force)
+        if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
             if numbers[8] > 0.0:
-                at = self.of_contact("force_sum", contact, size)
-                for t in ti.static(range(self.tangents)):
-                    values[at + t] += force[t]
+                self.sum_up(values, blocks, self.on("force_sum", size, first), force)
 
     @ti.func
-    def at_sphere(self, values: ti.template(), sphere, pull, size: ti.template(), numbers: ti.template(), sweep):
-        for c in ti.static(range(self.components)):
-            at = self.of_sphere("point", sphere, size) + c
-            if ti.static(self.averages):
-                if numbers[8] > 0.0:
-                    values[self.of_sphere("spin_sum", sphere, size) + c] += values[at]
-            new = values[at] + numbers[0] * values[self.of_sphere("inverse_weight", sphere, size) + c] * pull[c]
-            if ti.static(self.momentum):
-                spin = self.of_sphere("spin", sphere, size) + c
-                values[at] = new + momentum(sweep) * (new - values[spin])
-                values[spin] = new
-            else:
-                values[at] = new
+    def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
+        for k in ti.static(range(len(sums))):
+            store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
+
+    @ti.func
+    def at_spheres(
+        self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
+        numbers: ti.template(), sweep,
+    ):  # fmt: skip
+        at = places([self.rows["point"][c], self.rows["inverse_weight"][c]], size[0], first)
+        point, weight = load(values, at[0], self.block), load(values, at[1], self.block)
+        if ti.static(self.averages):  # noqa: SIM102
+            if numbers[8] > 0.0:
+                self.sum_up(values, blocks, places([self.rows["spin_sum"][c]], size[0], first), [point])
+        new = point + numbers[0] * weight * pull
+        if ti.static(self.momentum):
+            spin = in_range(self.rows["spin"][c] * size[0] + first)
+            beyond = momentum(sweep) * (new - load(values, spin, self.block))
+            store(values, blocks, at[0], self.block, new + beyond)
+            store(values, blocks, spin, self.block, new)
+        else:
+            store(values, blocks, at[0], self.block, new)

@@ -19,7 +19,7 @@ from taichi_bearings.packing.bounds import lower_bound
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import System, acting, along_axes, slips_of, tangents
+from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.scene import vector_length
@@ -34,8 +34,8 @@ class Network:
     """A packing with the words of a `Scene` of one sample, spins u (C, 1, N) of all spheres, and contacts that act.
 
     acting : (E,) their numbers in the packing; shapes below have these. across : T, (d, E, C).
-    jump : largest imposed |u|, length/time; the natural unit of slips. imposed : what stands for it where nothing is
-    driven, from the spins of the start.
+    jump : how far imposed u differ, length/time; the natural unit of slips. imposed : what stands for it where they do
+    not, the largest u at the start.
     """
 
     replicas, strength, normal_force = 1, 1.0, 1.0
@@ -52,9 +52,18 @@ class Network:
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
         self.matrix = slips_of(packing, self.acting, numbers)
         self.transposed = self.matrix.T.tocsr()
-        self.jump = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
-        self.imposed, self.is_cut_off = (self.jump,), np.zeros(1, dtype=bool)
+        self.jump = self._largest_jump(held)
+        self.imposed, self.is_cut_off = (float(np.abs(packing.imposed).max(initial=0.0)),), np.zeros(1, dtype=bool)
         self._gap = 1.0  # that has been proven, of normals that are not along axes
+
+    def _largest_jump(self, held: np.ndarray) -> float:
+        """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
+        if not held.any():
+            return 0.0
+        odd, sign = odd_parts(self.packing.spheres, *self.packing.contact[self.acting].T)
+        turned = (sign[:, None] * self.packing.imposed)[held]
+        both = np.concatenate([turned, -turned[odd[held]]])
+        return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
 
     @cached_property
     def lists(self) -> Lists:

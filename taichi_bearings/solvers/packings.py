@@ -36,8 +36,7 @@ class _OnLists(OnNetwork):
     def _spec(self, spheres: dict[str, int], contacts: dict[str, int]) -> ListSpec:
         network: Network = self.scene
         contacts |= {"force": network.components, "coefficient": 1}
-        if network.components == 3:
-            contacts["across"] = 6
+        contacts["across"] = 6 if network.components == 3 else 0
         if network.viscosity_beside_friction is not None:
             contacts["viscosity"] = 1
         return tuple(spheres.items()), tuple(contacts.items())
