@@ -150,7 +150,7 @@ def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float,
     gap = (total - value) / unit if unit > 0 else 0.0
     reached = gap <= tolerance
     force, friction = _forces(system, found.force)
-    left = max(total - estimate(system, found.force) * law.share, 0.0)
+    left = max(total - _estimate(system, found) * law.share, 0.0)
     state = _states(system, found, slip, left, natural)
     proof = bound.proof
     if not bound.proven and gap > tolerance:
@@ -187,11 +187,11 @@ def _forces(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return size, np.cross(vectors, packing.normal)
 
 
-def estimate(system: System, force: np.ndarray) -> float:
-    """What forces (d, A) would prove if they were balanced exactly, in units of potential."""
+def _estimate(system: System, found: Found) -> float:
+    """What the forces would prove if they were balanced exactly, in units of potential."""
     law = system.packing.kind
-    work = float((force * system.offset).sum())
-    cost = law.conjugate(system.coefficients, np.linalg.norm(force, axis=0)).sum() if law.flows else 0.0
+    work = float((found.force * system.offset).sum())
+    cost = law.conjugate(system.coefficients, np.linalg.norm(found.force, axis=0)).sum() if law.flows else 0.0
     return work - float(cost)
 
 

@@ -14,10 +14,12 @@ from scipy import sparse
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
-from taichi_bearings.packing.answer import NO_POWER, estimate
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.packing.answer import NO_POWER
 from taichi_bearings.packing.bounds import lower_bound
 from taichi_bearings.packing.checks import sizes
-from taichi_bearings.packing.newton import NewtonMatrix
+from taichi_bearings.packing.central_path import viscous_spins
+from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
@@ -27,7 +29,8 @@ from taichi_bearings.solvers.method import OnLattice
 from taichi_bearings.words import meant, shown
 
 PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
-STARTS_OF_PACKINGS = ("random", "zero")
+LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
+STARTS_OF_PACKINGS = ("linear", "random", "zero")
 
 
 class Network:
@@ -54,7 +57,7 @@ class Network:
         self.transposed = self.matrix.T.tocsr()
         self.jump = self._largest_jump(held)
         self.imposed, self.is_cut_off = (float(np.abs(packing.imposed).max(initial=0.0)),), np.zeros(1, dtype=bool)
-        self._gap = 1.0  # that has been proven, of normals that are not along axes
+        self.proven, self._looked = 0.0, 0.0  # the best bound so far, and the iteration of the last whole look
 
     def _largest_jump(self, held: np.ndarray) -> float:
         """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
@@ -105,7 +108,8 @@ class Network:
         return found[None] if self.components == 3 else found[None, :, 0]
 
     def start(self, start: str | np.ndarray) -> np.ndarray:
-        """u (C, 1, N) at the start. start : "zero", "random", as of scenes, or omega (N, 3), of discs (N,), 1/time."""
+        """u (C, 1, N) at the start. start : "zero", "random" and "linear", the viscous answer for even contacts, as of
+        scenes; or omega (N, 3), of discs (N,), 1/time."""
         packing, shape = self.packing, (self.packing.spheres, self.components)[: self.components]
         if isinstance(start, str):
             if start not in STARTS_OF_PACKINGS:
@@ -116,12 +120,16 @@ class Network:
             spin = packing.spin.reshape(packing.spheres, -1)[packing.driven >= 0]
             largest = float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
             draw = np.random.default_rng([packing.seed, 1]).uniform(-largest, largest, shape)
-            given = np.zeros(shape) if start == "zero" else draw
+            given = draw if start == "random" else np.zeros(shape)
         else:
             given = own_array("the spins in start", start)
             if given.shape != shape or not np.isfinite(given).all():
                 raise InputError(f"start has shape {given.shape}; it must be {shape} and finite")
-        spins = self.impose_driving((given.reshape(packing.spheres, -1) * packing.radius[:, None]).T[:, None].copy())
+        spins = (given.reshape(packing.spheres, -1) * packing.radius[:, None]).T[:, None].copy()
+        if isinstance(start, str) and start == "linear":
+            system, matrix = self.proof
+            spins = system.all_spins(viscous_spins(system, matrix, np.ones(len(system.contact)))).T[:, None].copy()
+        self.impose_driving(spins)
         self.imposed = (float(np.abs(spins).max(initial=0.0)),)
         return spins
 
@@ -159,27 +167,40 @@ class Network:
             vector = np.maximum(image / image.max(), LEAST_SHARE)
         return least * (1 + 1e-9)
 
-    def bound(self, force: np.ndarray, spins: np.ndarray, objective: float) -> float:
-        """Proven lower bound from forces (d, 1, E), 0 where none follows.
+    def bound(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
+        """Proven lower bound on the objective from forces (d, 1, E), 0 where none follows, and forces that prove it.
 
-        Where normals are oblique it takes factorisations, so it is asked for when the forces promise a gap of half of
-        what has been proven before.
+        whole : also from the forces without the torques they leave, by a factorisation; where normals are oblique no
+        others prove anything.
         """
         system, matrix = self.proof
-        if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(objective):
-            return 0.0
-        own, share = force[:, 0, self.of_system], self.law.share
-        oblique = not along_axes(self.packing, system.contact)
-        if oblique:
-            free = ~self.lattice.is_driven
-            paid = float(np.abs(self.pulls(force) * spins)[..., free].sum())
-            if objective - (estimate(system, own) - paid) * share > self._gap / 2 * objective:
-                return 0.0
-        above = float(self.law.potential(self.contact, self.slips(spins)).sum()) * (1 + 1e-12 + 1e-16 * own.size)
-        found = min(lower_bound(system, matrix, own, above).value * share, objective)
-        if oblique and objective > 0:
-            self._gap = min(self._gap, 1 - found / objective)
-        return found
+        if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
+            return 0.0, force
+        above = float(self.law.potential(self.contact, self.slips(spins)).sum()) * (1 + 1e-12 + 1e-16 * force.size)
+        own = force[:, 0, self.of_system]
+        candidates = [own] if whole or along_axes(self.packing, system.contact) else []
+        if whole:
+            candidates += self._balanced(own)
+        best, found = 0.0, own
+        for candidate in candidates:
+            value = lower_bound(system, matrix, candidate, above).value * self.law.share
+            best, found = (value, candidate) if value > best else (best, found)
+        proving = force.copy()
+        proving[:, 0, self.of_system] = found
+        self.proven = max(self.proven, best)
+        return best, proving
+
+    def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
+        """Forces (d, A) of the system in balance; with friction as they are, and shortened all alike until it bears them."""
+        system, matrix = self.proof
+        held = self.law.holding_force(system.coefficients)
+        try:
+            balanced = matrix.balanced(force, isotropic(system.coefficients[0], len(force)))
+        except NotPositiveDefinite:
+            return []
+        if held is None or self.law.flows:
+            return [balanced]
+        return [balanced, balanced / max(1.0, float((vector_length(balanced) / held).max()) * (1 + 1e-14))]
 
 
 class OnNetwork(OnLattice):
@@ -203,9 +224,11 @@ class OnNetwork(OnLattice):
         objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
         fastest = np.full(1, np.abs(scene.packing.imposed).max(initial=0.0))
         scene.is_cut_off = objective <= NO_POWER * scene.law.objective(scene.contact, fastest).sum(axis=1)
-        bound = scene.bound(force if proof is None else proof, staggered, float(objective[0]))
+        whole = more["iteration"] >= LOOK_AGAIN * scene._looked
+        scene._looked = max(more["iteration"], 1) if whole else scene._looked
+        bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
         left = np.abs(scene.pulls(force))[..., ~scene.lattice.is_driven].max(initial=0.0)
         return Progress(
             staggered=staggered, spin_axes=self.spin_axes, force=force, objective=objective, proof=proof,
-            lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,
+            lower_bound=np.minimum(bound, objective), largest_balance_residual=np.array([left]), **more,
         )  # fmt: skip

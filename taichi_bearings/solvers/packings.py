@@ -1,7 +1,6 @@
 """Dynamics and descent of any packing: the methods of scenes, over contacts in lists."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.fields.lists import ListFields, ListSpec
-from taichi_bearings.interrupts import GivenUp, Interrupt
+from taichi_bearings.interrupts import Interrupt
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
@@ -21,13 +20,14 @@ from taichi_bearings.scene import Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, choose_time_step
 from taichi_bearings.solvers.drive import Monitor, _Course
-from taichi_bearings.solvers.dynamics import REST_GAP, RestWatch
+from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.network import Network, OnNetwork
-from taichi_bearings.solvers.recording import Recording
-from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import CundallStrack, GradientDescent, MethodOptions
+from taichi_bearings.solvers.recording import Recording, parse_times
+from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, MethodOptions
+from taichi_bearings.words import meant, shown
 
 
 class _OnLists(OnNetwork):
@@ -109,9 +109,10 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         return {}
 
     def is_believed(self, found: Any) -> bool:
-        """Where no bound can be proven, as with static_ratio > 1."""
-        unproven = self.scene._gap == 1.0 and found.lower_bound[0] == 0
-        return super().is_believed(found) or (unproven and self.time >= self._loading_time())
+        """By the best bound so far; where none is proven as with static_ratio > 1."""
+        if not self.scene.proven > 0:
+            return self.time >= self._loading_time()
+        return super().is_believed(replace(found, lower_bound=np.array([self.scene.proven])))
 
 
 class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
@@ -145,10 +146,15 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
             np.add.at(total, end, rows)
         return total.T[:, None]
 
+    def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
+        super()._steer(staggered, objective, np.maximum(bound, self.scene.proven))
+
     def _averaged_force(self) -> np.ndarray:
         return self.fields.read("force_sum") / self.averaged
 
 
+STOPS = {"iterations": "iterations", "time_limit": "seconds", "duration": "duration"}
+DEVICES = ("arch", "precision", "threads")
 BUILT: dict[type[MethodOptions], Any] = {
     CundallStrack: CundallStrackOfPacking,
     GradientDescent: GradientDescentOfPacking,
@@ -157,48 +163,71 @@ BUILT: dict[type[MethodOptions], Any] = {
 
 def follow_packing(
     packing: Packing,
-    options: MethodOptions,
-    start: str | np.ndarray = "zero",
-    stop: StopRule | None = None,
-    recording: Recording | None = None,
-    monitors: Sequence[Monitor] = (),
+    method: str | MethodOptions,
+    tolerance: float = 1e-8,
+    start: str | np.ndarray = "linear",
     density: Any = None,
+    monitors: Sequence[Monitor] = (),
+    **options: Any,
 ) -> PackingResult:
-    """A dynamics or descent of a packing. start, density : see `Network`. The others are those of `drive.solve`."""
-    if type(options) not in BUILT:
-        allowed = ", ".join(row.name for row in BUILT)
-        raise InputError(f"method is {options.name!r}; of a packing it can be auto, {allowed}")
-    begun, stop, network = perf_counter(), stop or StopRule(), Network(packing)
-    if options.cpu_only and runtime.current().is_gpu:
-        raise DeviceError(f"{options.name} works in the memory of the CPU; use --arch cpu")
-    if density is not None and not options.is_dynamics:
-        raise InputError(f"density is given, but {options.name} has no use for it; dynamics have")
-    method = BUILT[type(options)](options, *([density] if options.is_dynamics else []))
+    """A dynamics or descent of a packing, by its name or with its options.
+
+    start, density : see :class:`Network`. options : `iterations`, `time_limit`, `duration`, `record`, `arch`,
+    `precision`, `threads`, as of scenes.
+    """
+    row = METHODS.get(method) if isinstance(method, str) else type(method)
+    if row not in BUILT:
+        allowed = ", ".join(["auto", *(built.name for built in BUILT)])
+        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(str(method), METHODS)}")
+    if strange := options.keys() - {*STOPS, *DEVICES, "record"}:
+        raise InputError(f"{min(strange)} is no option of a packing{meant(min(strange), [*STOPS, *DEVICES])}")
+    if density is not None and not row.is_dynamics:
+        raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
+    stops = {STOPS[name]: value for name, value in options.items() if name in STOPS}
+    if "duration" in stops:
+        stops = {"iterations": UNLIMITED} | stops
+    stop, recording = StopRule(tolerance, **stops), Recording(_times(options.get("record")))
+    chosen = row() if isinstance(method, str) else method
+    if devices := {name: value for name, value in options.items() if name in DEVICES}:
+        runtime.start(**devices)
+    if row.cpu_only and runtime.current().is_gpu:
+        raise DeviceError(f"{row.name} works in the memory of the CPU; use --arch cpu")
+    begun, network = perf_counter(), Network(packing)
+    built = BUILT[row](chosen, *([density] if row.is_dynamics else []))
     with Interrupt() as interrupt, one_thread():
         with interrupt.at_once():
-            method.begin_on(network, network.start(start))
+            built.begin_on(network, network.start(start))
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         scene: Any = network
-        course = _Course(scene, method, stop, recording or Recording(), None, interrupt)
+        course = _Course(scene, built, stop, recording, None, interrupt)
         status, last, seconds = course.follow(monitors)
-        with suppress(GivenUp):
-            found = _answer(network, course, options.name, stop.tolerance, begun)
+        found = _answer(network, course, row.name, tolerance, begun)
     if status not in (Status.CERTIFIED, Status.STALLED):
         found = replace(found, status=status.value)
     columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
     return replace(found, history=columns, time=last.time, seconds=seconds)
 
 
+def _times(record: Any) -> np.ndarray:
+    try:
+        return parse_times(record if isinstance(record, str) else ",".join(map(str, np.atleast_1d(record)))) if (
+            record is not None
+        ) else np.zeros(0)
+    except (ValueError, KeyError):
+        raise InputError(f"record is {shown(record)}; it must be times or as log:start,stop,count") from None
+
+
 def _answer(network: Network, course: _Course, name: str, tolerance: float, begun: float) -> PackingResult:
     """The best state and the best forces; `force` and the states of parts that nothing drives are those of now."""
     (system, matrix), best = network.proof, course.best
-    spins, proof = best.progress.staggered[:, 0].T, best.proof[:, 0, network.of_system]
-    found = judged(
-        system, matrix, Found(np.zeros(system.unknowns), proof, name, everywhere=spins), tolerance, begun
-    )
-    force, state = found.force.copy(), found.state.copy()
-    force[network.acting] = vector_length(best.progress.force)[0]
+    last = best.progress
+    value, forces = network.bound(last.force if last.proof is None else last.proof, last.staggered, whole=True)
+    proof = forces if value > best.bound[0] else best.proof
+    found = Found(np.zeros(system.unknowns), proof[:, 0, network.of_system], name, everywhere=last.staggered[:, 0].T)
+    result = judged(system, matrix, found, tolerance, begun)
+    force, state = result.force.copy(), result.state.copy()
+    force[network.acting] = vector_length(last.force)[0]
     loose = np.setdiff1d(network.acting, system.contact)
-    state[loose] = np.where(found.slip[loose] > best.progress.resolution, SLIPPING, SLIPLESS)
-    return replace(found, force=force, state=state)
+    state[loose] = np.where(result.slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+    return replace(result, force=force, state=state)
