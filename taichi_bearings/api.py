@@ -302,7 +302,13 @@ def solve(
 
 
 @overload
-def solve(scene: Packing, method: str = "auto", tolerance: float = 1e-8) -> PackingResult: ...
+def solve(
+    scene: Packing,
+    method: str | MethodOptions = "auto",
+    tolerance: float = 1e-8,
+    start: str | np.ndarray = "linear",
+    **options: Any,
+) -> PackingResult: ...
 
 
 def solve(
@@ -313,7 +319,7 @@ def solve(
     callback: Callable[[Check], bool | None] | None = None,
     **options: Any,
 ) -> Result | PackingResult:
-    """Solve a scene, or a packing, with `tolerance` alone; no file is read or written.
+    """Solve a scene, or a packing, which with "auto" takes `tolerance` alone; no file is read or written.
 
     method : "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
         `CundallStrack(stiffness=1e6)`.
@@ -331,8 +337,14 @@ def solve(
     Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
     """
     if isinstance(scene, Packing):
-        if method != "auto" or callback is not None or options or not isinstance(start, str) or start != "linear":
-            raise InputError("of the arguments of solve a packing takes tolerance alone")
+        if callback is not None:
+            raise InputError("callback is given; a packing takes none")
+        if not isinstance(method, str) or method != "auto":
+            from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
+
+            return PackingResult(**vars(follow_packing(scene, method, tolerance, start, **options)))
+        if options or not isinstance(start, str) or start != "linear":
+            raise InputError("of the arguments of solve a packing takes tolerance alone where method is auto")
         return PackingResult(**vars(solve_packing(scene, tolerance)))
     if callback is not None and not callable(callback):
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")

@@ -26,17 +26,24 @@ def number_type() -> np.dtype:
     return np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
 
 
-def on_device(values: np.ndarray) -> Any:
-    """Numbers beside the fields, flat, in the precision and where kernels read them: on a CPU NumPy's."""
+def on_device(values: np.ndarray, kind: str = "") -> Any:
+    """Numbers beside the fields, flat, where kernels read them: on a CPU NumPy's. kind : "i32", or as the fields."""
     running = runtime.current()
-    flat = values.ravel().astype(number_type())
+    flat = values.ravel().astype(kind.replace("i", "int") or number_type())
     if not running.is_gpu:
         return flat
     from taichi_bearings.compiler import ti
 
-    array = ti.ndarray(getattr(ti, running.precision), flat.size)
+    array = ti.ndarray(getattr(ti, kind or running.precision), flat.size)
     array.from_numpy(flat)
     return array
+
+
+def one_block() -> Any:
+    """What kernels get in the place of blocks on a GPU, where they write site by site."""
+    from taichi_bearings.compiler import ti
+
+    return ti.Vector.ndarray(1, getattr(ti, runtime.current().precision), 1)
 
 
 def first_slots(spec: FieldSpec) -> dict[str, int]:
@@ -67,7 +74,7 @@ class Fields:
         except (RuntimeError, MemoryError) as error:
             size = self.rows * layout.length * self.dtype.itemsize
             raise DeviceError(f"{size} bytes of fields do not fit on this device: {error}") from error
-        self.blocks = self._no_blocks() if self._host is None else self._host.reshape(-1, layout.block)
+        self.blocks = one_block() if self._host is None else self._host.reshape(-1, layout.block)
 
     def _allocate(self) -> tuple[Any, np.ndarray | None]:
         count = self.rows * self.layout.length
@@ -79,12 +86,6 @@ class Fields:
         values = ti.ndarray(getattr(ti, runtime.current().precision), count)
         values.fill(0)
         return values, None
-
-    def _no_blocks(self) -> Any:
-        """What kernels get in the place of blocks on a GPU, where they write site by site."""
-        from taichi_bearings.compiler import ti
-
-        return ti.Vector.ndarray(1, getattr(ti, runtime.current().precision), 1)
 
     def load(self, name: str, values: np.ndarray) -> None:
         """Set a field from (C, R, *N); margins stay."""

@@ -16,58 +16,11 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 
 
-@lru_cache
-def cundall_strack_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]) -> "CundallStrackSteps":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return CundallStrackSteps(spec, stencil, corrector)
+class SpringsAndSpins:
+    """The law of one contact and Gear's step of one spin. order, corrector : of Gear's method."""
 
-
-@ti.data_oriented
-class CundallStrackSteps(Sweeps):
-    """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`, with friction also
-    `integral` and `elongation`, and with damping beside it `viscosity`.
-
-    gear_n : the n-th derivative of the staggered spin times (time step)^n / n!.
-    predicted, integral : the spin extrapolated to the end of the step, and its mean over the step.
-    elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
-    spins stand at the end of the last step; the force is that at its predicted end.
-
-    With fields `work` and `impulse` an energy balance is kept too: sums over the steps, without the last and with it.
-    work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
-
-    Its constants are those of :meth:`spring`, and response: time step * radius / inertia.
-    """
-
-    parts, numbers = 2, 8
-
-    def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
-        super().__init__(stencil.block, stencil.periodic)
-        slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
-        self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
-        self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
-        self.force = stencil.force_rows(slot["force"])
-        self.holds = "elongation" in slot
-        if self.holds:
-            self.integral = stencil.spin_rows(slot["integral"])
-            self.elongation = stencil.force_rows(slot["elongation"])
-        names = [name for name in ("coefficient", "viscosity") if name in slot]
-        self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
-        # rows of the first component; those of the others follow
-        self.gear = tuple(slot[f"gear_{n}"] for n in range(self.order))
-        self.ahead = tuple(slot[name] for name in ("predicted", "integral") if name in slot)
-        # the two axes whose contacts each component feels, and the rows of their forces
-        felt = [[a for a in axes if c in stencil.kept[a]] for c in range(stencil.components)]
-        self.felt = tuple(zip(*felt, strict=True))
-        self.pulls = tuple(
-            tuple(self.force[axis][stencil.kept[axis].index(c)] for c, axis in enumerate(of_components))
-            for of_components in self.felt
-        )
-
-    @ti.func
-    def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
-        """Of the numbers of these rows, those of the upper neighbours minus those of the block of sites itself."""
-        up = load_neighbours(values, rows, row, first, side, 1, self.block)
-        return minus(up, load_each(values, places(rows, row, first), self.block))
+    order: int
+    corrector: tuple[float, ...]
 
     @ti.func
     def spring(
@@ -121,6 +74,60 @@ class CundallStrackSteps(Sweeps):
             mean += corrected[n] * ti.static(1.0 / (n + 1))
         # the stretch of the last step was a prediction: the second term is Gear's correction of it
         return corrected + [end, mean + ti.static(self.corrector[0] ** 2) * error]
+
+
+@lru_cache
+def cundall_strack_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]) -> "CundallStrackSteps":
+    """One for each configuration, so that the next scene finds its kernels compiled."""
+    return CundallStrackSteps(spec, stencil, corrector)
+
+
+@ti.data_oriented
+class CundallStrackSteps(SpringsAndSpins, Sweeps):
+    """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`, with friction also
+    `integral` and `elongation`, and with damping beside it `viscosity`.
+
+    gear_n : the n-th derivative of the staggered spin times (time step)^n / n!.
+    predicted, integral : the spin extrapolated to the end of the step, and its mean over the step.
+    elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
+    spins stand at the end of the last step; the force is that at its predicted end.
+
+    With fields `work` and `impulse` an energy balance is kept too: sums over the steps, without the last and with it.
+    work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
+
+    Its constants are those of :meth:`spring`, and response: time step * radius / inertia.
+    """
+
+    parts, numbers = 2, 8
+
+    def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
+        super().__init__(stencil.block, stencil.periodic)
+        slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
+        self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
+        self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
+        self.force = stencil.force_rows(slot["force"])
+        self.holds = "elongation" in slot
+        if self.holds:
+            self.integral = stencil.spin_rows(slot["integral"])
+            self.elongation = stencil.force_rows(slot["elongation"])
+        names = [name for name in ("coefficient", "viscosity") if name in slot]
+        self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
+        # rows of the first component; those of the others follow
+        self.gear = tuple(slot[f"gear_{n}"] for n in range(self.order))
+        self.ahead = tuple(slot[name] for name in ("predicted", "integral") if name in slot)
+        # the two axes whose contacts each component feels, and the rows of their forces
+        felt = [[a for a in axes if c in stencil.kept[a]] for c in range(stencil.components)]
+        self.felt = tuple(zip(*felt, strict=True))
+        self.pulls = tuple(
+            tuple(self.force[axis][stencil.kept[axis].index(c)] for c, axis in enumerate(of_components))
+            for of_components in self.felt
+        )
+
+    @ti.func
+    def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
+        """Of the numbers of these rows, those of the upper neighbours minus those of the block of sites itself."""
+        up = load_neighbours(values, rows, row, first, side, 1, self.block)
+        return minus(up, load_each(values, places(rows, row, first), self.block))
 
     @ti.func
     def contact_pass(

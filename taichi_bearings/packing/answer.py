@@ -1,6 +1,7 @@
 """A packing solved: spins of least dissipation, what is proven of them, and which contacts slip."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -42,7 +43,8 @@ class PackingResult:
     of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
     between driven or absent. driven_power : what contacts between driven spheres dissipate, energy/time.
     slipless_motions : of the free spheres that driven ones reach; None if undecided. unbalanced : largest torque left.
-    seconds : wall time. iterations : factorisations.
+    seconds : wall time. iterations : of the method, factorisations of an interior point.
+    history : of dynamics and descent, the columns of `Result.history`. time : simulated time of a dynamics, else None.
     """
 
     packing: Packing
@@ -64,6 +66,8 @@ class PackingResult:
     unbalanced: float
     seconds: float
     iterations: int = 0
+    history: Mapping[str, np.ndarray] = field(default_factory=dict)
+    time: float | None = None
 
     @property
     def critical(self) -> int:
@@ -81,9 +85,9 @@ class PackingResult:
 
 
 @dataclass(frozen=True)
-class _Found:
+class Found:
     """spins (unknowns,), force (d, A) in units of force, state (A,) where it is known exactly, else None. slips : (A,)
-    sets of an exact minimum, where they were found."""
+    sets of an exact minimum, where they were found. everywhere : u (N, C) of all spheres, where a method moves all."""
 
     spins: np.ndarray
     force: np.ndarray
@@ -91,6 +95,7 @@ class _Found:
     state: np.ndarray | None = None
     bound: float | None = None
     slips: np.ndarray | None = None
+    everywhere: np.ndarray | None = None
 
 
 def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
@@ -108,35 +113,36 @@ def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
         system = System.of(packing)
         matrix = NewtonMatrix(system)
         found = _found(system, matrix)
-        return _judged(system, matrix, found, tolerance, begun)
+        return judged(system, matrix, found, tolerance, begun)
 
 
-def _found(system: System, matrix: NewtonMatrix) -> _Found:
+def _found(system: System, matrix: NewtonMatrix) -> Found:
     law, of = system.packing.kind, system.coefficients
     if not system.unknowns or not system.offset.any():
-        return _Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
+        return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
     if law.is_rate_independent and system.packing.dimension == 2:
         cut = planar.least_power(system)
-        return _Found(cut.spins, cut.force, "planar-cut", cut.state, cut.lower_bound)
+        return Found(cut.spins, cut.force, "planar-cut", cut.state, cut.lower_bound)
     held, viscosity = (
         np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
     )
     fastest = float(np.abs(system.offset).max())
     if not held.any():
         spins = viscous_spins(system, matrix, viscosity)
-        return _Found(spins, viscosity * system.difference(spins), "linear-solver")
+        return Found(spins, viscosity * system.difference(spins), "linear-solver")
     largest = float(max(held.max(), viscosity.max() * fastest))
     scaled = replace(system, offset=system.offset / fastest)
     point = followed(scaled, matrix, held / largest, viscosity * fastest / largest, CLOSEST)
     exact = polished(point, scaled, matrix)
     slips = None if exact is None else exact[1]
     point = balanced(point, scaled, matrix) if exact is None else exact[0]
-    return _Found(point.spins * fastest, point.force * largest, "interior-point", slips=slips)
+    return Found(point.spins * fastest, point.force * largest, "interior-point", slips=slips)
 
 
-def _judged(system: System, matrix: NewtonMatrix, found: _Found, tolerance: float, begun: float) -> PackingResult:
+def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float, begun: float) -> PackingResult:
+    """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
     packing, law = system.packing, system.packing.kind
-    spins = system.all_spins(found.spins)
+    spins = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     slip = slip_of(packing, spins)
     acts = np.zeros(packing.contacts, dtype=bool)
     acts[system.contact] = True
@@ -193,7 +199,7 @@ def _forces(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return size, np.cross(vectors, packing.normal)
 
 
-def _estimate(system: System, found: _Found) -> float:
+def _estimate(system: System, found: Found) -> float:
     """What the forces would prove if they were balanced exactly, in units of potential."""
     law = system.packing.kind
     work = float((found.force * system.offset).sum())
@@ -201,7 +207,7 @@ def _estimate(system: System, found: _Found) -> float:
     return work - float(cost)
 
 
-def _states(system: System, found: _Found, slip: np.ndarray, left: float, natural: float) -> np.ndarray:
+def _states(system: System, found: Found, slip: np.ndarray, left: float, natural: float) -> np.ndarray:
     """States (E,). left : what is open of the power; natural : what all contacts would dissipate."""
     packing, law = system.packing, system.packing.kind
     acts = np.any([values > 0 for values in packing.coefficients], axis=0)

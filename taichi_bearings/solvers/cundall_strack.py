@@ -14,10 +14,9 @@ from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team
-from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, absolute, default_inertia, replica_sum
+from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
     largest_laplacian_eigenvalue,
@@ -77,7 +76,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         derivatives, forces = [staggered], list[np.ndarray]()
         for n in range(1, options.gear_order + 1):
             forces.append(self._force_derivative(derivatives) / n)
-            rate = scene.lattice.radius / self.inertia * torques(forces[-1], scene.lattice, self.spin_axes)
+            rate = scene.lattice.radius / self.inertia * self.pulls(forces[-1])
             rate[..., scene.lattice.is_driven] = 0.0
             derivatives.append(self.time_step * rate)
         for n, values in enumerate(derivatives):
@@ -86,10 +85,10 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         if scene.law.holds:
             self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
         if options.energy:
-            self.fields.load("force", self.stencil.forces_at_lower_sphere(forces[0], self.fields.layout))
+            self._load_force(forces[0])
             self.open_books(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
-            self.pull_at_start = torques(forces[0], scene.lattice, self.spin_axes)
+            self.pull_at_start = self.pulls(forces[0])
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
         """Derivative of the contact forces (C, R, E) at the start, scaled like the last of these of the spins, of the
@@ -105,13 +104,13 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
         holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
         sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
-        felt = contact_differences(felt, scene.lattice, self.spin_axes)
+        felt = self.differences(felt)
         return self.with_viscosity(np.where(sticks, scene.lattice.radius * felt, 0.0), derivatives[-1])
 
     def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
         scene, options = self.scene, self.options
-        force = options.damping * scene.lattice.radius * contact_differences(staggered, scene.lattice, self.spin_axes)
+        force = options.damping * scene.lattice.radius * self.differences(staggered)
         size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
         slips = size > limit * options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
@@ -148,11 +147,15 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
             scene.normal_force,
             scene.normal_force * options.static_ratio,
             *options.after_slip(self.time_step),
-            self.time_step * radius / self.inertia,
+            self._response(),
         )
         self.steps.run(self.fields, self.team, steps, numbers)
         self.iteration += steps
         self.time = self.iteration * self.time_step
+
+    def _response(self) -> float:
+        """Change of a free spin in a step by a unit of force."""
+        return self.time_step * self.scene.lattice.radius / self.inertia
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         staggered = self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
@@ -168,7 +171,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
 
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""
-        return replica_sum(force * contact_differences(staggered, self.scene.lattice, self.spin_axes))
+        return replica_sum(force * self.differences(staggered))
 
     def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """The energy balance at the end of the last step.
@@ -181,10 +184,13 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         scene, reach = self.scene, self.scene.lattice.radius * self.time_step
         ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
         self.work = reach * (replica_sum(self.fields.read("work")) + ends)
-        pull = self.fields.read("impulse") + (self.pull_at_start - torques(force, scene.lattice, self.spin_axes)) / 2
-        driven = absolute(scene, staggered, self.spin_axes) * scene.lattice.is_driven
+        pull = self.fields.read("impulse") + (self.pull_at_start - self.pulls(force)) / 2
+        driven = self.absolute(staggered) * scene.lattice.is_driven
         self.injected = -reach * replica_sum(pull * driven)
         return self.balance(staggered, spring)
+
+    def _load_force(self, force: np.ndarray) -> None:
+        self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
 
     def _contact_forces(self, name: str) -> np.ndarray:
         return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)

@@ -9,11 +9,10 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from taichi_bearings.fields import FieldSpec
-from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import judged
+from taichi_bearings.solvers.method import OnLattice
 from taichi_bearings.solvers.table import Motion, Springs
 
 REST_GAP = 1e-4  # proven gap from which a stationary state is believed to be one
@@ -41,16 +40,6 @@ def default_inertia(scene: Scene, mass: float) -> float:
 def replica_sum(values: np.ndarray) -> np.ndarray:
     """(R,) from (T, R, ...): the sum over everything but the replicas."""
     return values.sum(axis=(0, *range(2, values.ndim)))
-
-
-def absolute(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for kinetic energies."""
-    return staggered + scene.driving.bottom_state(spin_axes)[0]
-
-
-def kinetic_energy(scene: Scene, staggered: np.ndarray, spin_axes: tuple[int, ...], inertia: float) -> np.ndarray:
-    """(R,) of the free spheres with staggered spins (C, R, *N), energy."""
-    return inertia / 2 * replica_sum(absolute(scene, staggered, spin_axes)[..., 1:-1] ** 2)
 
 
 @dataclass(frozen=True)
@@ -126,7 +115,7 @@ OptionsOfMotion = TypeVar("OptionsOfMotion", bound=Motion)
 OptionsOfSprings = TypeVar("OptionsOfSprings", bound=Springs)
 
 
-class Dynamics(Generic[OptionsOfMotion]):
+class Dynamics(OnLattice, Generic[OptionsOfMotion]):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
@@ -166,21 +155,22 @@ class Dynamics(Generic[OptionsOfMotion]):
     def open_books(self, staggered: np.ndarray) -> None:
         """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
         self.injected, self.work = np.zeros((2, self.scene.replicas))
-        self.energy_at_start = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
-        driven = absolute(self.scene, staggered, self.spin_axes) * self.scene.lattice.is_driven
-        self.imposed = contact_differences(driven, self.scene.lattice, self.spin_axes)
+        self.energy_at_start = self.kinetic_energy(staggered)
+        self.imposed = self.differences(self.absolute(staggered) * self.scene.lattice.is_driven)
 
     def book(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
         """Work of the mean forces (C, R, E) of a step on its mean slip, and of the driven spheres against them."""
-        scene = self.scene
-        reach, mean = duration * scene.lattice.radius, (before + after) / 2
-        self.work = self.work + reach * replica_sum(force * contact_differences(mean, scene.lattice, self.spin_axes))
+        reach, mean = duration * self.scene.lattice.radius, (before + after) / 2
+        self.work = self.work + reach * replica_sum(force * self.differences(mean))
         self.injected = self.injected + reach * replica_sum(force * self.imposed)
+
+    def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
+        """(R,) of the free spheres with staggered spins (C, R, *N), energy."""
+        return replica_sum(self.inertia / 2 * ~self.scene.lattice.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
         """The books, with the energy (R,) in the springs."""
-        kinetic = kinetic_energy(self.scene, staggered, self.spin_axes, self.inertia)
-        return Energy(kinetic, spring, self.injected, self.work - spring, self.energy_at_start)
+        return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
 
 
 def _like(now: Any, stored: np.ndarray) -> Any:
@@ -220,9 +210,7 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
         staggered, force, stretch = self.motion()
         springs = self.with_viscosity(stiffness * stretch, staggered) if scene.law.holds else force
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
-        found = judged(
-            scene,
-            self.spin_axes,
+        found = self.judged(
             staggered,
             force,
             springs,
@@ -242,9 +230,7 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
         scene = self.scene
         if scene.viscosities is None:
             return force
-        return force + scene.lattice.radius * scene.viscosities * contact_differences(
-            staggered, scene.lattice, self.spin_axes
-        )
+        return force + scene.lattice.radius * scene.viscosities * self.differences(staggered)
 
     def is_believed(self, found: Progress) -> bool:
         """Rest is believed only if the certificate agrees."""

@@ -22,10 +22,10 @@ from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.descent import descent_sweeps
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team
-from taichi_bearings.lattice.incidence import contact_differences, weights
+from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import judged
+from taichi_bearings.solvers.method import OnLattice
 from taichi_bearings.solvers.table import GradientDescent
 
 FIRST_EPOCH = 64
@@ -37,8 +37,10 @@ RESOLVED_WIDTHS = 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 
-class GradientDescentMethod:
+class GradientDescentMethod(OnLattice):
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
+
+    points = ("point", "point_next")
 
     def __init__(self, options: GradientDescent) -> None:
         self.options, self.momentum = options, options.momentum
@@ -62,8 +64,7 @@ class GradientDescentMethod:
         self.fields, layout = fields, fields.layout
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        beside = scene.viscosity_beside_friction
-        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
+        self.viscosity = self._viscosity()
         if self.viscosity is not None:
             fields.load("viscosity", layout.at_lower_sphere(self.viscosity))
         box = np.zeros((2, 3))  # lower and upper ends
@@ -72,7 +73,16 @@ class GradientDescentMethod:
         self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.periodic)
         self.team = Team(team_size(layout, self.stencil.components))
         self.sweeps = descent_sweeps(self.spec, self.stencil, scene.law.name)
-        self.sweeps.compile(fields, self.team)
+        self._begin()
+
+    def _viscosity(self) -> np.ndarray | None:
+        """Beside friction, (R, E), in units of the coefficients."""
+        beside = self.scene.viscosity_beside_friction
+        return None if beside is None else self.scene.lattice.radius / self.scene.strength * beside
+
+    def _begin(self) -> None:
+        scene = self.scene
+        self.sweeps.compile(self.fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
         self.least_width = 1e2 * float(np.finfo(precision).eps) * jump
@@ -90,12 +100,16 @@ class GradientDescentMethod:
         bounds = scene.acting_coefficient
         if self.viscosity is not None:
             bounds = bounds + reach * self.viscosity
-        weight = weights(bounds, lattice, self.spin_axes)
+        weight = self.weights(bounds)
         weight[..., lattice.is_driven] = 0.0
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
 
+    def weights(self, bounds: np.ndarray) -> np.ndarray:
+        """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""
+        return weights(bounds, self.scene.lattice, self.spin_axes)
+
     def _load_spins(self, staggered: np.ndarray) -> None:
-        for name in ("point", "point_next", "spin") if self.momentum else ("point", "point_next"):
+        for name in self.points + (("spin",) if self.momentum else ()):
             self.fields.load(name, staggered)
 
     def _begin_epoch(self, length: int) -> None:
@@ -136,7 +150,7 @@ class GradientDescentMethod:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self._force_at(staggered)
         resolution, iteration = self._resolution(), self.iteration
-        found = judged(scene, self.spin_axes, staggered, force, iteration=iteration, resolution=resolution)
+        found = self.judged(staggered, force, iteration=iteration, resolution=resolution)
         if self.momentum:
             self._steer(staggered, found.objective, found.lower_bound)
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
@@ -150,7 +164,7 @@ class GradientDescentMethod:
     def _force_at(self, staggered: np.ndarray) -> np.ndarray:
         """Contact forces (C, R, E) of the law that the sweeps use."""
         scene = self.scene
-        d = contact_differences(staggered, scene.lattice, self.spin_axes)
+        d = self.differences(staggered)
         held, viscosity = scene.law.holding_force(scene.contact), scene.viscosities
         force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
         return force if viscosity is None else force + scene.lattice.radius * viscosity * d
@@ -177,7 +191,7 @@ class GradientDescentMethod:
     def _regularisation_error(self, staggered: np.ndarray) -> np.ndarray:
         """(R,) objective less the smooth one that the sweeps descend: at most width / 2 a contact and unit of force."""
         scene = self.scene
-        size = vector_length(contact_differences(staggered, scene.lattice, self.spin_axes))
+        size = vector_length(self.differences(staggered))
         size = np.minimum(size, self.width)
         error = scene.lattice.radius * (size - size**2 / (2 * self.width))
         return (scene.strength * scene.acting_coefficient * error).sum(axis=1)

@@ -5,6 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import MethodOptions
@@ -43,6 +44,28 @@ class Method(Protocol):
     def progress(self) -> Progress:
         """Where the method stands, judged by the certificate; the only device-to-host read."""
         ...
+
+
+class OnLattice:
+    """What methods ask of the contacts that their spins meet at; those of a packing answer in solvers/network.py."""
+
+    scene: Scene
+    spin_axes: tuple[int, ...]
+
+    def differences(self, staggered: np.ndarray) -> np.ndarray:
+        """(C, R, *N) -> (C, R, E); the slip over the radius."""
+        return contact_differences(staggered, self.scene.lattice, self.spin_axes)
+
+    def pulls(self, force: np.ndarray) -> np.ndarray:
+        """Sums of the contact forces (C, R, E) that pull on each sphere, (C, R, *N)."""
+        return torques(force, self.scene.lattice, self.spin_axes)
+
+    def absolute(self, staggered: np.ndarray) -> np.ndarray:
+        """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for energies."""
+        return staggered + self.scene.driving.bottom_state(self.spin_axes)[0]
+
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
+        return judged(self.scene, self.spin_axes, staggered, force, proof, **more)
 
 
 def judged(

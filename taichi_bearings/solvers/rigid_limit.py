@@ -18,13 +18,11 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.fields import Fields
-from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, absolute, replica_sum
-from taichi_bearings.solvers.method import judged
+from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 from taichi_bearings.solvers.table import RigidLimit
 
 FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
@@ -85,7 +83,7 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
 
     def _force_at_start(self) -> np.ndarray:
         """Forces (C, R, E) of the contacts that slip."""
-        scene, difference = self.scene, contact_differences(self.staggered, self.scene.lattice, self.spin_axes)
+        scene, difference = self.scene, self.differences(self.staggered)
         size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
         force = scene.strength * scene.acting_coefficient * size * difference
         beside = scene.viscosity_beside_friction
@@ -137,7 +135,7 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         """
         scene = self.scene
         impulse = duration * scene.lattice.radius / self.inertia
-        foreseen = self.staggered + impulse * torques(self.force, scene.lattice, self.spin_axes)
+        foreseen = self.staggered + impulse * self.pulls(self.force)
         missed = (step.staggered - foreseen)[..., ~scene.lattice.is_driven]
         mean_square = (missed**2).mean(axis=(0, 2)).max()
         return duration / (duration + self.last_length) * float(np.sqrt(mean_square)) / self.largest
@@ -160,7 +158,7 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
         scene, moving = self.scene, []
-        bottom, top = absolute(scene, np.zeros_like(self.staggered), self.spin_axes), scene.top_spin(self.spin_axes)
+        bottom, top = self.absolute(np.zeros_like(self.staggered)), scene.top_spin(self.spin_axes)
         for component in self.moving:
             slot = self.spin_axes.index(component)
             free = self.staggered[slot][..., 1:-1]
@@ -182,9 +180,7 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
 
     def progress(self) -> Progress:
         scene = self.scene
-        found = judged(
-            scene,
-            self.spin_axes,
+        found = self.judged(
             self.staggered.copy(),
             self.force,
             iteration=self.iteration,

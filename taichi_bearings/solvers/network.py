@@ -1,0 +1,234 @@
+"""A packing as methods see it that step through time or descend: what they ask of a scene, for contacts in lists.
+
+With u = R omega the radii drop out of the slips y = T (u_i + u_j), and the motion of a sphere is
+
+    (I / R^2) du/dt = -sum T^T f,        I / R^2 = 2 m / 5, of a disc m / 2.
+"""
+
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.fields.lists import Lists
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.packing.answer import NO_POWER
+from taichi_bearings.packing.bounds import lower_bound
+from taichi_bearings.packing.checks import sizes
+from taichi_bearings.packing.central_path import viscous_spins
+from taichi_bearings.packing.newton import NewtonMatrix, isotropic
+from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
+from taichi_bearings.scene import Progress
+from taichi_bearings.scene.given import own_array
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.method import OnLattice
+from taichi_bearings.words import meant, shown
+
+PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
+LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
+STARTS_OF_PACKINGS = ("linear", "random", "zero")
+
+
+class Network:
+    """A packing with the words of a `Scene` of one sample, spins u (C, 1, N) of all spheres, and contacts that act.
+
+    acting : (E,) their numbers in the packing; shapes below have these. across : T, (d, E, C).
+    jump : how far imposed u differ, length/time; the natural unit of slips. imposed : what stands for it where they do
+    not, the largest u at the start.
+    """
+
+    replicas, strength, normal_force = 1, 1.0, 1.0
+
+    def __init__(self, packing: Packing) -> None:
+        self.packing, self.law, self.acting = packing, packing.kind, acting(packing)
+        assert packing.normal is not None
+        self.across = tangents(packing.normal[self.acting])
+        self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
+        self.acting_coefficient, self.viscosities = self.contact[0], self.law.viscosity(self.contact)
+        self.viscosity_beside_friction = self.viscosities if self.law.holds else None
+        self.components, held = packing.imposed.shape[1], packing.driven >= 0
+        self.lattice = SimpleNamespace(radius=1.0, is_driven=held)
+        numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
+        self.matrix = slips_of(packing, self.acting, numbers)
+        self.transposed = self.matrix.T.tocsr()
+        self.jump = self._largest_jump(held)
+        self.imposed, self.is_cut_off = (float(np.abs(packing.imposed).max(initial=0.0)),), np.zeros(1, dtype=bool)
+        self.proven, self._looked = 0.0, 0.0  # the best bound so far, and the iteration of the last whole look
+
+    def _largest_jump(self, held: np.ndarray) -> float:
+        """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
+        if not held.any():
+            return 0.0
+        odd, sign = odd_parts(self.packing.spheres, *self.packing.contact[self.acting].T)
+        turned = (sign[:, None] * self.packing.imposed)[held]
+        both = np.concatenate([turned, -turned[odd[held]]])
+        return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
+
+    @cached_property
+    def lists(self) -> Lists:
+        return Lists.of(self.packing.spheres, self.packing.contact[self.acting])
+
+    @cached_property
+    def proof(self) -> tuple[System, NewtonMatrix]:
+        """What bounds follow from."""
+        system = System.of(self.packing)
+        return system, NewtonMatrix(system)
+
+    @cached_property
+    def of_system(self) -> np.ndarray:
+        """Places of the contacts of the system."""
+        return np.searchsorted(self.acting, self.proof[0].contact)
+
+    def differences(self, spins: np.ndarray) -> np.ndarray:
+        """y (d, 1, E) of spins (C, 1, N)."""
+        return (self.matrix @ spins.reshape(self.components, -1).T.ravel()).reshape(len(self.across), 1, -1)
+
+    def pulls(self, force: np.ndarray) -> np.ndarray:
+        """-sum T^T f (C, 1, N) of (d, 1, E)."""
+        return -(self.transposed @ force.ravel()).reshape(-1, 1, self.components).T
+
+    def slips(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
+        """Slip speeds (1, E)."""
+        return vector_length(self.differences(spins))
+
+    def power(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
+        return self.law.power(self.contact, self.slips(spins)).sum(axis=1)
+
+    def impose_driving(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
+        spins[:, 0, self.lattice.is_driven] = self.packing.imposed[self.lattice.is_driven].T
+        return spins
+
+    def laboratory_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
+        """omega (1, N, 3), of discs (1, N)."""
+        found = spins[:, 0].T / np.asarray(self.packing.radius)[:, None]
+        return found[None] if self.components == 3 else found[None, :, 0]
+
+    def start(self, start: str | np.ndarray) -> np.ndarray:
+        """u (C, 1, N) at the start. start : "zero", "random" and "linear", the viscous answer for even contacts, as of
+        scenes; or omega (N, 3), of discs (N,), 1/time."""
+        packing, shape = self.packing, (self.packing.spheres, self.components)[: self.components]
+        if isinstance(start, str):
+            if start not in STARTS_OF_PACKINGS:
+                allowed = f"{', '.join(STARTS_OF_PACKINGS)} or an array of spins"
+                raise InputError(
+                    f"start is {shown(start)}; of a packing it can be {allowed}{meant(start, STARTS_OF_PACKINGS)}"
+                )
+            spin = packing.spin.reshape(packing.spheres, -1)[packing.driven >= 0]
+            largest = float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
+            draw = np.random.default_rng([packing.seed, 1]).uniform(-largest, largest, shape)
+            given = draw if start == "random" else np.zeros(shape)
+        else:
+            given = own_array("the spins in start", start)
+            if given.shape != shape or not np.isfinite(given).all():
+                raise InputError(f"start has shape {given.shape}; it must be {shape} and finite")
+        spins = (given.reshape(packing.spheres, -1) * packing.radius[:, None]).T[:, None].copy()
+        if isinstance(start, str) and start == "linear":
+            system, matrix = self.proof
+            spins = system.all_spins(viscous_spins(system, matrix, np.ones(len(system.contact)))).T[:, None].copy()
+        self.impose_driving(spins)
+        self.imposed = (float(np.abs(spins).max(initial=0.0)),)
+        return spins
+
+    def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
+        """I / R^2 (N,), mass.
+
+        density : (N,) or one, mass / length^D. If None that which gives a sphere of the mean radius this mass, or this
+        moment of inertia.
+        """
+        packing, shape = self.packing, 0.5 if self.components == 1 else 0.4
+        radius = np.asarray(packing.radius)
+        if density is not None:
+            if inertia is not None:
+                raise InputError(f"inertia is {inertia:g} and density is given; one of them says how heavy spheres are")
+            volume = np.pi * radius**2 if self.components == 1 else 4 / 3 * np.pi * radius**3
+            return shape * volume * sizes("density", density, packing.spheres, "sphere")
+        mean = radius.mean()
+        return (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** packing.dimension
+
+    def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
+        """No eigenvalue of M^-1 K^T W K over the free spheres is larger. weight : W, (E,). inertia : M, (N,).
+
+        Of a matrix A none exceeds max (|A| x)_i / x_i, for any x > 0 (Gershgorin's circles are x = 1; Collatz and
+        Wielandt); x is brought near the vector for which that is least.
+        """
+        scale = np.repeat(np.where(self.lattice.is_driven, 0.0, 1 / np.sqrt(inertia)), self.components)
+        half = sparse.diags_array(np.tile(np.sqrt(weight), len(self.across))) @ self.matrix @ sparse.diags_array(scale)
+        size = abs(half.T.tocsr() @ half)
+        vector, least = np.ones(size.shape[0]), np.inf
+        for _ in range(PERRON_STEPS):
+            image = size @ vector
+            least = min(least, float((image / vector).max(initial=0.0)))
+            if least == 0:
+                break
+            vector = np.maximum(image / image.max(), LEAST_SHARE)
+        return least * (1 + 1e-9)
+
+    def bound(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
+        """Proven lower bound on the objective from forces (d, 1, E), 0 where none follows, and forces that prove it.
+
+        whole : also from the forces without the torques they leave, by a factorisation; where normals are oblique no
+        others prove anything.
+        """
+        system, matrix = self.proof
+        if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
+            return 0.0, force
+        above = float(self.law.potential(self.contact, self.slips(spins)).sum()) * (1 + 1e-12 + 1e-16 * force.size)
+        own = force[:, 0, self.of_system]
+        candidates = [own] if whole or along_axes(self.packing, system.contact) else []
+        if whole:
+            candidates += self._balanced(own)
+        best, found = 0.0, own
+        for candidate in candidates:
+            value = lower_bound(system, matrix, candidate, above).value * self.law.share
+            best, found = (value, candidate) if value > best else (best, found)
+        proving = force.copy()
+        proving[:, 0, self.of_system] = found
+        self.proven = max(self.proven, best)
+        return best, proving
+
+    def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
+        """Forces (d, A) of the system in balance; with friction as they are, and shortened all alike until it bears them."""
+        system, matrix = self.proof
+        held = self.law.holding_force(system.coefficients)
+        try:
+            balanced = matrix.balanced(force, isotropic(system.coefficients[0], len(force)))
+        except NotPositiveDefinite:
+            return []
+        if held is None or self.law.flows:
+            return [balanced]
+        return [balanced, balanced / max(1.0, float((vector_length(balanced) / held).max()) * (1 + 1e-14))]
+
+
+class OnNetwork(OnLattice):
+    """The same questions about contacts in lists."""
+
+    scene: Any
+
+    def differences(self, staggered: np.ndarray) -> np.ndarray:
+        return self.scene.differences(staggered)
+
+    def pulls(self, force: np.ndarray) -> np.ndarray:
+        return self.scene.pulls(force)
+
+    def absolute(self, staggered: np.ndarray) -> np.ndarray:
+        return staggered
+
+    def judged(
+        self, staggered: np.ndarray, force: np.ndarray, proof: np.ndarray | None = None, **more: Any
+    ) -> Progress:
+        scene: Network = self.scene
+        objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
+        fastest = np.full(1, np.abs(scene.packing.imposed).max(initial=0.0))
+        scene.is_cut_off = objective <= NO_POWER * scene.law.objective(scene.contact, fastest).sum(axis=1)
+        whole = more["iteration"] >= LOOK_AGAIN * scene._looked
+        scene._looked = max(more["iteration"], 1) if whole else scene._looked
+        bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
+        left = np.abs(scene.pulls(force))[..., ~scene.lattice.is_driven].max(initial=0.0)
+        return Progress(
+            staggered=staggered, spin_axes=self.spin_axes, force=force, objective=objective, proof=proof,
+            lower_bound=np.minimum(bound, objective), largest_balance_residual=np.array([left]), **more,
+        )  # fmt: skip

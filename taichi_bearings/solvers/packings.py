@@ -1,0 +1,233 @@
+"""Dynamics and descent of any packing: the methods of scenes, over contacts in lists."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.fields.lists import ListFields, ListSpec
+from taichi_bearings.interrupts import Interrupt
+from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
+from taichi_bearings.kernels.team import Team
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, Found, PackingResult, judged
+from taichi_bearings.packing.packing import Packing
+from taichi_bearings.scene import Status
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, choose_time_step
+from taichi_bearings.solvers.drive import Monitor, _Course
+from taichi_bearings.solvers.dynamics import RestWatch
+from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
+from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
+from taichi_bearings.solvers.network import Network, OnNetwork
+from taichi_bearings.solvers.recording import Recording, parse_times
+from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, MethodOptions
+from taichi_bearings.words import meant, shown
+
+
+class _OnLists(OnNetwork):
+    """Forces in fields: T f of each contact, and what is along its tangents."""
+
+    def _spec(self, spheres: dict[str, int], contacts: dict[str, int]) -> ListSpec:
+        network: Network = self.scene
+        contacts |= {"force": network.components, "coefficient": 1}
+        contacts["across"] = 6 if network.components == 3 else 0
+        if network.viscosity_beside_friction is not None:
+            contacts["viscosity"] = 1
+        return tuple(spheres.items()), tuple(contacts.items())
+
+    def _load_contacts(self, fields: ListFields) -> None:
+        network: Network = self.scene
+        if network.components == 3:
+            fields.load("across", network.across.transpose(0, 2, 1).reshape(6, 1, -1))
+        fields.load("coefficient", network.acting_coefficient[None])
+        if network.viscosity_beside_friction is not None:
+            fields.load("viscosity", network.viscosity_beside_friction[None])
+
+
+class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
+    """An iteration is one time step."""
+
+    def __init__(self, options: CundallStrack, density: Any = None) -> None:
+        super().__init__(options)
+        self.density = density
+
+    def begin_on(self, network: Network, spins: np.ndarray) -> None:
+        """spins : u (C, 1, N)."""
+        options, c, d = self.options, network.components, len(network.across)
+        self.scene, self.spin_axes = network, tuple(range(c))
+        self.inertia = network.inertias(options.mass, options.inertia, self.density)
+        self.iteration, self.time, self.halted = 0, 0.0, False
+        self.rest = RestWatch(*self.checks, np.full(1, np.inf))
+        self.stability_bound = self._stability_bound(network)
+        self.time_step = choose_time_step(self.stability_bound, options.time_step)
+        spheres = {f"gear_{n}": c for n in range(options.gear_order + 1)} | {"predicted": c, "is_free": 1}
+        contacts = dict[str, int]()
+        if network.law.holds:
+            spheres, contacts = spheres | {"integral": c}, {"elongation": d}
+        if options.energy:
+            spheres, contacts = spheres | {"impulse": c}, contacts | {"work": 1}
+        spec = self._spec(spheres, contacts)
+        self.fields: Any = ListFields(network.lists, spec)
+        self._load_contacts(self.fields)
+        self.fields.load("is_free", np.where(network.lattice.is_driven, 0.0, 1 / self.inertia)[None, None])
+        self._load_gear(spins)
+        self.team = Team(self.fields.team_size)
+        self.steps: Any = list_sweeps(
+            CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order]
+        )
+        self.steps.compile(self.fields, self.team)
+
+    def _stability_bound(self, network: Network) -> float:
+        """As of lattices, with a proven bound on the stiffest mode in the place of their known one."""
+        options, decay = self.options, 0.0
+        if network.viscosities is not None:
+            decay = network.largest_eigenvalue(network.viscosities[0], self.inertia)
+        if not network.law.holds:
+            return largest_stable_step(options.gear_order, decay, 0.0)
+        stiffest = network.largest_eigenvalue(np.ones(len(network.acting)), self.inertia)
+        return largest_stable_step(
+            options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest
+        )
+
+    def _response(self) -> float:
+        return self.time_step
+
+    def _load_force(self, force: np.ndarray) -> None:
+        self.fields.load("force", np.einsum("tre,tek->kre", force, self.scene.across))
+
+    def _contact_forces(self, name: str) -> np.ndarray:
+        found = self.fields.read(name)
+        return found if name == "elongation" else np.einsum("kre,tek->tre", found, self.scene.across)
+
+    def findings(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def is_believed(self, found: Any) -> bool:
+        """By the best bound so far; where none is proven as with static_ratio > 1."""
+        if not self.scene.proven > 0:
+            return self.time >= self._loading_time()
+        return super().is_believed(replace(found, lower_bound=np.array([self.scene.proven])))
+
+
+class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
+    """An iteration is one sweep over all contacts; no box holds the spins, which on oblique networks would be wrong."""
+
+    points = ("point",)
+
+    def begin_on(self, network: Network, spins: np.ndarray) -> None:
+        c, d = network.components, len(network.across)
+        self.scene, self.spin_axes, self.box = network, tuple(range(c)), [0.0] * 6
+        self.averages = network.law.holds and not self.momentum
+        spheres, contacts = {"point": c, "inverse_weight": c}, dict[str, int]()
+        if self.momentum:
+            spheres["spin"] = c
+        if self.averages:
+            spheres, contacts = spheres | {"spin_sum": c}, {"force_sum": d}
+        spec = self._spec(spheres, contacts)
+        self.fields: Any = ListFields(network.lists, spec)
+        self._load_contacts(self.fields)
+        self._load_spins(spins)
+        self.viscosity = self._viscosity()
+        self.team, self.sweeps = Team(self.fields.team_size), list_sweeps(DescentLists, spec, network.law.name, ())
+        self._begin()
+
+    def weights(self, bounds: np.ndarray) -> np.ndarray:
+        """At each sphere sum b_e P_e with P = T^T T is no larger than the diagonal matrix of its rows' sizes."""
+        network: Network = self.scene
+        rows = np.abs(np.einsum("tek,tel->ekl", network.across, network.across)).sum(axis=2) * bounds[0][:, None]
+        total = np.zeros((network.packing.spheres, network.components))
+        for end in network.packing.contact[network.acting].T:
+            np.add.at(total, end, rows)
+        return total.T[:, None]
+
+    def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
+        super()._steer(staggered, objective, np.maximum(bound, self.scene.proven))
+
+    def _averaged_force(self) -> np.ndarray:
+        return self.fields.read("force_sum") / self.averaged
+
+
+STOPS = {"iterations": "iterations", "time_limit": "seconds", "duration": "duration"}
+DEVICES = ("arch", "precision", "threads")
+BUILT: dict[type[MethodOptions], Any] = {
+    CundallStrack: CundallStrackOfPacking,
+    GradientDescent: GradientDescentOfPacking,
+}
+
+
+def follow_packing(
+    packing: Packing,
+    method: str | MethodOptions,
+    tolerance: float = 1e-8,
+    start: str | np.ndarray = "linear",
+    density: Any = None,
+    monitors: Sequence[Monitor] = (),
+    **options: Any,
+) -> PackingResult:
+    """A dynamics or descent of a packing, by its name or with its options.
+
+    start, density : see :class:`Network`. options : `iterations`, `time_limit`, `duration`, `record`, `arch`,
+    `precision`, `threads`, as of scenes.
+    """
+    row = METHODS.get(method) if isinstance(method, str) else type(method)
+    if row not in BUILT:
+        allowed = ", ".join(["auto", *(built.name for built in BUILT)])
+        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(str(method), METHODS)}")
+    if strange := options.keys() - {*STOPS, *DEVICES, "record"}:
+        raise InputError(f"{min(strange)} is no option of a packing{meant(min(strange), [*STOPS, *DEVICES])}")
+    if density is not None and not row.is_dynamics:
+        raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
+    stops = {STOPS[name]: value for name, value in options.items() if name in STOPS}
+    if "duration" in stops:
+        stops = {"iterations": UNLIMITED} | stops
+    stop, recording = StopRule(tolerance, **stops), Recording(_times(options.get("record")))
+    chosen = row() if isinstance(method, str) else method
+    if devices := {name: value for name, value in options.items() if name in DEVICES}:
+        runtime.start(**devices)
+    if row.cpu_only and runtime.current().is_gpu:
+        raise DeviceError(f"{row.name} works in the memory of the CPU; use --arch cpu")
+    begun, network = perf_counter(), Network(packing)
+    built = BUILT[row](chosen, *([density] if row.is_dynamics else []))
+    with Interrupt() as interrupt, one_thread():
+        with interrupt.at_once():
+            built.begin_on(network, network.start(start))
+        if interrupt.heard:  # nothing is reached yet
+            raise KeyboardInterrupt
+        scene: Any = network
+        course = _Course(scene, built, stop, recording, None, interrupt)
+        status, last, seconds = course.follow(monitors)
+        found = _answer(network, course, row.name, tolerance, begun)
+    if status not in (Status.CERTIFIED, Status.STALLED):
+        found = replace(found, status=status.value)
+    columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
+    return replace(found, history=columns, time=last.time, seconds=seconds, iterations=last.iteration)
+
+
+def _times(record: Any) -> np.ndarray:
+    try:
+        return parse_times(record if isinstance(record, str) else ",".join(map(str, np.atleast_1d(record)))) if (
+            record is not None
+        ) else np.zeros(0)
+    except (ValueError, KeyError):
+        raise InputError(f"record is {shown(record)}; it must be times or as log:start,stop,count") from None
+
+
+def _answer(network: Network, course: _Course, name: str, tolerance: float, begun: float) -> PackingResult:
+    """The best state and the best forces; `force` and the states of parts that nothing drives are those of now."""
+    (system, matrix), best = network.proof, course.best
+    last = best.progress
+    value, forces = network.bound(last.force if last.proof is None else last.proof, last.staggered, whole=True)
+    proof = forces if value > best.bound[0] else best.proof
+    found = Found(np.zeros(system.unknowns), proof[:, 0, network.of_system], name, everywhere=last.staggered[:, 0].T)
+    result = judged(system, matrix, found, tolerance, begun)
+    force, state = result.force.copy(), result.state.copy()
+    force[network.acting] = vector_length(last.force)[0]
+    loose = np.setdiff1d(network.acting, system.contact)
+    state[loose] = np.where(result.slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+    return replace(result, force=force, state=state)
