@@ -3,7 +3,6 @@
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -33,7 +32,6 @@ from taichi_bearings.scene import Status
 if TYPE_CHECKING:
     from distributed import Client
 
-FORECASTS = 50.0  # times as long as the time left takes to compute passes until it is computed anew, at least
 REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
 REACHED_STATUS = [status.value for status in Status if status.reached]
 LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
@@ -54,20 +52,11 @@ class ScanProgress:
     running: list[Sample] = field(default_factory=list)
     seconds: float = 0.0
     seconds_left: float | None = None
-    _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=400))
-
-    def note(self, seconds: float) -> None:
-        """Remember when how many were done, for the rate."""
-        self.seconds = seconds
-        self._recent.append((seconds, self.done + self.failed))
 
     @property
     def rate(self) -> float:
-        """Samples a second of late."""
-        if len(self._recent) < 2:
-            return 0.0
-        (first, before), (last, now) = self._recent[0], self._recent[-1]
-        return (now - before) / max(last - first, 1e-9)
+        """Samples a second in this call."""
+        return (self.done + self.failed - self.before) / max(self.seconds, 1e-9)
 
 
 Monitor = Callable[[ScanProgress], None]
@@ -131,7 +120,7 @@ def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.
         missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
-    seconds = cost.WorkLeft(cost.units_of(missing, analyse, number), {}, analyse).expected(number)
+    seconds = cost.WorkLeft(missing, analyse).expected(number)
     return {
         "samples": len(ours),
         "scanned": list(plan.scanned),
@@ -235,7 +224,7 @@ class _Course:
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
-        self.began = self.written = time.monotonic()
+        self.began = self.written = self.foretold = time.monotonic()
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor
         self.journal = folder / (JOURNAL if part is None else part.journal)
         self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
@@ -245,7 +234,7 @@ class _Course:
         self.open = set(self.missing)  # samples that still lack something
         before = len(self.plan.samples) - len(missing)
         self.progress = ScanProgress(len(self.plan.samples), before, done=before)
-        self.writing = self.next_forecast = 0.0
+        self.writing = 0.0
         self.removed: list[Path] = []
 
     def _own_bytes(self) -> int:
@@ -258,45 +247,43 @@ class _Course:
     def follow(self, engine: Engine, journal: Journal, stopped: threading.Event) -> None:
         """Have the missing samples solved and written down, until all are or it is stopped."""
         analyse = bool(self.plan.wishes.get("analyse"))
-        units = cost.units_of(list(self.missing.values()), analyse, engine.workers or 1)
-        work = cost.WorkLeft(units, self.records, analyse)
+        missing = list(self.missing.values())
+        units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
 
         def retry(sample: Sample, reason: str) -> None:
             _say(f"sample {sample.label} failed and is tried again: {reason}")
-            work.retry(sample)
 
         for finished in run_samples(units, engine, retry, failure):
             if finished:
-                self._keep(finished, work, journal)
+                self._keep(finished, work, journal, engine.workers)
                 continue
-            self._look(work, engine)
+            self._look(engine)
             if stopped.is_set():
                 return
 
-    def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
+    def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal, workers: int) -> None:
         news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
         journal.append(news)
         self.records |= {record["key"]: record for record in news}
         for record in finished:
             sample = self.missing[record["key"]]
-            work.finish(sample)
+            work.finish(sample, record["scalars"].get("seconds"))
             if parts.is_failed(record):
                 self.progress.failed += 1
                 _say(f"sample {sample.label} failed: {record['scalars']['error']}")
             else:
                 self.progress.done += 1
                 self.open.discard(sample.key)
-        self.progress.note(time.monotonic() - self.began)
+        self.foretold = time.monotonic()
+        self.progress.seconds_left = work.seconds_left(workers, self.foretold - self.began)
 
-    def _look(self, work: cost.WorkLeft, engine: Engine) -> None:
+    def _look(self, engine: Engine) -> None:
         """Tell where the scan stands, and write its files now and then."""
-        self.progress.seconds = now = time.monotonic() - self.began
-        running = engine.running
-        self.progress.running = [unit[0] for unit in running]
-        work.look(running, engine.workers, now)
-        if now >= self.next_forecast:
-            self.progress.seconds_left = work.seconds_left(engine.workers, now)
-            self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
+        now = time.monotonic()
+        self.progress.seconds, self.progress.running = now - self.began, [unit[0] for unit in engine.running]
+        if self.progress.seconds_left is not None:
+            self.progress.seconds_left = max(self.progress.seconds_left - (now - self.foretold), 0.0)
+            self.foretold = now
         self.monitor(self.progress)
         if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
             began = time.monotonic()
