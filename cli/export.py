@@ -19,7 +19,7 @@ def command(run: Path, replica: int, out: Path | None, force: bool, as_json: boo
     \b
     points  the spheres: spin, rigid domain and what that is locked to, piece of the slipless network,
             betweenness, side of the minimum cut; with periodic sides also images of the first ones behind the last
-    lines   the contacts: slip, power, force, state, proven or not, coefficient, betweenness, current,
+    lines   the contacts: slip, power, force, state, proven or not, coefficient, betweenness,
             on the minimum cut, on the path, on the backbone
     steps   the snapshots of a dynamics and its end
 

@@ -1,7 +1,5 @@
 """bearings plot"""
 
-import math
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +10,7 @@ from taichi_bearings_cli.options import Choice, out_options, replica_option, run
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
-STRUCTURE_KINDS = (
-    "domains", "network", "plane_cuts", "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution",
-)  # fmt: skip
+STRUCTURE_KINDS = ("domains", "network", "plane_cuts", "bottlenecks")
 PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 
@@ -34,15 +30,7 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
     help="scan: mean and standard error, median and quartiles, or mean and 95 % interval. "
     "[default: standard-error; for a ratio bootstrap]",
 )  # fmt: skip
-@click.option(
-    "--collapse", metavar="A,B", default=None, help="scan: y L^-A against x L^B, a curve for each size L (the height)."
-)
 @click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
-@click.option(
-    "--fit", metavar="power[:SLOPE]", default=None,
-    help="scan: a power law through each curve; with a slope a guide, as power:1.5.",
-)  # fmt: skip
-@click.option("--fit-range", metavar="LOW,HIGH", default=None, help="scan: the points for --fit, by their x.")
 @click.option(
     "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
 )
@@ -65,14 +53,10 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     and the figures of `bearings analyse`:
 
     \b
-    domains            rigid domains: where they are, how large, how they turn
-    network            slipless contacts, a path from bottom to top and its spins
-    plane_cuts         cuts along the planes that hold most of the path
-    cut_surface        the minimum cut and the contacts that slip
-    bottlenecks        how the paths from bottom to top crowd
-    torque_flow        friction of the slipless contacts and the torque they carry
-    thresholds         what a slip threshold would have made of the contacts
-    load_distribution  how the paths crowd over all replicas
+    domains      rigid domains: where they are, how large, how they turn
+    network      slipless contacts, a path from bottom to top and its spins
+    plane_cuts   cuts along the planes that hold most of the path
+    bottlenecks  how the paths from bottom to top crowd
 
     and, with the directory of a scan as RUN,
 
@@ -85,9 +69,8 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
       bearings plot spins outputs/my-run --out spins.png
       bearings plot power outputs/my-run --plane z=5 --plane x=0 --width single --out power.pdf
       bearings plot scan outputs/my-scan --y power --x spin_bottom --by shape
-      bearings plot scan outputs/my-scan --y power --x L --log xy --fit power
+      bearings plot scan outputs/my-scan --y power --x L --log xy
       bearings plot scan outputs/my-scan --y power/power_minimum_cut --x L --where law=coulomb
-      bearings plot scan outputs/my-scan --y power --x spin_bottom --collapse 1.5,0 --log y
     """
     page = _page(more.pop("width"), more.pop("dpi"), more.pop("planes"), more.pop("view"))
     if kind == "scan":
@@ -146,7 +129,6 @@ def _page(width: str | None, dpi: str | None, planes: tuple[str, ...], view: str
 def _plot_scan(
     scan: Path, out: Path | None, force: bool, page: "Page", y: str | None, x: str | None, **rest: Any
 ) -> None:
-    from taichi_bearings.analysis.fit import read_fit, read_range
     from taichi_bearings.errors import InputError
     from taichi_bearings.scans.figure import Request, plot_scan
 
@@ -156,27 +138,5 @@ def _plot_scan(
         raise InputError(
             f"--{'plane' if page.planes else 'view'} belongs to figures of runs, not to `bearings plot scan`"
         )
-    request = Request(y, x, rest["by"], rest["where"], rest["bars"], _exponents(rest["collapse"]), rest["log"] or "")
-    if rest["fit"]:
-        read_fit(rest["fit"])
-        request = replace(request, fit=rest["fit"])
-    if rest["fit_range"]:
-        if not rest["fit"]:
-            raise InputError("--fit-range belongs to --fit")
-        request = replace(request, fit_range=read_range(rest["fit_range"]))
+    request = Request(y, x, rest["by"], rest["where"], rest["bars"], rest["log"] or "")
     click.echo("\n".join(map(str, plot_scan(scan, request, out, force, click.echo, page))))
-
-
-def _exponents(collapse: str | None) -> tuple[float, float] | None:
-    """Two finite numbers, if any are given."""
-    from taichi_bearings.errors import InputError
-
-    if collapse is None:
-        return None
-    try:
-        a, b = map(float, collapse.split(","))
-        if not (math.isfinite(a) and math.isfinite(b)):
-            raise ValueError
-    except ValueError:
-        raise InputError(f"collapse is {collapse!r}; it must be two exponents such as 1.5,0") from None
-    return a, b

@@ -1,27 +1,12 @@
 """Numbers and mistyped words in sentences for people."""
 
 import difflib
-import math
 from collections.abc import Iterable
 from typing import Any
 
-MOST_DIGITS = 12
-LEAST_EXPONENT = -4  # decimal exponent below which numbers are written with one
 LIKE_LETTERS = 0.6  # share of the letters that a mistyped word has in common with what was meant
 MOST_SHOWN, LEAST_SHOWN = 100, 8  # letters of a value in a sentence: at most, and at its end if it is longer
 LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
-
-
-def share(value: float, digits: int = 1) -> str:
-    """A share as percent; one that is not quite all, or not quite nothing, gets the digits to say so.
-
-    >>> share(0.5), share(0.99996), share(1.0), share(2e-5)
-    ('50.0%', '99.996%', '100.0%', '0.002%')
-    """
-    whole = format(round(value), ".0%")
-    while digits < MOST_DIGITS and value != round(value) and float(f"{value:.{digits}%}"[:-1]) == float(whole[:-1]):
-        digits += 1
-    return f"{value:.{digits}%}"
 
 
 def counted(number: int, what: str) -> str:
@@ -31,24 +16,6 @@ def counted(number: int, what: str) -> str:
     ('1 iteration', '1,200 samples')
     """
     return f"{number:,} {what}{'' if number == 1 else 's'}"
-
-
-def with_error(value: float, error: float) -> str:
-    """A value and its error to the same place: that of the first digit of the error, of the second if the first is 1.
-
-    Without an error (not-a-number or 0) the value alone.
-
-    >>> with_error(135.278, 41.2), with_error(0.51972, 0.0121), with_error(2.0, 0.577), with_error(1.0, math.nan)
-    ('140 +- 40', '0.520 +- 0.012', '2.0 +- 0.6', '1')
-    """
-    if not (math.isfinite(value) and math.isfinite(error) and error > 0):
-        return f"{value:.6g}"
-    size = math.floor(math.log10(max(abs(value), error)))
-    if size < LEAST_EXPONENT:
-        return f"({with_error(value / 10.0**size, error / 10.0**size)})e{size}"
-    place = math.floor(math.log10(error))
-    place -= error < 2 * 10.0**place
-    return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, error))
 
 
 def shown(value: Any) -> str:

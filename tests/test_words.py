@@ -6,11 +6,11 @@ import click
 import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import COMMANDS, bearings
+from taichi_bearings_studies.paper import claims
 from taichi_bearings_studies.paper.reproduce import FIGURES, reproduce
 
 import taichi_bearings as tb
 from taichi_bearings import runtime, words
-from taichi_bearings.analysis.fit import read_fit
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.options import chosen
@@ -35,7 +35,7 @@ def mistyped(word):
 
 
 def test_the_examples_of_words():
-    assert doctest.testmod(words).failed == 0
+    assert doctest.testmod(words).failed == doctest.testmod(claims).failed == 0
 
 
 @pytest.mark.parametrize("name", [*METHODS, *LAWS, *Distribution.PARAMETERS, *STARTS, *FIGURE_KINDS, *COMMANDS])
@@ -84,7 +84,6 @@ def saved(folder):
         (lambda _: tb.solve(SCENE, "planar"), "planar-cut"),
         (lambda _: tb.solve(SCENE, duraton=1), "duration"),
         (lambda _: draw_figure("plane-cut", None), "plane_cuts"),
-        (lambda _: read_fit("powr:2"), "power"),
         (lambda _: read_width("singel"), "single"),
         (lambda _: chosen("methods", "interior-point,rigid-limt", METHODS), "rigid-limit"),
         (lambda folder: reproduce(["fgi1"], folder, None), next(iter(FIGURES))),

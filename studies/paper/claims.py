@@ -4,6 +4,7 @@ A claim there has `claim`, `finding`, `paper`, `ours`, `uncertainty` and `after_
 `limits`; and rules, expressions in the same names: `holds`, `refined`, `samples` and `needed`.
 """
 
+import math
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from scipy.special import betaincinv
 
 from taichi_bearings.analysis.statistics import CONFIDENCE as MEAN_CONFIDENCE
 from taichi_bearings.analysis.statistics import FEW_SAMPLES, LEAST_SAMPLES, MANY_SAMPLES, mean_interval
-from taichi_bearings.words import counted, share, with_error
+from taichi_bearings.words import counted
 
 VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
 KINDS = {
@@ -26,7 +27,39 @@ KINDS = {
 """What a verdict rests on."""
 CONFIDENCE = 0.95
 SAMPLES, QUICK_SAMPLES = 200, 20  # seeds that a statistical claim may take, by default
+MOST_DIGITS = 12  # of a share
+LEAST_EXPONENT = -4  # decimal exponent below which numbers are written with one
 ROUND_OFF = 1e-12  # relative difference that numbers of samples may have by rounding alone
+
+
+def share(value: float, digits: int = 1) -> str:
+    """A share as percent; one that is not quite all, or not quite nothing, gets the digits to say so.
+
+    >>> share(0.5), share(0.99996), share(1.0), share(2e-5)
+    ('50.0%', '99.996%', '100.0%', '0.002%')
+    """
+    whole = format(round(value), ".0%")
+    while digits < MOST_DIGITS and value != round(value) and float(f"{value:.{digits}%}"[:-1]) == float(whole[:-1]):
+        digits += 1
+    return f"{value:.{digits}%}"
+
+
+def with_error(value: float, error: float) -> str:
+    """A value and its error to the same place: that of the first digit of the error, of the second if the first is 1.
+
+    Without an error (not-a-number or 0) the value alone.
+
+    >>> with_error(135.278, 41.2), with_error(0.51972, 0.0121), with_error(2.0, 0.577), with_error(1.0, math.nan)
+    ('140 +- 40', '0.520 +- 0.012', '2.0 +- 0.6', '1')
+    """
+    if not (math.isfinite(value) and math.isfinite(error) and error > 0):
+        return f"{value:.6g}"
+    size = math.floor(math.log10(max(abs(value), error)))
+    if size < LEAST_EXPONENT:
+        return f"({with_error(value / 10.0**size, error / 10.0**size)})e{size}"
+    place = math.floor(math.log10(error))
+    place -= error < 2 * 10.0**place
+    return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, error))
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def _written(sample: Sample) -> list[Any]:
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
     """A Sample as a mapping."""
-    view, scene = structure.view, structure.scene
+    network, scene = structure.network, structure.scene
     power = scene.law.power(scene.contact, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
     power = power[power > 0]
     found = Sample(
@@ -80,9 +80,9 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
         below_cut=bool(structure.power < structure.interface.lower_bound * (1 - SAME)),
         gap=(structure.power - structure.lower_bound) / structure.power,
         states_proven=bool(structure.states_proven),
-        spans=bool(view["spans"]),
-        reached_fraction=float(view["reached_fraction"]),
-        slipless_fraction=view["slipless"] / scene.lattice.contacts,
+        spans=network.spans,
+        reached_fraction=network.reached_fraction,
+        slipless_fraction=len(network.axis) / scene.lattice.contacts,
         decades=float(np.log10(power.max() / power.min())) if structure.states_proven else None,
     )
     return asdict(found)

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.analysis.structure import THRESHOLDS, Structure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import stage
 
-from ..plots.sizes import Column, draw_sizes
+from ..plots.sizes import THRESHOLDS, Column, draw_sizes
 from .claims import Claim, Effort, Share, judge
 from .samples import SAME, measured, save_both
 
@@ -26,7 +27,7 @@ SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025
 """Side of the cube -> samples of it, as a share of those that a claim may take."""
 BULK, LARGE = 10, 24  # sides: the paper's own, and from which on most samples must span
 PRACTICALLY_ALL = 0.99  # of the free spheres
-View = dict[str, Any]  # `Structure.view`
+View = dict[str, Any]  # as of `view_of`
 
 
 @dataclass(frozen=True)
@@ -90,14 +91,44 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
     """The numbers of one sample, and what thresholds and then contact states show of it."""
-    views = [*structure.views_by_threshold, structure.view]
+    views = [*views_by_threshold(structure), view_of(structure)]
     numbers = asdict(sample_of(structure)).items()
     return {"sample": {name: plain(value) for name, value in numbers}, "views": views}
 
 
+def view_of(structure: Structure) -> View:
+    """Network and domains in a few numbers: slipless contacts, whether their network spans, shares of the free spheres,
+    rigid domains, spheres of the largest one that is not locked to one plane."""
+    return {
+        "slipless": len(structure.network.axis),
+        "spans": structure.network.spans,
+        "reached_fraction": structure.network.reached_fraction,
+        "spanning_fraction": structure.network.spanning_fraction,
+        "domains": structure.domains.number,
+        "largest_intermediate": structure.domains.largest_intermediate,
+    }
+
+
+def views_by_threshold(structure: Structure) -> list[View]:
+    """The same for each of THRESHOLDS: what a solver would have seen that cannot tell tiny slips from none.
+
+    At the minimum of a large sample the slips span many decades, so a coarse threshold merges slipping contacts into
+    the network and domains into each other.
+    """
+    views: dict[int, View] = {}
+    chosen = []
+    for threshold in THRESHOLDS:
+        seen = structure.by_threshold(threshold * (structure.scene.lattice.radius * structure.scene.jump))
+        count = seen.contacts_in(ContactState.SLIPLESS)  # the sets are nested: the same number, the same set
+        if count not in views:
+            views[count] = view_of(seen)
+        chosen.append(views[count])
+    return chosen
+
+
 def sample_of(structure: Structure) -> Sample:
     """The numbers of one sample."""
-    scene, network, view = structure.scene, structure.network, structure.view
+    scene, network, view = structure.scene, structure.network, view_of(structure)
     free = ~scene.lattice.is_driven
     kinds = structure.domains.spheres_of_kind(free)
     planes = network.path_planes
@@ -122,9 +153,9 @@ def sample_of(structure: Structure) -> Sample:
         planes_x=planes[0],
         planes_y=planes[1],
         disjoint_paths=network.disjoint_paths,
-        busiest_link_share=structure.bottlenecks.concentration["largest"],
-        effective_links=structure.bottlenecks.concentration["effective"],
-        parting_links=int(structure.bottlenecks.parting.links.sum()),
+        busiest_link_share=float(structure.bottlenecks.share.max(initial=0.0)),
+        effective_links=structure.bottlenecks.effective_links,
+        parting_links=int(structure.bottlenecks.parting.sum()),
         plane_spans=any(bool(network.spans_within_planes(axis).any()) for axis in (0, 1)),
     )
 
@@ -152,7 +183,7 @@ def columns_of(samples: Sequence[Sample]) -> dict[str, Column]:
 
 
 def by_threshold(views: Sequence[Sequence[View]]) -> dict[str, np.ndarray]:
-    """Every number of `Structure.view`, (samples, thresholds + 1): for each of THRESHOLDS, then by contact states."""
+    """Every number of `view_of`, (samples, thresholds + 1): for each of THRESHOLDS, then by contact states."""
     return {name: np.array([[float(seen[name]) for seen in sample] for sample in views]) for name in views[0][-1]}
 
 

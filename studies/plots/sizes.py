@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 
+THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+"""Slips over R times the imposed jump, which is the largest slip there can be."""
 THRESHOLD = r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$"
 
 

@@ -1,52 +1,57 @@
 """Bottlenecks: the few links of the slipless network that carry most of what goes from bottom to top.
 
-Three ways to look for them. *Shortest paths* (`betweenness`). *A current*: every slipless contact is a unit conductance
-and each driven plane one electrode; current takes all ways at once, the short ones more, where shortest paths know only
-themselves (Newman, Social Networks 27, 39, 2005, with one source and one sink). And *what parts the planes alone*, in
-words of percolation theory (Stauffer and Aharony, Introduction to Percolation Theory, 1994): the *backbone* is all that
-lies on some path from the bottom to the top that visits nothing twice; what hangs on it without leading through is a
-dangling end. A *bridge* is a link whose removal cuts something off. A bridge in the backbone *parts* bottom from top:
-every path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). The same holds for spheres, with
-"articulation point" for "bridge". One extra link from the bottom body to the top body closes every path through into a
-cycle, so the backbone is the biconnected block that holds this link (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973).
+Two ways to look for them. *Shortest paths*: a bottom sphere s and a top sphere t that slipless contacts join are a
+*pair*. Let sigma_st be the number of shortest paths from s to t and sigma_st(e) the number of those through link e.
+The betweenness of e is the sum over all pairs of sigma_st(e) / sigma_st: every pair sends one unit from s to t, split
+evenly over its shortest paths (Freeman, Sociometry 40, 35, 1977, with these sources and targets only). Driven spheres
+are ends only: contacts within a driven plane are no links, so no path runs through a third driven sphere.
 
-Where several links share the load there is the smallest set that parts the planes (`SliplessNetwork.parting_sets`).
+And *what parts the planes alone*, in words of percolation theory (Stauffer and Aharony, Introduction to Percolation
+Theory, 1994): the *backbone* is all that lies on some path from the bottom to the top that visits nothing twice; what
+hangs on it without leading through is a dangling end. A link of the backbone whose removal cuts it *parts* bottom from
+top: every path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). One extra link from the bottom
+body to the top body closes every path through into a cycle, so the backbone is the biconnected block that holds this
+link (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973). Where several links share the load there is the smallest set that
+parts the planes (`SliplessNetwork.parting_sets`).
+
+Paths are counted by Brandes' algorithm (J. Math. Sociol. 25, 163, 2001), one level of a breadth-first search at a time
+for many sources at once. The sweep out counts paths: sigma_s(w) is the sum of sigma_s(v) over the neighbours v in the
+level before. The sweep home takes what has gathered at w to each such v in proportion to sigma_s(v) / sigma_s(w). Only
+these shares are kept, so the counts, which grow exponentially with the distance, are rescaled at every level and never
+overflow. The work grows like sources times links.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import rustworkx
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.betweenness import Betweenness, betweenness
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 
 LEAST_LOAD = 1e-12  # a load that is less is none
-DENSE = 4.5  # links a sphere from which the factor grows too large and conjugate gradients need few steps
-ITERATION_TOLERANCE = 1e-13  # of the residual, relative to the current that flows in
-MOST_CURRENT_REFINEMENTS = 6  # solutions of the residual equation, each good to 1e-5
-
-Loads = tuple[np.ndarray, np.ndarray]
+EXACT_WORK = 200_000_000  # sources times links; beyond it a sample of the sources must do
+BATCH_WORK = 2_000_000  # sources times links, or spheres, searched at once: some 100 MB
+LEAST_COUNT = 1e-200  # of paths, in units of the largest of its level
 
 
-class Weak(NamedTuple):
-    """Bridges (E,) and articulation points (sites,) of a part of the network; driven spheres do not count."""
+@dataclass(frozen=True)
+class Betweenness:
+    """Load of each link (E,) and each sphere (sites,) by all pairs; a sphere carries the pairs that it ends, too.
 
-    links: np.ndarray
-    spheres: np.ndarray
+    link, sphere : in pairs; exact if paths were counted from all sources, else an unbiased estimate.
+    pairs : number of connected pairs. mean_distance : mean length of their shortest paths in links; 0 without pairs.
+    """
 
-
-class Flow(NamedTuple):
-    """Amount of the current (E,) through each link, and the resistance between the planes in units of one contact's;
-    0 and infinite if they are apart."""
-
-    current: np.ndarray
-    resistance: float
+    link: np.ndarray
+    sphere: np.ndarray
+    pairs: int
+    mean_distance: float
+    is_exact: bool
 
 
 @dataclass(frozen=True)
@@ -57,8 +62,8 @@ class Bottlenecks:
 
     @cached_property
     def backbone(self) -> np.ndarray:
-        """(E,) True for links on some path from bottom to top that visits no body twice: they alone carry current and
-        shortest paths. All False if the planes are apart."""
+        """(E,) True for links on some path from bottom to top that visits no body twice: they alone are on shortest
+        paths. All False if the planes are apart."""
         network, through = self.network, np.zeros(len(self.network.axis), dtype=bool)
         if network.spans:
             in_piece = network.spanning.ravel()[network.ends[0]]
@@ -68,25 +73,13 @@ class Bottlenecks:
         return through
 
     @cached_property
-    def weak(self) -> Weak:
-        """Of the piece that joins the planes: removal breaks it."""
-        return self._weak_in(self.network.spanning.ravel()[self.network.ends[0]])
-
-    @cached_property
-    def parting(self) -> Weak:
-        """Of the backbone: removal parts bottom from top."""
-        return self._weak_in(self.backbone)
-
-    def _weak_in(self, chosen: np.ndarray) -> Weak:
-        """Of the graph of the `chosen` links. A bridge is a block of one link; an articulation point is in several."""
-        network, bridges = self.network, np.zeros(len(chosen), dtype=bool)
-        low, high = network.body[network.ends[:, chosen]]
-        block = _blocks(low, high, network.bodies)
-        bridges[chosen] = np.bincount(block)[block] == 1
-        body_in_block = np.unique(np.stack([np.append(low, high), np.append(block, block)]), axis=1)[0]
-        several = np.bincount(body_in_block, minlength=network.bodies) > 1
-        several[[0, -1]] = False
-        return Weak(bridges, several[network.body])
+    def parting(self) -> np.ndarray:
+        """(E,) True for links of the backbone whose removal alone parts bottom from top: blocks of one link."""
+        parting = np.zeros(len(self.backbone), dtype=bool)
+        low, high = self.network.body[self.network.ends[:, self.backbone]]
+        block = _blocks(low, high, self.network.bodies)
+        parting[self.backbone] = np.bincount(block)[block] == 1
+        return parting
 
     @cached_property
     def betweenness(self) -> Betweenness:
@@ -103,40 +96,24 @@ class Bottlenecks:
         shape, found = self.network.lattice.shape, self.betweenness
         return found.sphere.reshape(shape) / max(1, found.pairs)
 
-    @cached_property
-    def flow(self) -> Flow:
-        """Of a current of 1 from bottom to top."""
-        return current_flow(self.network, self.backbone)
-
     @property
-    def loads(self) -> Loads:
-        """Shares (E,) of the paths and of the current that each link carries, without the network."""
-        return self.share, self.flow.current
-
-    @property
-    def concentration(self) -> dict[str, float]:
-        """Of the shortest paths."""
-        return concentration(self.share)
-
-    @property
-    def current_concentration(self) -> dict[str, float]:
-        return concentration(self.flow.current)
+    def effective_links(self) -> float:
+        """Participation number (sum load)^2 / sum load^2: as many links as would bear the load of the shortest paths if
+        they all bore the same; 0 without pairs."""
+        load = self.share
+        return float(load.sum() ** 2 / (load**2).sum()) if load.any() else 0.0
 
     def most_loaded(self, number: int = 10) -> list[dict[str, Any]]:
-        """The links that carry most pairs, the heaviest first, of equal ones that with more current: where they are,
-        what they carry and whether they hold something together."""
-        share, error = self.share, self.betweenness.link_error / max(1, self.betweenness.pairs)
-        rank = np.lexsort((-self.flow.current.round(12), -share.round(12)))
+        """The links that carry most pairs, the heaviest first: where they are, what they carry and whether they part
+        the planes alone."""
         columns = {
             "contact": self.network.contact,
             "axis": self.network.axis,
-            "share": share,
-            "share_error": error,
-            "current": self.flow.current,
-            "is_bridge": self.weak.links,
-            "parts_the_planes": self.parting.links,
+            "share": self.share,
+            "parts_the_planes": self.parting,
         }
-        chosen = rank[share[rank] > LEAST_LOAD][:number]
+        rank = np.argsort(-self.share.round(12), kind="stable")
+        chosen = rank[self.share[rank] > LEAST_LOAD][:number]
         return [{name: values[edge].tolist() for name, values in columns.items()} for edge in chosen]
 
 
@@ -153,63 +130,114 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
     return label
 
 
-def current_flow(network: SliplessNetwork, links: np.ndarray) -> Flow:
-    """A current of 1 from bottom to top; links : (E,) bool, those that can carry it (the backbone)."""
-    flow = np.zeros(len(network.axis))
-    if not links.any():
-        return Flow(flow, np.inf)
-    low, high = network.body[network.ends[:, links]]
-    voltage = _voltages(low, high, network.bodies)
-    current = voltage[low] - voltage[high]
-    total = (np.bincount(low, current, network.bodies) - np.bincount(high, current, network.bodies))[0]
-    flow[links] = np.abs(current) / total
-    return Flow(flow, float(1 / total))
+def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
+    """The betweenness of one sample.
 
-
-def _voltages(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
-    """Voltage of each body, 1 at the first one and 0 at the last one; also 0 where no link leads.
-
-    By a sparse factorisation with minimum degree ordering; by conjugate gradients where links are dense.
+    links : (E,) bool, those that can lie on a shortest path (the backbone), to save work; default all. Where EXACT_WORK
+    does not allow to count from all sources, the spheres of the driven plane that has fewer, some are drawn.
     """
-    degree = np.bincount(low, minlength=bodies) + np.bincount(high, minlength=bodies)
-    held = degree == 0
-    held[[0, -1]] = True
-    fed = np.zeros(bodies)
-    fed[np.concatenate([high[low == 0], low[high == 0]])] = 1.0
-    laplacian, right = graph_laplacian([(low, high, np.ones(len(low)))], bodies, held), fed[~held]
-    voltage = np.zeros(bodies)
-    voltage[0] = 1.0
-    sparse = degree[~held].mean() < DENSE
-    voltage[~held] = factorised(laplacian).solve(right) if sparse else _iterated(laplacian, degree[~held], right)
-    return voltage
+    sites, edges = network.lattice.sites, len(network.axis)
+    neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
+    starts, targets, pairs = _ends_of_pairs(network)
+    is_target = np.zeros(sites, dtype=bool)
+    is_target[targets] = True
+    work = max(1, len(neighbours.link) // 2)
+    number, drawn = max(2, EXACT_WORK // work), starts
+    if number < len(starts):
+        drawn = np.sort(np.random.default_rng(0).choice(starts, number, replace=False))
+    link, sphere, distance = np.zeros(edges), np.zeros(sites), 0.0
+    at_once = max(1, BATCH_WORK // max(work, sites))
+    for begin in range(0, len(drawn), at_once):
+        levels = _count_paths(neighbours, drawn[begin : begin + at_once])
+        arrived, flows = _send_home(levels, is_target)
+        place = np.concatenate([level.link for level in levels[:0:-1]])
+        link += np.bincount(place, weights=flows, minlength=edges)
+        place = np.concatenate([level.sphere for level in levels])
+        sphere += np.bincount(place, weights=np.concatenate(arrived), minlength=sites)
+        distance += sum(n * is_target[level.sphere].sum() for n, level in enumerate(levels))
+    scale = len(starts) / max(1, len(drawn))
+    mean = float(scale * distance) / max(1, pairs)
+    return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(drawn) == len(starts))
 
 
-def _iterated(laplacian: csc_array, degree: np.ndarray, right: np.ndarray) -> np.ndarray:
-    jacobi = LinearOperator(laplacian.shape, matvec=lambda values: values.ravel() / degree, dtype=float)
-    solution = np.zeros(len(right))
-    for _ in range(MOST_CURRENT_REFINEMENTS):
-        residual = right - laplacian @ solution
-        if np.linalg.norm(residual) <= ITERATION_TOLERANCE * np.linalg.norm(right):
-            break
-        solution += cg(laplacian, residual, atol=0.0, M=jacobi)[0]
-    return solution
+def _ends_of_pairs(network: SliplessNetwork) -> tuple[np.ndarray, np.ndarray, int]:
+    """Driven spheres joined to the other plane, as indices, of the plane that has fewer and of the other; the pairs."""
+    sites = network.lattice.sites
+    ones = np.ones(len(network.axis), dtype=np.int8)
+    label = connected_components(csr_array((ones, tuple(network.ends)), shape=(sites, sites)), directed=False)[1]
+    low, high = (network.touched_of(body) for body in (0, network.bodies - 1))
+    pairs = int((np.bincount(label[low], minlength=sites) * np.bincount(label[high], minlength=sites)).sum())
+    bottom, top = low[np.isin(label[low], label[high])], high[np.isin(label[high], label[low])]
+    return (bottom, top, pairs) if len(bottom) <= len(top) else (top, bottom, pairs)
 
 
-def concentration(load: np.ndarray) -> dict[str, float]:
-    """How unevenly loads (E,) of at most 1 are spread; all 0 if nothing is loaded.
+class _Neighbours(NamedTuple):
+    """Neighbours of sphere i: sphere[first[i] : first[i] + degree[i]], over the links of the same numbers."""
 
-    largest : load of the top link. loaded : number of links with a load beyond rounding. effective : participation
-    number (sum load)^2 / sum load^2, as many links as would bear it if they all bore the same. half : fewest links that
-    together bear half the sum of the loads. nearly_all : number of links with nine tenths of all pairs or current.
+    first: np.ndarray
+    degree: np.ndarray
+    sphere: np.ndarray
+    link: np.ndarray
+
+
+def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
+    """Over the links of these numbers."""
+    low, high = network.ends[:, links]
+    here, there = np.concatenate([low, high]), np.concatenate([high, low])
+    order = np.argsort(here, kind="stable")
+    degree = np.bincount(here, minlength=network.lattice.sites)
+    return _Neighbours(np.cumsum(degree) - degree, degree, there[order], np.tile(links, 2)[order])
+
+
+class _Level(NamedTuple):
+    """Spheres at one distance from their source, of several searches, and the links that lead to them.
+
+    sphere, search : (K,). For each link: tail, index of its sphere in the level before; head, in this one; share, of
+    the shortest paths to the head that come over it.
     """
-    if not load.any():
-        return {"largest": 0.0, "loaded": 0, "effective": 0.0, "half": 0, "nearly_all": 0}
-    falling = np.sort(load)[::-1]
-    gathered = np.cumsum(falling)
-    return {
-        "largest": float(falling[0]),
-        "loaded": int((load > LEAST_LOAD).sum()),
-        "effective": float(gathered[-1] ** 2 / (load**2).sum()),
-        "half": int(np.searchsorted(gathered, gathered[-1] / 2 * (1 - LEAST_LOAD)) + 1),
-        "nearly_all": int((load >= 0.9).sum()),
-    }
+
+    sphere: np.ndarray
+    search: np.ndarray
+    tail: np.ndarray
+    head: np.ndarray
+    link: np.ndarray
+    share: np.ndarray
+
+
+def _count_paths(neighbours: _Neighbours, sources: np.ndarray) -> list[_Level]:
+    """The levels of the breadth-first searches from `sources`, nearest first, the sources themselves level 0."""
+    searches, sites = len(sources), len(neighbours.degree)
+    place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet
+    none = np.empty(0, dtype=np.int64)
+    level = _Level(sources, np.arange(searches), none, none, none, np.empty(0))
+    place[level.search * sites + level.sphere] = 0
+    count, levels = np.ones(searches), []
+    while len(level.sphere):
+        levels.append(level)
+        degree = neighbours.degree[level.sphere]
+        tail = np.repeat(np.arange(len(degree)), degree)
+        slot = np.arange(len(tail)) + np.repeat(neighbours.first[level.sphere] - (np.cumsum(degree) - degree), degree)
+        found = (level.search * sites)[tail] + neighbours.sphere[slot]
+        new = place[found] < 0
+        tail, slot, found = tail[new], slot[new], found[new]
+        number = np.arange(len(found), dtype=np.int32)
+        place[found] = number  # where several links lead to one sphere, the last one stays and represents it
+        one_each = place[found] == number
+        place[found[one_each]] = number[: one_each.sum()]
+        head = place[found]
+        total = np.bincount(head, weights=count[tail])
+        spheres, searched = neighbours.sphere[slot[one_each]], level.search[tail[one_each]]
+        level = _Level(spheres, searched, tail, head, neighbours.link[slot], count[tail] / total[head])
+        count = np.maximum(total / total.max(initial=0), LEAST_COUNT)
+    return levels
+
+
+def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Take a unit home from every target of every search: what arrives at the spheres of each level, and what flows
+    over the links, from the farthest level to the nearest. is_target : (sites,) bool."""
+    arrived, flows = [is_target[level.sphere].astype(float) for level in levels], [np.empty(0)]
+    for distance in range(len(levels) - 1, 0, -1):
+        level = levels[distance]
+        flows.append(level.share * arrived[distance][level.head])
+        arrived[distance - 1] += np.bincount(level.tail, weights=flows[-1], minlength=len(arrived[distance - 1]))
+    return arrived, np.concatenate(flows)

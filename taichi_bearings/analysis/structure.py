@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -10,21 +9,10 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
 from taichi_bearings.analysis.interface import Interface, find_interface
 from taichi_bearings.analysis.network import SliplessNetwork, network_of
-from taichi_bearings.analysis.torque_flow import (
-    Counted,
-    FrictionLoad,
-    TorqueFlow,
-    force_distribution,
-    friction_load,
-    self_stress,
-    torque_flow,
-)
+from taichi_bearings.analysis.torque_flow import TorqueFlow, saturation, self_stress, torque_flow
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.proof.contact_state import ContactState, critical
 from taichi_bearings.scene import Scene, Solution
-
-THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
-"""Slips over R times the imposed jump, which is the largest slip there can be."""
 
 
 @dataclass(frozen=True)
@@ -73,37 +61,6 @@ class Structure:
         axes = self.scene.minimum_spin_axes
         return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
 
-    @property
-    def view(self) -> dict[str, Any]:
-        """Network and domains in a few numbers: slipless contacts, pieces of their network and whether it spans, shares
-        of the free spheres, rigid domains, spheres of the largest one that is not locked to one plane."""
-        return {
-            "slipless": len(self.network.axis),
-            "components": self.network.components,
-            "spans": self.network.spans,
-            "reached_fraction": self.network.reached_fraction,
-            "spanning_fraction": self.network.spanning_fraction,
-            "domains": self.domains.number,
-            "largest_intermediate": self.domains.largest_intermediate,
-        }
-
-    @cached_property
-    def views_by_threshold(self) -> list[dict[str, Any]]:
-        """The same for each of THRESHOLDS: what a solver would have seen that cannot tell tiny slips from none.
-
-        At the minimum of a large sample the slips span many decades, so a coarse threshold merges slipping contacts
-        into the network and domains into each other.
-        """
-        views: dict[int, dict[str, Any]] = {}
-        chosen = []
-        for threshold in THRESHOLDS:
-            seen = self.by_threshold(threshold * (self.scene.lattice.radius * self.scene.jump))
-            count = seen.contacts_in(ContactState.SLIPLESS)  # the sets are nested: the same number, the same set
-            if count not in views:
-                views[count] = seen.view
-            chosen.append({"threshold": threshold} | views[count])
-        return chosen
-
     def by_threshold(self, threshold: float) -> "Structure":
         """The sample where contacts that slip faster than the threshold slip, and all others are slipless; those
         between driven spheres stay. threshold : length/time."""
@@ -121,21 +78,14 @@ class Structure:
         top = self.scene.top_spin(self.scene.minimum_spin_axes)
         return torque_flow(self.scene.lattice, self.force, self.state, top)
 
-    @cached_property
-    def friction_load(self) -> FrictionLoad | None:
-        """How close to slipping the contacts are; None without a limit of friction."""
+    @property
+    def mean_saturation(self) -> float | None:
+        """Mean share of their friction limit that slipless contacts bear: not-a-number where there are none, None
+        without a limit of friction."""
         if not self.scene.law.is_rate_independent:
             return None
-        return friction_load(self.force, self.scene.strength * self.scene.coefficient[0], self.state)
-
-    @property
-    def saturation(self) -> Counted | None:
-        """Contacts by the share of their limit of friction that they bear; None as above."""
-        return None if self.friction_load is None else self.friction_load.counted
-
-    @cached_property
-    def force_distribution(self) -> Counted:
-        return force_distribution(self.force, self.state)
+        shares = saturation(self.force, self.scene.strength * self.scene.coefficient[0], self.state)
+        return float(shares.mean()) if len(shares) else np.nan
 
     @cached_property
     def self_stress(self) -> int:

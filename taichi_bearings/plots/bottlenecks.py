@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.bottlenecks import Bottlenecks
+from taichi_bearings.analysis.bottlenecks import LEAST_LOAD, Bottlenecks
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.lattice import ends_of, frame_block, line_on_site, site_on_paper, up_to_the_sides
 from taichi_bearings.plots.page import PAGE, Page, View, columns_on
@@ -79,7 +79,7 @@ def _draw_limits(place: Any, found: Bottlenecks, middle: np.ndarray, which: np.n
     paths, (lowest, highest) = found.network.disjoint_paths, found.network.parting_sets
     style = {"linestyle": "none", "markerfacecolor": "none", "zorder": 3}
     if paths == 1:
-        alone = middle[found.parting.links[which]]
+        alone = middle[found.parting[which]]
         place.plot(*alone.T, marker="o", ms=8, mec=ORANGE, mew=1.4, label="parts the planes alone", **style)
     elif paths:
         for name, chosen, marker in (("lowest", lowest, "v"), ("highest", highest, "^")):
@@ -90,11 +90,9 @@ def _draw_limits(place: Any, found: Bottlenecks, middle: np.ndarray, which: np.n
 
 
 def _draw_ranks(axes: Any, found: Bottlenecks) -> None:
-    """Number of links that carry at least a share: of the shortest paths, and of the current."""
-    for name, load, colour in (("shortest paths", found.share, BLUE), ("current", found.flow.current, ORANGE)):
-        falling = np.sort(load[load > 1e-12])[::-1]
-        axes.plot(falling, 1 + np.arange(len(falling)), color=colour, lw=1.2, label=name, drawstyle="steps-pre")
+    """Number of links that carry at least a share of the shortest paths."""
+    falling = np.sort(found.share[found.share > LEAST_LOAD])[::-1]
+    axes.plot(falling, 1 + np.arange(len(falling)), color=BLUE, lw=1.2, drawstyle="steps-pre")
     axes.set(xscale="log", yscale="log", xlim=(1e-6, 1.5), ylim=(0.8, 2 * max(5, len(found.share))))
-    axes.set(xlabel="share $s$ of the pairs or the current", ylabel="links that carry $s$ or more")
-    axes.legend(loc="lower left")
+    axes.set(xlabel="share $s$ of the shortest paths", ylabel="links that carry $s$ or more")
     axes.set_title("Spread of the load")

@@ -143,13 +143,6 @@ def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], points: Callable[...,
     return axes.add_collection(LineCollection(list(every), rasterized=len(every) > MOST_LINES, **look))
 
 
-def squares(ends: np.ndarray) -> np.ndarray:
-    """Corners (n, 4, 3) of unit squares across contacts; ends : (n, 2, 3)."""
-    low, high = ends.swapaxes(0, 1)
-    u, v = np.eye(3)[np.nonzero(low == high)[1].reshape(-1, 2)].swapaxes(0, 1)
-    return np.stack([(low + high + a * u + b * v) / 2 for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
-
-
 def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
     """The spheres of a cubic lattice from outside, the driven planes in boxes; colour : (nx, ny, nz, 4)."""
     outside = np.zeros(colour.shape[:3], dtype=bool)

@@ -1,45 +1,36 @@
 """A number of the samples of a scan against a parameter."""
 
-import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from taichi_bearings.analysis.fit import Fit
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, in_our_style, new_figure, shades
 from taichi_bearings.plots.symbols import as_text
-from taichi_bearings.words import with_error
 
 MARKERS = "osD^vP*X"
 MOST_NAMED_TICKS = 8  # values of a logarithmic axis that are named one by one
-EXACT = 1e-9  # error of a slope that is not written
 LETTERS_AN_INCH = 15  # an inch, of a title
 
 
 @dataclass(frozen=True)
 class Curve:
-    """x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none. fit : a line."""
+    """x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none."""
 
     label: str
     x: np.ndarray
     y: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    fit: Fit | None = None
 
 
 @dataclass(frozen=True)
 class Look:
-    """log : the axes that are logarithmic, of "x", "y", "xy". ticks : names at x = 0, 1, ... if x has no numbers.
-
-    symbol : of x, as mathematics.
-    """
+    """log : the axes that are logarithmic, of "x", "y", "xy". ticks : names at x = 0, 1, ... if x has no numbers."""
 
     x_label: str
     y_label: str
@@ -47,16 +38,14 @@ class Look:
     legend: str = ""
     log: str = ""
     ticks: Sequence[str] = ()
-    symbol: str = "x"
 
 
 @in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
-    """Points with bars, joined along each curve, or with a broken line where one is fitted."""
+    """Points with bars, joined along each curve."""
     width = page.inches("single")
-    fitted = any(curve.fit for curve in curves)
-    entries = len(curves) * (1 + fitted) if fitted or len(curves) > 1 else 0
-    across = max(1, min(entries, int(width / (2.4 if fitted else 1.1))))
+    entries = len(curves) if len(curves) > 1 else 0
+    across = max(1, min(entries, int(width / 1.1)))
     rows = -(-entries // across) + (entries > 0)
     letters = int(LETTERS_AN_INCH * width)
     title = [line for part in as_text(look.title).split("\n") for line in textwrap.wrap(part, letters)]
@@ -64,21 +53,14 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     axes = figure.add_subplot()
     for name in look.log:
         axes.set(**{f"{name}scale": "log"})
-    handles: list[Any] = []
     colours = shades(len(curves)) if len(curves) > 1 else [BLUE]
     for number, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
         bars = np.nan_to_num([curve.y - curve.low, curve.high - curve.y])
-        style = "none" if curve.fit else "-"
-        points = axes.errorbar(
-            curve.x, curve.y, bars, color=colour, label=as_text(curve.label or "samples"), ls=style, lw=0.9,
+        axes.errorbar(
+            curve.x, curve.y, bars, color=colour, label=as_text(curve.label or "samples"), lw=0.9,
             elinewidth=0.8, capsize=1.5, fmt=MARKERS[number % len(MARKERS)], ms=3.5,
             mfc="none" if number % 2 else colour,
         )  # fmt: skip
-        handles.append(points)
-        if curve.fit:
-            along = np.geomspace if "x" in look.log else np.linspace
-            x = along(curve.fit.low, curve.fit.high, 200)
-            handles += axes.plot(x, curve.fit(x), "--", color=colour, lw=0.9, label=formula(curve.fit, look.symbol))
     axes.set(xlabel=look.x_label, ylabel=look.y_label)
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
@@ -87,16 +69,6 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
         axes.set_xticks(values, [f"{value:g}" for value in values])
         axes.xaxis.set_minor_locator(NullLocator())
     if entries:
-        figure.legend(handles=handles, title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
+        figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
     figure.suptitle("\n".join(title))
     return figure
-
-
-def formula(found: Fit, symbol: str) -> str:
-    """What a line is, with its slope, the error of that and its range, as mathematics."""
-    is_guide = math.isnan(found.error)
-    slope = f"{found.slope:g}"
-    if not is_guide and found.error >= EXACT:
-        slope = with_error(found.slope, found.error).replace("+-", r"\pm")
-    fitted = " (guide)" if is_guide else rf", ${found.low:g} \leq {symbol} \leq {found.high:g}$"
-    return rf"${{{symbol}}}^s$, $s = {slope}${fitted}"

@@ -60,16 +60,15 @@ def as_text(words: object) -> str:
     return str(words).replace("$", r"\$")
 
 
-def column_label(name: str, exponent: float = 0.0) -> str:
-    """A column of a scan, or the means of one over another, times a power of L, on an axis."""
+def column_label(name: str) -> str:
+    """A column of a scan, or the means of one over another, on an axis."""
     parts = name.split("/")
-    scale = "" if exponent == 0 else rf"\; L^{{{exponent:g}}}"
     if not all(part in SYMBOLS for part in parts):
-        return f"{as_text(name)} · ${scale}$" if scale else as_text(name)
+        return as_text(name)
     symbols, units = zip(*(SYMBOLS[part] for part in parts), strict=True)
     if len(parts) == 1:
         unit = f" ({units[0]})" if units[0] else ""
-        return f"${symbols[0]}{scale}${unit}"
+        return f"${symbols[0]}${unit}"
     above, below = (f"({unit})" if " " in unit else unit or "1" for unit in units)
     unit = "" if above == below else f" ({above} / {below})"
-    return rf"$\langle {symbols[0]} \rangle\,/\,\langle {symbols[1]} \rangle{scale}${unit}"
+    return rf"$\langle {symbols[0]} \rangle\,/\,\langle {symbols[1]} \rangle${unit}"

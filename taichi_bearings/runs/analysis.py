@@ -56,14 +56,13 @@ class Analysis:
             raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
         began = time.perf_counter()
         self.arrays: list[dict[str, Finding]] = []
-        self._loads, numbers = [], []
+        numbers = []
         for number in each(range(samples), "analysing sample" if samples > 1 else "analysing", alike):
             structure = structure_of(solution, number, threshold)
             if number == sample:
                 self.structure: Structure = structure
             numbers.append(numbers_of(structure) | {"status": status[number]})
             self.arrays.append(findings_of(structure))
-            self._loads.append(structure.bottlenecks.loads)
         proven = "proven" if solution.states_proven.all() else "decided"
         together = {key: [one[key] for one in numbers] for key in numbers[0]} if samples > 1 else numbers[0]
         self.report: dict[str, Any] = {
@@ -97,21 +96,19 @@ class Analysis:
     @property
     def figures(self) -> list[str]:
         """Names of the figures that :meth:`plot` draws."""
-        from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
+        from taichi_bearings.runs.figures import FIGURES
 
-        return [*FIGURES, *(FIGURES_OF_ALL if len(self.arrays) > 1 else ())]
+        return [*FIGURES]
 
-    def plot(self, kind: str, page: "Page | None" = None) -> "Figure | None":
-        """One of `figures`, as a matplotlib Figure; None if there is nothing to show. page : how it is printed."""
+    def plot(self, kind: str, page: "Page | None" = None) -> "Figure":
+        """One of `figures`, as a matplotlib Figure. page : how it is printed."""
         from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
+        from taichi_bearings.runs.figures import FIGURES
 
         if kind not in self.figures:
             raise InputError(
                 f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
             )
-        if kind in FIGURES_OF_ALL:
-            return FIGURES_OF_ALL[kind](self._loads, page or PAGE)
         return FIGURES[kind](self.structure, page or PAGE)
 
 
@@ -131,7 +128,7 @@ def analyse(
     Raises InputError or FileError before anything is computed.
     """
     from taichi_bearings.plots.style import save
-    from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
+    from taichi_bearings.runs.figures import FIGURES
 
     if is_packing_run(path):
         if replica:
@@ -141,18 +138,16 @@ def analyse(
         run = read_run_file(path)
         ended = Run(settings_of(run), run.solution).status
     target = run.path if out is None else out / "analysis.h5"
-    pictures = [target.parent / f"{name}.png" for name in (*FIGURES, *FIGURES_OF_ALL)]
+    pictures = [target.parent / f"{name}.png" for name in FIGURES]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
         found = Analysis(run.solution, [status.value for status in ended], threshold, replica)
-        for picture in pictures if out is None or force else ():  # of an earlier analysis; not all need come back
+        for picture in pictures if out is None or force else ():  # of an earlier analysis
             picture.unlink(missing_ok=True)
         with stage("writing"):
             write_analysis(target, found.arrays, found.report, into_run=out is None)
         files = [target]
         for name in each(found.figures if figures else [], "drawing figure"):
-            figure = found.plot(name)
-            if figure is not None:
-                files.append(target.parent / f"{name}.png")
-                save(figure, files[-1])
+            files.append(target.parent / f"{name}.png")
+            save(found.plot(name), files[-1])
     return found.report | {"run": str(path), "files": [str(file) for file in files]}

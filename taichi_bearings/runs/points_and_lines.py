@@ -36,7 +36,7 @@ NEEDED_ARRAYS = (
     "betweenness/sphere",
     "betweenness/x",
 )
-BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "current": "current", "backbone": "backbone"}
+BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "backbone": "backbone"}
 """Columns of the contacts that are findings of the analysis, one array an axis there."""
 
 

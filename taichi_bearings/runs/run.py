@@ -399,9 +399,9 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
 
 def _drawn() -> list[str]:
     """Files that `run` and what draws, analyses and exports it leave beside a run.h5: a new answer outdates them."""
-    from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_ALL
+    from taichi_bearings.runs.figures import FIGURES
 
-    figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES, *FIGURES_OF_ALL)
+    figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES)
     return [
         *(f"{name}.{ending}" for name in figures for ending in ("png", "pdf")),
         "power_histogram.csv",

@@ -1,6 +1,5 @@
 """The structure of one sample as a report: numbers for people and programs, arrays for the group /analysis."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,6 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import ANALYSED, Quantity, plain
 from taichi_bearings.runs.run_file import AXES
 
-
-def _part_of(part: str, name: str) -> Callable[[Structure], np.ndarray | None]:
-    """An array of a part of the structure; None where that is not known."""
-    return lambda structure: getattr(getattr(structure, part), name, None)
-
-
 # fmt: off
 PARTING = "fewest contacts whose removal parts the planes; of such sets the one nearest the"
 ON_CONTACTS = (
@@ -26,10 +19,6 @@ ON_CONTACTS = (
     Quantity("parting_highest", "1", f"{PARTING} top", lambda s: s.network.on_contacts(s.network.parting_sets[1])),
     Quantity("betweenness", "1", "share of the shortest slipless paths, of all pairs of a bottom and a top sphere",
              lambda s: s.network.on_contacts(s.bottlenecks.share)),
-    Quantity("current", "1", "share of a current from bottom to top, slipless contacts conducting alike",
-             lambda s: s.network.on_contacts(s.bottlenecks.flow.current)),
-    Quantity("bridge", "1", "removal breaks the piece that joins the planes",
-             lambda s: s.network.on_contacts(s.bottlenecks.weak.links)),
     Quantity("backbone", "1", "on some path from bottom to top",
              lambda s: s.network.on_contacts(s.bottlenecks.backbone)),
 )
@@ -51,17 +40,8 @@ ARRAYS = (
              lambda s: s.domains.lock.astype(np.int8)),
     Quantity("betweenness/sphere", "1", "share of the shortest paths that visit the sphere",
              lambda s: s.bottlenecks.visits),
-    *(Quantity(f"torque_flow/{name}", "force*length",
-               f"torque through each gap between layers, by {kind} contacts; components {{components}}",
-               _part_of("torque_flow", name))
-      for name, kind in (("through_gap", "all"), ("slipless", "slipless"), ("slipping", "slipping"))),
-    *(Quantity(f"{group}/{name}", "1", "edges of the bins" if name == "edges" else f"{text}, {name} contacts",
-               _part_of(group, name))
-      for group, text in (("saturation", "contacts in each bin of |f| / (mu F_n)"),
-                          ("force_distribution", "probability density of the size of the force over its mean"))
-      for name in ("edges", "slipless", "slipping")),
 )
-"""Of a Structure; None where it is not known."""
+"""Of a Structure."""
 # fmt: on
 
 
@@ -88,18 +68,11 @@ def findings_of(structure: Structure) -> dict[str, Finding]:
     domains, found = structure.domains, {}
     components = ", ".join(AXES[component] for component in domains.spin_axes)
     for row in ARRAYS:
-        values = row.of(structure)
-        if values is not None:
-            found[row.name] = Finding(values, row.unit, row.text.format(components=components))
+        found[row.name] = Finding(row.of(structure), row.unit, row.text.format(components=components))
     for k, label in zip(domains.spin_axes, domains.component_domain, strict=True):
         text = f"domain of spin component {AXES[k]}"
         found[f"component_domain/{AXES[k]}"] = Finding(label.astype(np.int32), "1", text)
     for row in ON_CONTACTS:
         for axis, part in enumerate(structure.scene.lattice.by_axis(row.of(structure))):
             found[f"{row.name}/{AXES[axis]}"] = Finding(part, row.unit, row.text)
-    views = structure.views_by_threshold
-    for name in views[0]:
-        text = f"{name} if contacts that slip no more than the threshold are taken for slipless"
-        text = "slip over R times the imposed jump" if name == "threshold" else text
-        found[f"by_threshold/{name}"] = Finding(np.array([seen[name] for seen in views]), "1", text)
     return found

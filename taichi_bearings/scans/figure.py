@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
-from taichi_bearings.analysis.fit import Fit, fit, read_fit
 from taichi_bearings.analysis.statistics import LEAST_SAMPLES, QUANTILES, describe, groups, independent, ratio_interval
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
@@ -17,12 +16,12 @@ from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, wri
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import ENDINGS, save
-from taichi_bearings.plots.symbols import SYMBOLS, column_label
+from taichi_bearings.plots.symbols import column_label
 from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
 from taichi_bearings.scans.systems import disorder_of, mixture, numbered
 from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
-from taichi_bearings.words import meant, with_error
+from taichi_bearings.words import meant
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
@@ -30,7 +29,6 @@ BARS = {  # name -> what the title says of points and bars
     "bootstrap": "means with 95 % intervals",
 }
 SIZE = "L"
-TWO_SIDED = 1.96  # standard errors on each side of a 95 % interval
 MOST_CURVES = 24
 Plotted = tuple[float, float, float, float]
 
@@ -41,9 +39,7 @@ class Request:
 
     y : a column, or A/B for the mean of A over the mean of B. x : a column. by : columns whose values part the curves.
     where : conditions KEY=VALUE on the samples. bars : a key of BARS; default standard-error, for A/B bootstrap.
-    collapse : exponents (a, b), to plot y L^-a against x L^b with a curve for each L. log : "", "x", "y" or "xy".
-
-    fit : a line through the points of each curve as `analysis.fit.read_fit` reads it; fit_range : of x, for these.
+    log : "", "x", "y" or "xy".
 
     L, where the scan has no column of that name, is the height of the lattice: the last number of its shape.
     """
@@ -53,16 +49,7 @@ class Request:
     by: tuple[str, ...] = ()
     where: tuple[str, ...] = ()
     bars: str | None = None
-    collapse: tuple[float, float] | None = None
     log: str = ""
-    fit: str | None = None
-    fit_range: tuple[float, float] = (-math.inf, math.inf)
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Columns that part the curves."""
-        own_size = self.collapse is not None and SIZE not in (*self.by, self.x)
-        return (*((SIZE,) if own_size else ()), *self.by)
 
     @property
     def is_ratio(self) -> bool:
@@ -75,8 +62,7 @@ class Request:
     @property
     def stem(self) -> str:
         """Name of the files."""
-        words = [self.y.replace("/", "_over_"), "against", self.x, *(f"by_{key}" for key in self.by)]
-        return "_".join([*words, *(["collapsed"] if self.collapse else [])])
+        return "_".join([self.y.replace("/", "_over_"), "against", self.x, *(f"by_{key}" for key in self.by)])
 
 
 @dataclass(frozen=True)
@@ -106,7 +92,7 @@ def plot_scan(
     """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
 
     out : PNG, PDF or SVG; default: a PDF into the directory of the scan, where an earlier one is replaced.
-    tell : hears how many of how many samples are in the figure, and in each curve that lacks some; and of each fit.
+    tell : hears how many of how many samples are in the figure, and in each curve that lacks some.
     page : how it is printed.
     Raises InputError or FileError before anything is written.
     """
@@ -120,11 +106,7 @@ def plot_scan(
         points = points_of(columns, request)
         for line in accounts_of(columns, request):
             tell(line)
-        curves = curves_of(points, request)
-        save(draw_scan(curves, look_of(scan, columns, points, request), page), figure)
-        for curve in curves:
-            if curve.fit:
-                tell(f"{curve.label}: {_in_words(curve.fit)}" if curve.label else _in_words(curve.fit))
+        save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request), page), figure)
         names, rows = rows_of(points, request)
         write_csv(table, names, rows)
     return [figure, table]
@@ -136,8 +118,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
     if SIZE not in table and "shape" in table:
         heights = [int(text.split("x")[-1]) if text else math.nan for text in table["shape"].tolist()]
         table[SIZE] = np.array(heights)
-    sizes = [SIZE] if request.collapse else []
-    for name in (*request.y.split("/"), request.x, *request.by, *sizes):
+    for name in (*request.y.split("/"), request.x, *request.by):
         if name not in table:
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
     chosen = np.ones(scan.samples, dtype=bool)
@@ -179,7 +160,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
     known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
     place = {value: float(n) for n, value in enumerate(known)}
     points = []
-    for (*part, x), rows in groups(columns, [*request.parts, request.x]).items():
+    for (*part, x), rows in groups(columns, [*request.by, request.x]).items():
         if x not in place:
             continue
         used = rows[reasons[rows] == ""]
@@ -187,11 +168,6 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         statistics = _statistics(own)
         at = float(x) if isinstance(x, (int, float)) else place[x]
         plot: Plotted = (at, *_shown(statistics, len(own[0]), request))
-        if request.collapse:
-            if len(sizes := set(columns[SIZE][rows].tolist())) > 1:
-                raise InputError(f"a point has samples of several L ({sizes}); add --by L")
-            (a, b), size, (place_x, *values) = request.collapse, float(sizes.pop()), plot
-            plot = (place_x * size**b, *(value * size**-a for value in values))
         points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
     _check_log(points, request.log)
     return points
@@ -201,9 +177,9 @@ def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str
     """How many of how many samples are in the figure; the same of each curve that lacks some; which systems mix."""
     reasons = _reasons(columns, request)
     lines = [str(Census.of(reasons.tolist()))]
-    for part, rows in groups(columns, request.parts).items() if request.parts else ():
+    for part, rows in groups(columns, request.by).items() if request.by else ():
         if (census := Census.of(reasons[rows].tolist())).left_out:
-            words = ", ".join(f"{key} {value}" for key, value in zip(request.parts, part, strict=True))
+            words = ", ".join(f"{key} {value}" for key, value in zip(request.by, part, strict=True))
             lines.append(f"  {words}: {census}")
     return [*lines, *filter(None, [_mixture(columns, request)])]
 
@@ -211,7 +187,7 @@ def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str
 def _mixture(columns: Mapping[str, np.ndarray], request: Request) -> str:
     """Which different systems stand in one point, as a sentence; empty if none do."""
     used = _reasons(columns, request) == ""
-    points = groups(columns, [*request.parts, request.x]).values()
+    points = groups(columns, [*request.by, request.x]).values()
     return mixture(columns, [rows[used[rows]] for rows in points], "a point")
 
 
@@ -274,9 +250,7 @@ def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
     """A curve for each value of the parting columns."""
     parts = list(dict.fromkeys(point.part for point in points))
     if len(parts) > MOST_CURVES:
-        raise InputError(f"{', '.join(request.parts)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
-    if request.fit and any(isinstance(point.x, str) for point in points):
-        raise InputError(f"fit is {request.fit!r}, but {request.x} has texts; a fit needs numbers")
+        raise InputError(f"{', '.join(request.by)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
     curves = []
     for part in parts:
         own = [point for point in points if point.part == part]
@@ -284,31 +258,13 @@ def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
         label = ", ".join(map(str, part))
         asked = sum(point.census.asked for point in own)
         name = label if len(drawn) else f"{label}: none of {asked:,} samples"
-        x, y, low, high = drawn.T
-        curves.append(Curve(name, x, y, low, high, _fitted(drawn, request) if len(drawn) else None))
+        curves.append(Curve(name, *drawn.T))
     return curves
-
-
-def _fitted(drawn: np.ndarray, request: Request) -> Fit | None:
-    """The line through the points (P, 4) of a curve, if one is asked for; quartiles are no errors and weigh nothing."""
-    if request.fit is None:
-        return None
-    low, high = request.fit_range
-    x, y, least, most = drawn[(drawn[:, 0] >= low) & (drawn[:, 0] <= high)].T
-    errors = {"standard-error": (most - least) / 2, "bootstrap": (most - least) / 2 / TWO_SIDED}
-    return fit(x, y, errors.get(request.bars_shown), read_fit(request.fit))
-
-
-def _in_words(found: Fit) -> str:
-    value = f"{found.slope:g}, a guide" if math.isnan(found.error) else with_error(found.slope, found.error)
-    scatter = "" if math.isnan(found.chi_square) else f", chi-square {found.chi_square:.2g} per degree of freedom"
-    return f"power: exponent {value}, from {found.low:g} to {found.high:g}{scatter}"
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequence[Point], request: Request) -> Look:
     """Labels, and a title that says what was averaged over."""
-    a, b = request.collapse or (0.0, 0.0)
-    used = {request.x, *request.parts, *(condition.partition("=")[0] for condition in request.where)}
+    used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
     census = Census.of(_reasons(columns, request).tolist())
@@ -319,19 +275,18 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
     numbers = all(isinstance(point.x, (int, float)) for point in points)
     return Look(
-        x_label=column_label(request.x, b),
-        y_label=column_label(request.y, -a),
+        x_label=column_label(request.x),
+        y_label=column_label(request.y),
         title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}",
-        legend=", ".join(request.parts),
+        legend=", ".join(request.by),
         log=request.log,
-        symbol="x" if request.collapse else SYMBOLS.get(request.x, ("x", ""))[0],
         ticks=() if numbers else list(dict.fromkeys(point.x for point in sorted(points, key=lambda p: p.plot[0]))),
     )
 
 
 def rows_of(points: Sequence[Point], request: Request) -> tuple[list[str], list[list[Any]]]:
     """The points as a table: parameters, statistics, what is drawn, and how many of how many samples are in it."""
-    names = [*request.parts, request.x, "number", *points[0].statistics, "plot_x", "plot_y", "plot_low", "plot_high"]
+    names = [*request.by, request.x, "number", *points[0].statistics, "plot_x", "plot_y", "plot_low", "plot_high"]
     names += CENSUS_COLUMNS
     rows = [
         [*point.part, point.x, point.number, *point.statistics.values(), *point.plot]

@@ -12,7 +12,7 @@ from taichi_bearings.version import VERSION
 
 FIRST_COLUMNS = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")
 """What comes after the scanned keys."""
-OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share", "busiest_link_current", "resistance"}
+OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share"}
 OF_SETTINGS = ("law", "shape", "seed", "spin_top", "spin_bottom", "normal_force", "radius")  # known without a result
 
 

@@ -10,7 +10,7 @@ import bisect
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.analysis.bottlenecks import Bottlenecks
+from taichi_bearings.analysis.bottlenecks import LEAST_LOAD, Bottlenecks
 from taichi_bearings.analysis.network import SliplessNetwork, network_of
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -42,16 +42,13 @@ def slip_that_would_span(lattice, slip):
 def measures(network):
     """Name and value of everything in the table."""
     found = Bottlenecks(network)
-    paths, current = found.concentration, found.current_concentration
     bottom, top = (network.touched_of(body) for body in (0, network.bodies - 1))
     return {
         "links": len(network.axis),
         "share of the free spheres in the spanning piece": network.spanning_fraction,
         "links outside the backbone": float((~found.backbone).mean()),
-        "bridges": int(found.weak.links.sum()),
-        "links that part the planes alone": int(found.parting.links.sum()),
-        "samples with such a link, share": bool(found.parting.links.any()),
-        "spheres that part the planes alone": int(found.parting.spheres.sum()),
+        "links that part the planes alone": int(found.parting.sum()),
+        "samples with such a link, share": bool(found.parting.any()),
         "paths that share no link": network.disjoint_paths,
         "bottom spheres on links": len(bottom),
         "top spheres on links": len(top),
@@ -59,14 +56,10 @@ def measures(network):
         "mean distance of pairs, links": found.betweenness.mean_distance,
         "planes x = const on a shortest path": network.path_planes[0],
         "connected pairs, share": found.betweenness.pairs / max(1, len(bottom) * len(top)),
-        "pairs through the top link, share": paths["largest"],
-        "links with 9/10 of the pairs": paths["nearly_all"],
-        "links on any shortest path, share": paths["loaded"] / len(network.axis),
-        "effective number of loaded links": paths["effective"],
-        "links that bear half the load of the pairs": paths["half"],
-        "current through the top link, share": current["largest"],
-        "effective number of links with current": current["effective"],
-        "resistance between the planes": found.flow.resistance,
+        "pairs through the top link, share": found.share.max(),
+        "links with 9/10 of the pairs": int((found.share >= 0.9).sum()),
+        "links on any shortest path, share": float((found.share > LEAST_LOAD).mean()),
+        "effective number of loaded links": found.effective_links,
     }
 
 

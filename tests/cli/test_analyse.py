@@ -32,7 +32,7 @@ def test_json_is_one_object_with_the_promised_keys(solved):
 def test_the_report_is_readable_and_names_every_part(solved):
     done = bearings("analyse", solved, "--no-figures")
     assert done.returncode == 0
-    for part in ("minimum cut", "slipless network", "rigid domains", "bottlenecks", "forces", "by slip threshold"):
+    for part in ("minimum cut", "slipless network", "rigid domains", "bottlenecks", "forces"):
         assert f"\n{part}\n" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 140
 
@@ -55,7 +55,7 @@ def test_a_run_that_did_not_reach_the_minimum_is_said_to(replicas, tmp_path):
     assert report["status"] == ("step-limit" if replicas == 1 else ["step-limit"] * 2)
 
 
-@pytest.mark.parametrize("kind", ["domains", "network", "bottlenecks", "load_distribution"])
+@pytest.mark.parametrize("kind", ["domains", "network", "bottlenecks"])
 def test_plot_draws_one_figure_of_the_structure(solved, kind, tmp_path):
     done = bearings("plot", kind, solved, "--out", tmp_path / "figure.pdf")
     assert done.returncode == 0, done.stderr

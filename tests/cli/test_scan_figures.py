@@ -29,18 +29,17 @@ def test_a_histogram_of_a_scan_by_a_parameter(scan, tmp_path):
 
 def test_a_figure_of_a_scan(scan, tmp_path):
     done = bearings(
-        "plot", "scan", scan.path, "--y", "power", "--x", "spin_bottom", "--collapse", "1.5,0", "--by", "law",
+        "plot", "scan", scan.path, "--y", "power", "--x", "spin_bottom", "--by", "law",
         "--where", "spin_top=1", "--bars", "quartiles", "--log", "y", "--out", tmp_path / "f.svg",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["all 24 samples", str(tmp_path / "f.svg"), str(tmp_path / "f.csv")]
-    assert (tmp_path / "f.csv").read_text().startswith("L,law,spin_bottom,number,mean,")
+    assert (tmp_path / "f.csv").read_text().startswith("law,spin_bottom,number,mean,")
 
 
 def test_wrong_words_are_one_sentence(scan, tmp_path):
     for words, sentence in (
         (("plot", "scan", scan.path, "--y", "power"), "needs --y and --x"),
-        (("plot", "scan", scan.path, "--y", "power", "--x", "L", "--collapse", "1"), "two exponents"),
         (("plot", "scan", scan.path, "--y", "power", "--x", "L", "--out", tmp_path / "f.gif"), "must end in"),
         (("plot", "scan", tmp_path, "--y", "power", "--x", "L"), "not a scan"),
         (("plot", "power", tmp_path, "--by", "law"), "--by belongs to `bearings plot scan`"),

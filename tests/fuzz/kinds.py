@@ -72,9 +72,6 @@ FIGURES = [
     "network",
     "plane_cuts",
     "bottlenecks",
-    "torque_flow",
-    "thresholds",
-    "load_distribution",
 ]
 
 
@@ -131,7 +128,7 @@ def other_options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     )
     given = {
         "histogram": ["--bins-per-decade", "--normalise"],
-        "plot": ["--by", "--where", "--bars", "--collapse", "--log"],
+        "plot": ["--by", "--where", "--bars", "--log"],
     }
     if words[0] in given and draw.random() < 0.7:
         words += [

@@ -9,7 +9,6 @@ from taichi_bearings_studies.paper import figure_3, network, samples
 from taichi_bearings_studies.paper.claims import Effort, mean
 from taichi_bearings_studies.paper.network import Sample
 
-from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.lattice import Lattice
 
 GOOD = Sample(
@@ -72,11 +71,11 @@ def view(**changes):
 
 
 def test_thresholds_matter_where_they_change_what_is_seen():
-    same = [[view()] * (len(THRESHOLDS) + 1)] * 5
+    same = [[view()] * (len(network.THRESHOLDS) + 1)] * 5
     assert network._spans_by_threshold(10, same).verdict == "refuted"
     assert network._spans_by_threshold(10, same[:4]).verdict == "too few samples"
     assert network._domains_by_threshold(10, same).verdict == "refuted"
-    merged = [view(domains=4)] + [view(spans=False)] * len(THRESHOLDS)
+    merged = [view(domains=4)] + [view(spans=False)] * len(network.THRESHOLDS)
     assert network._spans_by_threshold(10, [*same[:1], merged]).verdict == "confirmed"
     assert network._domains_by_threshold(10, [merged] * 5).verdict == "confirmed"
     assert network._domains_by_threshold(10, [merged]).verdict == "too few samples"

@@ -21,4 +21,4 @@ def test_links_that_carry_paths_are_coloured(network, tmp_path):
     assert len(coloured) == 1
     np.testing.assert_allclose(np.sort(coloured[0]), np.sort(found.share[found.share > 0]))
     shown = [text.get_text() for text in figure.axes[0].get_legend().get_texts()] if network.spans else []
-    assert any("alone" in text for text in shown) == found.parting.links.any()
+    assert any("alone" in text for text in shown) == found.parting.any()

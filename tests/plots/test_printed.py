@@ -13,18 +13,15 @@ from taichi_bearings_studies.plots.accuracy import Curve as MethodCurve
 from taichi_bearings_studies.plots.accuracy import Panel, draw_accuracy
 from taichi_bearings_studies.plots.configurations import draw_configurations
 from taichi_bearings_studies.plots.relaxation import Relaxation, draw_relaxation
-from taichi_bearings_studies.plots.sizes import Column, draw_sizes
+from taichi_bearings_studies.plots.sizes import THRESHOLDS, Column, draw_sizes
 
 import taichi_bearings as tb
-from taichi_bearings.analysis.fit import Fit, fit, read_fit
-from taichi_bearings.analysis.structure import THRESHOLDS
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
 from taichi_bearings.plots.network import behind, draw_network
 from taichi_bearings.plots.page import Page, View, read_dpi, read_plane, read_view, read_width
 from taichi_bearings.plots.power import draw_power
-from taichi_bearings.plots.scan import Curve, Look, draw_scan, formula
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
 from taichi_bearings.plots.symbols import column_label
@@ -134,7 +131,6 @@ def test_the_planes_and_the_view_that_were_asked_for_are_shown(solved):
         ("spins", Page(planes=((0, 4),)), "from 0 to 3"),
         ("history", Page(planes=((0, 1),)), "shows no planes"),
         ("power", Page(view=View()), "nothing in 3D"),
-        ("torque_flow", Page(planes=((2, 1),)), "across a component"),
         ("spins", Page(planes=((0, 1),) * 13), "at most 12"),
     ],
 )
@@ -148,7 +144,7 @@ def test_planes_and_views_that_are_not_there_are_refused(kind, page, sentence, s
     [
         (read_width, "wide"), (read_width, "1"), (read_width, "nan"), (read_dpi, "1e9"), (read_dpi, "0.5"),
         (read_plane, "5"), (read_plane, "w=1"), (read_plane, "x=-1"), (read_view, "1"), (read_view, "91,0"),
-        (read_view, "nan,0"), (read_fit, "square"), (read_fit, "power:x"), (read_fit, "power:inf"),
+        (read_view, "nan,0"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_printed_is_refused_in_a_sentence(read, text):
@@ -195,57 +191,6 @@ def test_power_is_in_units_on_its_axis(solved):
     assert np.concatenate(lines).max() <= solved.power_per_contact.max() / unit * (1 + 1e-12)
     assert column_label("power/power_minimum_cut") == r"$\langle P \rangle\,/\,\langle P_\mathrm{cut} \rangle$"
     assert column_label("largest_spread") == "largest_spread"
-
-
-X = np.array([2.0, 4.0, 8.0, 16.0, 32.0])
-
-
-def test_fits_find_what_is_there():
-    y = 3 * X**1.5
-    found = fit(X, y)
-    assert found.slope == pytest.approx(1.5)
-    assert found.error == pytest.approx(0, abs=1e-7)
-    assert found(X) == pytest.approx(y)
-    assert (found.low, found.high) == (2, 32)
-
-
-def test_the_error_of_an_exponent_is_that_of_repeated_draws():
-    draw, sigma = np.random.default_rng(9), 0.05 * X**1.5
-    fits = [fit(X, X**1.5 + draw.normal(0, sigma), sigma) for _ in range(400)]
-    spread = np.std([found.slope for found in fits])
-    typical = np.median([found.error for found in fits])  # enlarged where chi-square per degree of freedom is above 1
-    assert spread == pytest.approx(typical, rel=0.25)
-    assert np.mean([found.slope for found in fits]) == pytest.approx(1.5, abs=4 * spread / 20)
-    weighed = fit(X, X**1.5 * np.array([1, 1, 1, 1, 2]), np.array([1, 1, 1, 1, 1e6]) * 1e-3)
-    assert weighed.slope == pytest.approx(1.5, abs=1e-3)  # a point without weight moves nothing
-
-
-def test_guides_keep_their_slope_and_bad_data_are_refused():
-    guide = fit(X, 3 * X**1.5, slope=1.0)
-    assert guide.slope == 1.0
-    assert "guide" in formula(guide, "L")
-    assert r"s = 1.50 \pm 0.10" in formula(Fit(0.0, 1.5, 0.1, 2, 32), "L")
-    assert r"2 \leq L \leq 32" in formula(Fit(0.0, 1.5, 0.1, 2, 32), "L")
-    for x, y in ((X, X - 2), (X - 2, X)):
-        with pytest.raises(InputError, match="above 0"):
-            fit(x, y)
-    with pytest.raises(InputError, match="needs 3"):
-        fit(X[:2], X[:2])
-    assert fit(X[:1], X[:1], slope=2.0)(X[:1]) == pytest.approx(X[:1])
-    with pytest.raises(InputError, match="needs 1"):
-        fit(X[:0], X[:0], slope=2.0)
-
-
-def test_a_fitted_line_is_drawn_over_its_range_and_named():
-    found = fit(X[1:4], X[1:4] ** 2)
-    curves = [Curve("a", X, X**2, X**2, X**2, found), Curve("b", X, X, X, X, found)]
-    figure = draw_scan(curves, Look("x", "y", log="xy", symbol="L"))
-    line = figure.axes[0].lines[-2] if figure.axes[0].lines[-1].get_linestyle() != "--" else figure.axes[0].lines[-1]
-    assert line.get_xdata()[[0, -1]].tolist() == pytest.approx([4, 16])
-    names = [text.get_text() for text in figure.legends[0].texts]
-    assert names[0] == "a"
-    assert names[1].startswith("${L}^s$")
-    assert beyond(figure) < 0.01
 
 
 DRAW = np.random.default_rng(3)

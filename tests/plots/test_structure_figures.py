@@ -1,4 +1,4 @@
-"""The figures of the slipless network, of the rigid domains and of the minimum cut show what they say."""
+"""The figures of the slipless network and of the rigid domains show what they say."""
 
 import io
 import itertools
@@ -6,14 +6,11 @@ import itertools
 import numpy as np
 import pytest
 from matplotlib import colormaps
-from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
+from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import to_rgba
 
 from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import THRESHOLDS
-from taichi_bearings.lattice import Lattice
-from taichi_bearings.plots.cut_surface import draw_cut_surface
 from taichi_bearings.plots.domains import colour_of_turn, draw_domains
 from taichi_bearings.plots.lattice import (
     SPIN_COLOURS,
@@ -22,15 +19,12 @@ from taichi_bearings.plots.lattice import (
     ends_of,
     on_both_sides,
     up_to_the_sides,
-    walls_between,
 )
 from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
 from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE
-from taichi_bearings.plots.thresholds import draw_thresholds
-from taichi_bearings.scene.initial_spins import cut_of
+from taichi_bearings.plots.style import GREEN, GREY
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
@@ -58,17 +52,11 @@ class Case:
         self.domains = rigid_domains(self.network, self.staggered[:, 0], axes)
         self.driving = (scene.spin_top, scene.spin_bottom)
 
-    def cut(self):
-        """What the figure of the minimum cut takes."""
-        above, lattice = cut_of(self.scene).above[0], self.scene.lattice
-        return above, walls_between(above, lattice), lattice.by_axis(self.scene.coefficient[0]), self.slips
-
     def figures(self):
         return [
             draw_domains(self.domains),
             draw_network(self.network, self.spin, *self.driving),
             draw_plane_cuts(self.network, self.spin, *self.driving),
-            draw_cut_surface(*self.cut()),
         ]
 
 
@@ -210,13 +198,12 @@ def test_figures_of_discs_draw_across_periodic_sides_what_they_draw_elsewhere():
     state = [np.where(slips, 1, 0) for slips in case.slips]
     (walls,) = collections(draw_spins(case.scene, case.spin, state).axes[0], LineCollection)
     (bounds,) = collections(draw_domains(case.domains).axes[0], LineCollection, "black")
-    (slips,) = collections(draw_cut_surface(*case.cut()).axes[0], LineCollection, BLUE)
     upright = [[[x, y - 0.5], [x, y + 0.5]] for y in np.flatnonzero(sliding) for x in (-0.5, 5.5)]
-    for lines in (walls, slips, bounds):
+    for lines in (walls, bounds):
         found = [sorted(line) for line in np.array(lines.get_segments()).tolist() if line[0][0] == line[1][0]]
         assert all(line in found for line in upright)
         assert sum(line[0][0] in (-0.5, 5.5) for line in found) == len(upright)
-    assert len(slips.get_segments()) == sum(int(values.sum()) for values in case.slips) + int(sliding.sum())
+    assert len(walls.get_segments()) == sum(int(values.sum()) for values in case.slips) + int(sliding.sum())
 
 
 def test_a_path_over_periodic_sides_is_broken_there_and_as_long_as_it_is():
@@ -270,49 +257,6 @@ def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
         held = sum((a[axis], b[axis]) == (index, index) for a, b in itertools.pairwise(path))
         assert len(green.get_segments()) == held
         assert f"{held} of {len(path) - 1}" in axes.get_title()
-
-
-def test_the_cut_figure_draws_every_contact_of_the_cut_and_every_slip():
-    case = Case((7, 6))
-    above, walls, coefficient, _ = case.cut()
-    (axes,) = draw_cut_surface(*case.cut()).axes
-    cut = sum(int(values.sum()) for values in walls)
-    assert len(collections(axes, LineCollection, ORANGE)[0].get_segments()) == cut
-    assert len(collections(axes, LineCollection, BLUE)[0].get_segments()) == sum(int(s.sum()) for s in case.slips)
-
-    case = Case((5, 4, 6))
-    above, walls, coefficient, _ = case.cut()
-    surface, height = draw_cut_surface(*case.cut()).axes[:2]
-    (squares,) = collections(surface, PolyCollection)
-    cut = np.concatenate([c[w] for c, w in zip(coefficient, walls, strict=True)])
-    weight = np.concatenate([c[w] * s for c, w, s in zip(coefficient, walls, (0.5**0.5, 0.5**0.5, 1), strict=True)])
-    assert np.allclose(np.sort(squares.get_array()), np.sort(cut))
-    assert weight.sum() == pytest.approx(cut_of(case.scene).weight[0])  # so the squares are the minimum cut
-    assert np.array_equal(height.images[0].get_array().T, (~above).sum(axis=-1))
-
-
-def test_overhangs_of_the_cut_are_marked():
-    above = np.zeros((3, 4, 6), dtype=bool)
-    above[..., 3:] = True
-    above[1, 2] = [False, False, True, False, True, True]
-    walls = walls_between(above, Lattice(above.shape))
-    weights = tuple(np.ones(values.shape) for values in walls)
-    height = draw_cut_surface(above, walls, weights, tuple(w > 2 for w in weights)).axes[1]
-    assert height.lines[0].get_xydata().tolist() == [[1, 2]]
-    assert "1 columns" in height.get_title()
-
-
-def test_thresholds_are_drawn_with_the_certified_values():
-    names = ("slipless", "reached_fraction", "spanning_fraction", "domains", "largest_intermediate")
-    rows = [(50 + k, 0.9, 0.8, 20 + k, 7 + k) for k in range(len(THRESHOLDS))] + [(7, 0.7, 0.35, 14, 21)]
-    *views, by_states = [dict(zip(names, row, strict=True)) for row in rows]
-    figure = draw_thresholds(views, by_states)
-    assert rendered(figure)
-    curve, level = figure.axes[0].lines[:2]
-    assert curve.get_xydata().tolist() == [[threshold, 50 + k] for k, threshold in enumerate(THRESHOLDS)]
-    assert set(level.get_ydata()) == {7}
-    assert figure.axes[1].lines[3].get_ydata()[0] == 21
-    assert "contact states" in [text.get_text() for text in figure.axes[0].get_legend().texts]  # certified or not
 
 
 def test_boxes_have_twelve_unlike_edges_of_the_right_length():

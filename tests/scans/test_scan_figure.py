@@ -1,7 +1,6 @@
-"""Figures of a scan: which samples make a point, what its bar is, and what collapses."""
+"""Figures of a scan: which samples make a point, and what its bar is."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,28 +76,14 @@ def test_texts_stand_in_their_natural_order_with_their_names(scan):
     assert look.title == f"{share} over seed: means with standard errors\nleft out: 1 failed"
 
 
-def test_powers_of_the_size_collapse(scan):
-    request = Request("power", "spin_bottom", collapse=(1.5, 0.5))
-    found = points_of(columns_of(read_scan(scan.path), request), request)
-    curves = curves_of(found, request)
-    assert [curve.label for curve in curves] == ["4", "8", "16"]
-    for curve, size in zip(curves, (4, 8, 16), strict=True):
-        assert curve.x == pytest.approx(np.array(BOTTOMS) * np.sqrt(size))
-        assert curve.y == pytest.approx([1, 0.9], rel=0.06)  # P = L^1.5 (1 - spin_bottom), give or take 10 %
-        plain = points(scan, "power", "spin_bottom", by=("L",), where=(f"L={size}",))
-        assert curve.high == pytest.approx([point.plot[3] / size**1.5 for point in plain])
-    against_size = points(scan, "power", "L", collapse=(1.5, 0.0), where=("spin_bottom=0",))
-    assert [point.plot[1] for point in against_size] == pytest.approx([1, 1, 1], rel=0.06)
-
-
 def test_figure_and_table_hold_the_same_points(scan, tmp_path):
-    request = Request("power", "spin_bottom", collapse=(1.5, 0.0), log="y")
+    request = Request("power", "spin_bottom", by=("L",), log="y")
     files = plot_scan(scan.path.parent, request, tmp_path / "figure.png")
     assert files == [tmp_path / "figure.png", tmp_path / "figure.csv"]
     assert files[0].read_bytes()[:4] == b"\x89PNG"
     with files[1].open() as file:
         rows = list(csv.DictReader(file))
-    found = points(scan, "power", "spin_bottom", collapse=(1.5, 0.0))
+    found = points(scan, "power", "spin_bottom", by=("L",))
     assert [(int(row["L"]), float(row["spin_bottom"])) for row in rows] == [(*p.part, p.x) for p in found]
     assert [float(row["mean"]) for row in rows] == [p.statistics["mean"] for p in found]
     assert [float(row["plot_high"]) for row in rows] == [p.plot[3] for p in found]
@@ -130,22 +115,6 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
 def test_what_cannot_be_drawn_is_refused_in_a_sentence(scan, words, more, sentence):
     with pytest.raises(InputError, match=sentence):
         points(scan, *words, **more)
-
-
-def test_fits_are_told_and_refused_where_they_have_no_sense(scan, tmp_path):
-    told = []
-    request = Request("power", "L", where=("spin_bottom=0",), fit="power")
-    plot_scan(scan.path, request, tmp_path / "a.png", tell=told.append)
-    exponent, error = map(float, told[-1].removeprefix("power: exponent ").split(",")[0].split(" +- "))
-    assert exponent == pytest.approx(1.5, abs=4 * error)  # P = L^1.5, give or take 10 %
-    assert 0 < error < 0.1
-    assert "from 4 to 16, chi-square" in told[-1]
-    for fit, x, sentence in (("power", "shape", "has texts"), ("power", "spin_bottom", "above 0")):
-        with pytest.raises(InputError, match=sentence):
-            plot_scan(scan.path, Request("power", x, fit=fit), tmp_path / "b.png")
-    with pytest.raises(InputError, match="needs 3"):
-        plot_scan(scan.path, replace(request, fit_range=(5.0, 99.0)), tmp_path / "b.png")
-    assert not (tmp_path / "b.png").exists()
 
 
 def test_too_many_curves_are_refused(tmp_path):
