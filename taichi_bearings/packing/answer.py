@@ -35,10 +35,12 @@ class PackingResult:
     potential of any spins (for "viscous" on the power); 0 where nothing is proven. It is rigorous where `proof` is
     "proven"; else only if the motions that `proof` counts slip nowhere, which the rounding of normals hides.
     gap : (potential - lower_bound) / potential; where next to nothing is dissipated, over what all contacts would at
-    the largest imposed surface velocity, or where none is imposed at the largest one. proof : "proven", what it rests on beside, or why there is none.
-    status : "certified" if the gap is within the tolerance, else "stalled". method : "planar-cut", "interior-point",
-    "linear-solver".
-    spin : (N, 3), of discs (N,), laboratory frame, 1/time; slipless motions that nothing decides are left at rest.
+    the largest imposed surface velocity, or where none is imposed at the largest one. proof : "proven", what it rests
+    on beside, or why there is none.
+    status : "certified" if the gap is within the tolerance, else "stalled", or how a dynamics or descent ended.
+    method : "planar-cut", "interior-point", "linear-solver", or the one that was asked for.
+    spin : (N, 3), of discs (N,), laboratory frame, 1/time; slipless motions that nothing decides are left at rest, by a
+    dynamics as it moves them.
     slip : (E,), length/time. force : (E,), its size. friction : (E, 3), of discs (E,), force on the second sphere,
     of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
     between driven or absent. driven_power : what contacts between driven spheres dissipate, energy/time.

@@ -17,8 +17,8 @@ from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import NO_POWER
 from taichi_bearings.packing.bounds import lower_bound
-from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.central_path import viscous_spins
+from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
@@ -37,7 +37,7 @@ class Network:
     """A packing with the words of a `Scene` of one sample, spins u (C, 1, N) of all spheres, and contacts that act.
 
     acting : (E,) their numbers in the packing; shapes below have these. across : T, (d, E, C).
-    jump : how far imposed u differ, length/time, the natural unit of slips; where they do not the largest u at the start.
+    jump : how far imposed u differ, length/time, the natural unit of slips; else the largest u at the start.
     """
 
     replicas, strength, normal_force, imposed = 1, 1.0, 1.0, (0.0,)
@@ -189,7 +189,7 @@ class Network:
         return best, proving
 
     def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
-        """Forces (d, A) of the system in balance; with friction as they are, and shortened all alike until it bears them."""
+        """Forces (d, A) of the system in balance; with friction also shortened all alike to what it bears."""
         system, matrix = self.proof
         held = self.law.holding_force(system.coefficients)
         try:

@@ -61,7 +61,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         """spins : u (C, 1, N)."""
         options, c, d = self.options, network.components, len(network.across)
         self.scene, self.spin_axes = network, tuple(range(c))
-        self.inertia = network.inertias(options.mass, options.inertia, self.density)
+        self.inertia: Any = network.inertias(options.mass, options.inertia, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
         self.rest = RestWatch(*self.checks, np.full(1, np.inf))
         self.stability_bound = self._stability_bound(network)
@@ -78,9 +78,8 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         self.fields.load("is_free", np.where(network.lattice.is_driven, 0.0, 1 / self.inertia)[None, None])
         self._load_gear(spins)
         self.team = Team(self.fields.team_size)
-        self.steps: Any = list_sweeps(
-            CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order]
-        )
+        steps: Any = list_sweeps(CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order])
+        self.steps = steps
         self.steps.compile(self.fields, self.team)
 
     def _stability_bound(self, network: Network) -> float:
@@ -91,9 +90,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         if not network.law.holds:
             return largest_stable_step(options.gear_order, decay, 0.0)
         stiffest = network.largest_eigenvalue(np.ones(len(network.acting)), self.inertia)
-        return largest_stable_step(
-            options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest
-        )
+        return largest_stable_step(options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest)
 
     def _response(self) -> float:
         return self.time_step
@@ -186,7 +183,10 @@ def follow_packing(
     stops = {STOPS[name]: value for name, value in options.items() if name in STOPS}
     if "duration" in stops:
         stops = {"iterations": UNLIMITED} | stops
-    stop, recording = StopRule(tolerance, **stops), Recording(_times(options["record"]) if "record" in options else np.zeros(0))
+    stop, recording = (
+        StopRule(tolerance, **stops),
+        Recording(_times(options["record"]) if "record" in options else np.zeros(0)),
+    )
     chosen = row() if isinstance(method, str) else method
     if devices := {name: value for name, value in options.items() if name in DEVICES}:
         runtime.start(**devices)

@@ -1,4 +1,4 @@
-"""Dynamics and descent of packings: against lattices step by step, exact courses, proven minima, and what is conserved."""
+"""Dynamics and descent of packings: lattices step by step, exact courses, proven minima, and what is conserved."""
 
 import subprocess
 import sys
