@@ -56,12 +56,14 @@ class Lists:
         ends = np.sort(place[pairs], axis=1)
         contact = np.lexsort((ends[:, 1], ends[:, 0]))
         ends = ends[contact]
-        size = tuple(block * max(1, -(-count // block)) for count in (spheres, len(pairs)))
-        rows = np.zeros((2, size[1]), dtype=np.int32)
+        whole = [block * max(1, -(-count // block)) for count in (spheres, len(pairs))]
+        rows = np.zeros((2, whole[1]), dtype=np.int32)
         rows[:, : len(pairs)] = ends.T
         incident = np.append(np.argsort(ends.ravel(), kind="stable") // 2, 0)
-        start = np.append(0, np.cumsum(np.bincount(ends.ravel(), minlength=size[0])))
-        return cls(sphere, contact, size, rows.ravel(), start.astype(np.int32), incident.astype(np.int32))
+        start = np.append(0, np.cumsum(np.bincount(ends.ravel(), minlength=whole[0])))
+        return cls(
+            sphere, contact, (whole[0], whole[1]), rows.ravel(), start.astype(np.int32), incident.astype(np.int32)
+        )
 
 
 class ListFields:

@@ -54,7 +54,10 @@ class ListSweeps(Sweeps):
         self.averages, self.momentum = "force_sum" in self.rows, "spin" in self.rows
 
     @ti.func
-    def slip(self, values: ti.template(), rows: ti.template(), across: ti.template(), ends: ti.template(), size: ti.template(), first):  # fmt: skip
+    def slip(
+        self, values: ti.template(), rows: ti.template(), across: ti.template(), ends: ti.template(),
+        size: ti.template(), first,
+    ):  # fmt: skip
         """T (u_i + u_j) of a block of contacts, for the numbers of the spheres in these rows."""
         both = [zero(self.block) for _ in rows]
         for k in ti.static(range(len(rows))):
@@ -76,7 +79,10 @@ class ListSweeps(Sweeps):
         return result
 
     @ti.func
-    def store_force(self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(), force: ti.template()):  # fmt: skip
+    def store_force(
+        self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(),
+        force: ti.template(),
+    ):  # fmt: skip
         if ti.static(self.components == 1):
             store_each(values, blocks, rows, self.block, force)
         else:
@@ -180,7 +186,10 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         force = self.on("force", size, first)
         across = load_each(values, self.on("across", size, first), self.block)
         if ti.static(self.tally):
-            work, speed = self.on("work", size, first), self.slip(values, self.rows["gear_0"], across, ends, size, first)
+            work, speed = (
+                self.on("work", size, first),
+                self.slip(values, self.rows["gear_0"], across, ends, size, first),
+            )
             total, before = load(values, work[0], self.block), load_each(values, force, self.block)
             if ti.static(self.components == 1):
                 total += before[0] * speed[0]

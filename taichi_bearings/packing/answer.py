@@ -35,10 +35,12 @@ class PackingResult:
     potential of any spins (for "viscous" on the power); 0 where nothing is proven. It is rigorous where `proof` is
     "proven"; else only if the motions that `proof` counts slip nowhere, which the rounding of normals hides.
     gap : (potential - lower_bound) / potential; where next to nothing is dissipated, over what all contacts would at
-    the largest imposed surface velocity. proof : "proven", what it rests on beside, or why there is none.
-    status : "certified" if the gap is within the tolerance, else "stalled". method : "planar-cut", "interior-point",
-    "linear-solver".
-    spin : (N, 3), of discs (N,), laboratory frame, 1/time; slipless motions that nothing decides are left at rest.
+    the largest imposed surface velocity, or where none is imposed at the largest one. proof : "proven", what it rests
+    on beside, or why there is none.
+    status : "certified" if the gap is within the tolerance, else "stalled", or how a dynamics or descent ended.
+    method : "planar-cut", "interior-point", "linear-solver", or the one that was asked for.
+    spin : (N, 3), of discs (N,), laboratory frame, 1/time; slipless motions that nothing decides are left at rest, by a
+    dynamics as it moves them.
     slip : (E,), length/time. force : (E,), its size. friction : (E, 3), of discs (E,), force on the second sphere,
     of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
     between driven or absent. driven_power : what contacts between driven spheres dissipate, energy/time.
@@ -156,7 +158,7 @@ def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float,
     if found.bound is not None:
         bound, value = Bound(max(found.bound, value), "proven"), max(found.bound, value)
     value = min(value, total)  # both are of the same minimum; roundings of the power are above
-    fastest = float(np.abs(packing.imposed).max(initial=0.0))
+    fastest = float(np.abs(packing.imposed).max(initial=0.0)) or float(np.abs(spins).max(initial=0.0))
     natural = float(law.objective(packing.coefficients, np.full(packing.contacts, fastest))[~between].sum())
     unit = total if total > NO_POWER * natural else natural
     gap = (total - value) / unit if unit > 0 else 0.0

@@ -129,7 +129,7 @@ class Dynamics(OnLattice, Generic[OptionsOfMotion]):
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
-        self.inertia = self.options.inertia or default_inertia(scene, self.options.mass)
+        self.inertia: Any = self.options.inertia or default_inertia(scene, self.options.mass)
         self.iteration, self.time, self.halted = 0, 0.0, False
         return ()
 

@@ -21,7 +21,7 @@ from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.descent import descent_sweeps
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import Team
+from taichi_bearings.kernels.team import Sweeps, Team
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -40,7 +40,8 @@ CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the avera
 class GradientDescentMethod(OnLattice):
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
 
-    points = ("point", "point_next")
+    points: tuple[str, ...] = ("point", "point_next")
+    sweeps: Sweeps
 
     def __init__(self, options: GradientDescent) -> None:
         self.options, self.momentum = options, options.momentum

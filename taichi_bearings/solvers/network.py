@@ -17,8 +17,8 @@ from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import NO_POWER
 from taichi_bearings.packing.bounds import lower_bound
-from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.central_path import viscous_spins
+from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
@@ -37,11 +37,10 @@ class Network:
     """A packing with the words of a `Scene` of one sample, spins u (C, 1, N) of all spheres, and contacts that act.
 
     acting : (E,) their numbers in the packing; shapes below have these. across : T, (d, E, C).
-    jump : how far imposed u differ, length/time; the natural unit of slips. imposed : what stands for it where they do
-    not, the largest u at the start.
+    jump : how far imposed u differ, length/time, the natural unit of slips; else the largest u at the start.
     """
 
-    replicas, strength, normal_force = 1, 1.0, 1.0
+    replicas, strength, normal_force, imposed = 1, 1.0, 1.0, (0.0,)
 
     def __init__(self, packing: Packing) -> None:
         self.packing, self.law, self.acting = packing, packing.kind, acting(packing)
@@ -55,8 +54,7 @@ class Network:
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
         self.matrix = slips_of(packing, self.acting, numbers)
         self.transposed = self.matrix.T.tocsr()
-        self.jump = self._largest_jump(held)
-        self.imposed, self.is_cut_off = (float(np.abs(packing.imposed).max(initial=0.0)),), np.zeros(1, dtype=bool)
+        self.jump, self.is_cut_off = self._largest_jump(held), np.zeros(1, dtype=bool)
         self.proven, self._looked = 0.0, 0.0  # the best bound so far, and the iteration of the last whole look
 
     def _largest_jump(self, held: np.ndarray) -> float:
@@ -130,7 +128,7 @@ class Network:
             system, matrix = self.proof
             spins = system.all_spins(viscous_spins(system, matrix, np.ones(len(system.contact)))).T[:, None].copy()
         self.impose_driving(spins)
-        self.imposed = (float(np.abs(spins).max(initial=0.0)),)
+        self.jump = self.jump or float(np.abs(spins).max(initial=0.0))
         return spins
 
     def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
@@ -191,7 +189,7 @@ class Network:
         return best, proving
 
     def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
-        """Forces (d, A) of the system in balance; with friction as they are, and shortened all alike until it bears them."""
+        """Forces (d, A) of the system in balance; with friction also shortened all alike to what it bears."""
         system, matrix = self.proof
         held = self.law.holding_force(system.coefficients)
         try:
@@ -222,8 +220,9 @@ class OnNetwork(OnLattice):
     ) -> Progress:
         scene: Network = self.scene
         objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
-        fastest = np.full(1, np.abs(scene.packing.imposed).max(initial=0.0))
-        scene.is_cut_off = objective <= NO_POWER * scene.law.objective(scene.contact, fastest).sum(axis=1)
+        fastest = float(np.abs(scene.packing.imposed).max(initial=0.0)) or np.abs(staggered).max(initial=0.0)
+        natural = scene.law.objective(scene.contact, np.full(1, fastest)).sum(axis=1)
+        scene.is_cut_off = objective <= NO_POWER * natural
         whole = more["iteration"] >= LOOK_AGAIN * scene._looked
         scene._looked = max(more["iteration"], 1) if whole else scene._looked
         bound, proof = scene.bound(force if proof is None else proof, staggered, whole)

@@ -14,7 +14,7 @@ from taichi_bearings.interrupts import Interrupt
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, Found, PackingResult, judged
+from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingResult, judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.scene import vector_length
@@ -61,7 +61,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         """spins : u (C, 1, N)."""
         options, c, d = self.options, network.components, len(network.across)
         self.scene, self.spin_axes = network, tuple(range(c))
-        self.inertia = network.inertias(options.mass, options.inertia, self.density)
+        self.inertia: Any = network.inertias(options.mass, options.inertia, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
         self.rest = RestWatch(*self.checks, np.full(1, np.inf))
         self.stability_bound = self._stability_bound(network)
@@ -78,9 +78,8 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         self.fields.load("is_free", np.where(network.lattice.is_driven, 0.0, 1 / self.inertia)[None, None])
         self._load_gear(spins)
         self.team = Team(self.fields.team_size)
-        self.steps: Any = list_sweeps(
-            CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order]
-        )
+        steps: Any = list_sweeps(CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order])
+        self.steps = steps
         self.steps.compile(self.fields, self.team)
 
     def _stability_bound(self, network: Network) -> float:
@@ -91,9 +90,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         if not network.law.holds:
             return largest_stable_step(options.gear_order, decay, 0.0)
         stiffest = network.largest_eigenvalue(np.ones(len(network.acting)), self.inertia)
-        return largest_stable_step(
-            options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest
-        )
+        return largest_stable_step(options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest)
 
     def _response(self) -> float:
         return self.time_step
@@ -186,7 +183,10 @@ def follow_packing(
     stops = {STOPS[name]: value for name, value in options.items() if name in STOPS}
     if "duration" in stops:
         stops = {"iterations": UNLIMITED} | stops
-    stop, recording = StopRule(tolerance, **stops), Recording(_times(options.get("record")))
+    stop, recording = (
+        StopRule(tolerance, **stops),
+        Recording(_times(options["record"]) if "record" in options else np.zeros(0)),
+    )
     chosen = row() if isinstance(method, str) else method
     if devices := {name: value for name, value in options.items() if name in DEVICES}:
         runtime.start(**devices)
@@ -211,9 +211,8 @@ def follow_packing(
 
 def _times(record: Any) -> np.ndarray:
     try:
-        return parse_times(record if isinstance(record, str) else ",".join(map(str, np.atleast_1d(record)))) if (
-            record is not None
-        ) else np.zeros(0)
+        text = record if isinstance(record, str) else ",".join(map(str, np.atleast_1d(record)))
+        return parse_times(text)
     except (ValueError, KeyError):
         raise InputError(f"record is {shown(record)}; it must be times or as log:start,stop,count") from None
 
@@ -230,4 +229,7 @@ def _answer(network: Network, course: _Course, name: str, tolerance: float, begu
     force[network.acting] = vector_length(last.force)[0]
     loose = np.setdiff1d(network.acting, system.contact)
     state[loose] = np.where(result.slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+    if not network.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
+        apart = np.sqrt(max(result.potential - result.lower_bound, 0.0) / network.acting_coefficient[0])
+        state[network.acting[result.slip[network.acting] <= apart]] = UNDECIDED
     return replace(result, force=force, state=state)
