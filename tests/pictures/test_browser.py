@@ -184,7 +184,7 @@ def test_what_is_pointed_at_says_its_numbers(minimum, opened):
 def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):
     page, rows = opened(periodic), points_and_lines(read_run_file(periodic))
     lattice = rows.scene.lattice
-    low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("low", "high"))
+    low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
     assert np.array_equal(np.column_stack([low, high]), rows.ends)
     network = structure_of(read_run_file(periodic).solution).network
     assert page.ask("bearings.sample.counts.spans") == network.spans
