@@ -55,7 +55,9 @@ def arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
     packing = run.result.packing
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
     normal = np.asarray(packing.normal)
-    found = _drawn(packing.center, packing.radius, packing.driven, packing.contact, normal, spheres, contacts)
+    found = _drawn(
+        packing.center - packing.center[0], packing.radius, packing.driven, packing.contact, normal, spheres, contacts
+    )
     if "on_cut" in contacts:
         found["flags"] = (CUT * contacts["on_cut"]).astype(np.uint8)
     return found
@@ -121,6 +123,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         **_speeds(np.linalg.norm(spins, axis=-1), scene.fastest),
         "title": title_of(drawn),
         "shape": list(scene.lattice.shape),
+        "origin": [0] * scene.lattice.dimension,
         "steps": [side - 1 for side in scene.lattice.shape],
         "enclosing": AROUND if scene.lattice.dimension == 3 else 0,
         "joined": "bottom and top",
@@ -158,8 +161,9 @@ def facts_of_packing(run: PackingRun) -> dict[str, Any]:
     return {
         **_facts(law, told, False, undecided, result.critical, 0),
         **_speeds(speed / median, fastest / median),
-        "title": f"{packing.spheres:,} {what}, {packing.contacts:,} contacts, {law}",
+        "title": f"{packing.spheres:,} {what}, {run.summary['contacts']:,} contacts, {law}",
         "shape": None,
+        "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
         "steps": [SLICES] * packing.dimension,
         "enclosing": 0,
         "joined": "driven bodies",

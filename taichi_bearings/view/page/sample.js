@@ -22,7 +22,7 @@ class Sample {
       for (let s = 0; s < spheres; s++) this.place[3 * s + along[k]] = (center[spheres * k + s] - (low + high) / 2) / unit;
       for (let c = 0; c < contacts; c++) this.way[3 * c + along[k]] = normal[contacts * k + c] * (radius[first[c]] + radius[second[c]]) / unit;
       const step = (most - least) / steps || 1, cell = new Int16Array(spheres).map((_, s) => Math.round((center[spheres * k + s] - least) / step));
-      return { side: (high - low) / unit, cell, steps: most > least ? steps : 0, at: (number) => Number((least + number * step).toPrecision(4)) };
+      return { side: (high - low) / unit, cell, steps: most > least ? steps : 0, at: (number) => (facts.origin[k] + least + number * step).toFixed(Math.min(20, Math.max(0, Math.ceil(-Math.log10(step))))) };
     });
     this.slices = axes;  // along each axis: steps, in which of them each sphere lies, and where they are
     this.sides = axes.map(({ side }) => side);
@@ -91,7 +91,7 @@ class Sample {
 
 /** What is known of a sphere or contact, as rows of a name and a value. */
 function numbersOf(sample, found) {
-  const { facts, dimension } = sample, axes = [0, 1, 2].slice(0, dimension), position = (s) => `(${axes.map((k) => six(sample.center[sample.spheres * k + s])).join(", ")})`;
+  const { facts, dimension } = sample, axes = [0, 1, 2].slice(0, dimension), position = (s) => `(${axes.map((k) => six(facts.origin[k] + sample.center[sample.spheres * k + s])).join(", ")})`;
   if (found.sphere !== undefined) {
     const s = found.sphere, spin = [0, 1, 2].map((k) => sample.spinNow[3 * s + k]);
     const ofDomain = sample.domain_size[sample.domain[s]], atEnd = [["rigid domain", `${grouped(sample.domain[s])}, of ${grouped(ofDomain)} ${ofDomain === 1 ? "sphere" : "spheres"}`]];
