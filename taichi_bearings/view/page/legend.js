@@ -31,7 +31,7 @@ function drawLegend(sample, choices) {
     if (choices.colour === "turn") bar(`spheres: how their domain turns${sample.dimension === 3 ? " (yellow, green: by component)" : ""}`, sample.map_spin, ["as the bottom", "as the top"]);
     if (choices.colour === "betweenness") bar("spheres: share of shortest paths", sample.map_share, shares);
     if (choices.colour === "domain") list([["rigid domains of several spheres, largest first", `linear-gradient(90deg, ${TELLING.join()})`], ["single spheres", LOOK.plain]]);
-    if (choices.colour === "body") list([...sample.bodies.slice(0, TELLING.length).map((body) => [`driven body ${body}`, TELLING[body % TELLING.length]]), ["free", LOOK.plain]]);
+    if (choices.colour === "body") list([...sample.bodies.slice(0, TELLING.length).map((body) => [facts.shape ? ["driven with the bottom", "driven with the top"][body] : `driven body ${body}`, TELLING[body % TELLING.length]]), ["free", LOOK.plain]]);
     if (listed) list(listed.table.filter((_, n) => listed.value.includes(n)));
   }
   if (sample.dimension === 3 && facts.shape) list([["top plane, driven", LOOK.top], ["bottom plane, driven", LOOK.bottom]]);

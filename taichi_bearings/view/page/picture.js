@@ -21,7 +21,8 @@ class Picture {
     Object.assign(this.controls, { zoomToCursor: true, enableRotate: sample.dimension === 3, minDistance: 2 * least, maxDistance: 8 * this.extent + 20 });
     if (sample.dimension === 2) this.controls.mouseButtons.LEFT = 2;  // drags
     this.controls.addEventListener("change", () => this.draw());
-    this.marker = new THREE.Mesh(new THREE.BoxGeometry(1, 1, 1), new THREE.MeshBasicMaterial({ color: "#000000", wireframe: true, fog: false }));
+    this.marker = new THREE.Mesh(new THREE.BoxGeometry(1, 1, 1), new THREE.MeshBasicMaterial({ color: "#000000", wireframe: true, fog: false, depthTest: sample.dimension === 3 }));
+    this.marker.renderOrder = 3;
     this.scene.add(this.marker);
     this.marker.visible = false;
     this.arrows = new THREE.Object3D();
@@ -68,10 +69,14 @@ class Picture {
       const { table, value } = listed, colours = table.map(([, hex]) => rgb(hex));
       return (s) => colours[value[s]];
     }
-    const grey = rgb(LOOK.plain), telling = TELLING.map(rgb), rank = new Map([...members.keys()].sort((a, b) => members[b] - members[a]).map((label, n) => [label, n]));
+    const grey = rgb(LOOK.plain), telling = TELLING.map(rgb);
+    if (choices.colour === "domain") {  // in the order of their sizes
+      const place = new Int32Array(members.length);
+      [...members.keys()].sort((a, b) => members[b] - members[a]).forEach((label, n) => { place[label] = n; });
+      return (s) => members[domain[s]] > 1 ? telling[place[domain[s]] % telling.length] : grey;
+    }
     return {
       spin: (s) => shade(sample.map_spin, size[s] * Math.hypot(w[3 * s], w[3 * s + 1], w[3 * s + 2]) / spin_max),
-      domain: (s) => members[domain[s]] > 1 ? telling[rank.get(domain[s]) % telling.length] : grey,
       body: (s) => body[s] < 0 ? grey : telling[body[s] % telling.length],
       turn: (s) => [turn[3 * s] / 255, turn[3 * s + 1] / 255, turn[3 * s + 2] / 255],
       betweenness: (s) => shade(sample.map_share, 1 - Math.log10(Math.max(1e-30, share[s])) / SHARES),
