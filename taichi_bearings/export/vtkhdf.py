@@ -14,14 +14,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.packing_run import columns_of_packing, is_packing_run, read_packing_run
+from taichi_bearings.runs.packing_run import columns_of_packing, is_packing_run, packing_to_draw
 from taichi_bearings.runs.points_and_lines import Moments, opened_to_draw, points_and_lines
-from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -98,11 +96,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
 
 
 def _export_packing(run: Path, out: Path | None, force: bool, replica: int) -> dict[str, Any]:
-    if replica:
-        raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
-    found = read_packing_run(run)
-    path = (run if run.is_dir() else run.parent) / VTK_NAME if out is None else out
-    with claimed(path, force or out is None), stage("writing"):
+    with packing_to_draw(run, out, VTK_NAME, force, replica) as (found, path), stage("writing"):
         geometry = Geometry.of_packing(found.result.packing)
         told = {key: value for key, value in found.summary.items() if key in TOLD} | {"command": found.command}
         write_vtkhdf(path, geometry, *columns_of_packing(found.result), told)

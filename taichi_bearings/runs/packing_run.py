@@ -2,6 +2,8 @@
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +26,7 @@ from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, SPHERES
 from taichi_bearings.runs.run import versions
-from taichi_bearings.runs.run_directory import RunDirectory, default_run_path, run_directory, writable_folder
+from taichi_bearings.runs.run_directory import RunDirectory, claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
 from taichi_bearings.scene import Status
@@ -339,6 +341,20 @@ def read_packing_run(run: Path) -> PackingRun:
             **number,
         )
     return PackingRun(settings, result, run, str(attributes.get("command", "")))
+
+
+@contextmanager
+def packing_to_draw(
+    run: Path, out: Path | None, name: str, force: bool, replica: int = 0
+) -> Iterator[tuple[PackingRun, Path]]:
+    """A run and the file to write, as runs.points_and_lines.opened_to_draw."""
+    if replica:
+        raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
+    with stage("reading"):
+        found = read_packing_run(run)
+    path = (run if run.is_dir() else run.parent) / name if out is None else out
+    with claimed(path, force or out is None):
+        yield found, path
 
 
 def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What the page of a run holds: numbers for people, and arrays as small as a picture needs them."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,9 @@ from matplotlib import colormaps
 from taichi_bearings.plots.domains import colour_of_turn
 from taichi_bearings.plots.lattice import SPIN_COLOURS
 from taichi_bearings.proof.contact_state import ContactState, count, critical
+from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
+from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import undecided_kinds
 
@@ -16,33 +19,79 @@ MOST_BYTES = 64e6  # of snapshots in a page: beyond, only some are shown
 BOTTLENECKS = 200  # busiest contacts that are shown as such
 CUT, PATH = 1, 2  # bits of `flags`
 COLOUR_RANGE = (0.12, 0.95)  # of a map of colours that is seen on white
+SLICES = 40  # steps of a slider along each axis of a packing
+AROUND = 6  # neighbours that enclose a sphere of a cubic lattice
+ALONE = ["an island", "touches no slipless contact"]
+KEPT = {"slip": "f4", "power": "f4", "force": "f4", "coefficient": "f4", "viscosity": "f4", "normal_force": "f4"}
+KEPT |= {"betweenness": "f4", "state": "u1"}
+"""Columns of the contacts that a page holds where a run has them."""
 
 
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows."""
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in (drawn.spheres, drawn.contacts))
+    lattice = drawn.scene.lattice
+    center = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
+    body = np.where(spheres["driven"], np.where(center[:, -1] == 0, 0, 1), -1)
+    normal = np.eye(lattice.dimension)[lattice.axis]
+    found = _drawn(center, np.full(lattice.sites, 0.5), body, drawn.ends, normal, spheres, contacts)
     turn = colour_of_turn(drawn.domains.turn)[spheres["domain"], :3]
-    names = ("slip", "power", "force", "betweenness", *drawn.scene.named_coefficients)
-    found = {name: contacts[name].astype(np.float32) for name in names}
     found |= {
-        "spin": spheres["spin"].astype(np.float32),
-        "domain": spheres["domain"].astype(np.int32),
-        "domain_size": drawn.domains.spheres.astype(np.int32),
         "path": drawn.path.astype(np.int32),
         "sphere_betweenness": spheres["betweenness"].astype(np.float32),
-        "state": contacts["state"].astype(np.uint8),
         "flags": (CUT * contacts["on_cut"] + PATH * contacts["on_path"]).astype(np.uint8),
         "kind": spheres["domain_kind"],
-        "above": spheres["above_cut"].astype(np.uint8),
         "turn": np.round(255 * turn).astype(np.uint8),
-        "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
-        "map_power": _colours("plasma_r", *COLOUR_RANGE),
-        "map_share": _colours("viridis_r", *COLOUR_RANGE),
     }
     if drawn.moments is not None:
         chosen = _shown(drawn.moments)
         found["snapshot_spin"] = drawn.moments.spin[chosen].astype(np.float32)
         found["snapshot_slip"] = drawn.moments.slip[chosen].astype(np.float32)
+    return found
+
+
+def arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
+    """The same of a packing; it has no paths, and a cut where its structure has one."""
+    packing = run.result.packing
+    spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
+    normal = np.asarray(packing.normal)
+    found = _drawn(
+        packing.center - packing.center[0], packing.radius, packing.driven, packing.contact, normal, spheres, contacts
+    )
+    if "on_cut" in contacts:
+        found["flags"] = (CUT * contacts["on_cut"]).astype(np.uint8)
+    return found
+
+
+def _drawn(
+    center: np.ndarray,
+    radius: np.ndarray,
+    body: np.ndarray,
+    ends: np.ndarray,
+    normal: np.ndarray,
+    spheres: Mapping[str, np.ndarray],
+    contacts: Mapping[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """What a page holds of any bearing. center : (N, D) and radius : (N,), in one unit. body : (N,), -1 on free
+    spheres. ends : (E, 2). normal : (E, D). Columns by name. What a lattice
+    repeats packs well: vectors are written one axis after the other, ends as differences."""
+    found = {name: contacts[name].astype(kind) for name, kind in KEPT.items() if name in contacts}
+    found |= {
+        "center": center.T.astype(np.float32),
+        "radius": np.asarray(radius, dtype=np.float32),
+        "body": body.astype(np.int32),
+        "first": np.diff(ends[:, 0], prepend=0).astype(np.int32),
+        "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
+        "normal": normal.T.astype(np.float32),
+        "spin": spheres["spin"].astype(np.float32),
+        "domain": spheres["domain"].astype(np.int32),
+        "domain_size": np.bincount(spheres["domain"]).astype(np.int32),
+        "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
+        "map_power": _colours("plasma_r", *COLOUR_RANGE),
+        "map_share": _colours("viridis_r", *COLOUR_RANGE),
+    }
+    if "above_cut" in spheres:
+        found["above"] = spheres["above_cut"].astype(np.uint8)
     return found
 
 
@@ -60,34 +109,30 @@ def _shown(moments: Moments) -> np.ndarray:
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
     solution, scene, moments = drawn.solution, drawn.scene, drawn.moments
-    shares = drawn.contacts["betweenness"].values
-    largest = scene.fastest or 1.0
+    shares, gap = drawn.contacts["betweenness"].values, solution.gap[0]
     chosen = np.array([], dtype=int) if moments is None else _shown(moments)
     spins = drawn.spheres["spin"].values if moments is None else moments.spin[chosen]
+    unit = scene.strength * scene.lattice.radius * abs(scene.imposed[0])
+    natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
+    bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
+    told = f"{solution.method}: {solution.status.value}; P = {solution.power[0]:.6g}{natural}, {bound}"
+    undecided = int(count(solution.state, ContactState.UNDECIDED)[0])
+    tied = int(solution.findings.get("tied_contacts", [0])[0])
     return {
+        **_facts(scene.law, told, bool(solution.states_proven[0]), undecided, int(critical(solution)[0]), tied),
+        **_speeds(np.linalg.norm(spins, axis=-1), scene.fastest),
         "title": title_of(drawn),
-        "subtitle": _subtitle(drawn),
-        "version": VERSION,
         "shape": list(scene.lattice.shape),
-        "periodic": list(scene.lattice.periodic),
-        "proven": bool(solution.states_proven[0]),
-        "open": ", ".join(
-            undecided_kinds(
-                int(count(solution.state, ContactState.UNDECIDED)[0]),
-                int(critical(solution)[0]),
-                int(solution.findings.get("tied_contacts", [0])[0]),
-            )
-        ),
-        "spin_max": largest,
-        "beyond": bool((np.linalg.norm(spins, axis=-1) > largest * (1 + 1e-9)).any()),
+        "origin": [0] * scene.lattice.dimension,
+        "steps": [side - 1 for side in scene.lattice.shape],
+        "enclosing": AROUND if scene.lattice.dimension == 3 else 0,
+        "joined": "bottom and top",
+        "pieces": ["joined to bottom and top", "joined to the bottom", "joined to the top", *ALONE],
+        "sides": ["below the cut", "above the cut"],
+        "spin_name": "|ω| / ω max",
+        "jump_name": "R Δω",
         "jump_speed": scene.lattice.radius * scene.jump,
-        "decided": _decided(drawn),
         "normal_force": scene.normal_force,
-        "friction_limit": scene.law.is_rate_independent and scene.law.quantities[0].is_friction,
-        "coefficients": [
-            {"key": key, "name": f"{quantity.name} coefficient", "unit": quantity.unit}
-            for quantity, key in zip(scene.law.quantities, scene.named_coefficients, strict=True)
-        ],
         "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
         "busiest_share": float(shares.max()),
         "time": drawn.time,
@@ -99,25 +144,73 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     }
 
 
+def facts_of_packing(run: PackingRun) -> dict[str, Any]:
+    """The same of a packing."""
+    result, packing, law = run.result, run.result.packing, run.result.packing.kind
+    radius = np.asarray(packing.radius)
+    median = float(np.sort(radius)[len(radius) // 2])
+    speed = np.linalg.norm(result.spin.reshape(packing.spheres, -1), axis=1) * radius
+    fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
+    bodies = np.unique(packing.driven[packing.driven >= 0])
+    named = [f"driven body {body}" for body in bodies] if len(bodies) == 2 else ["one driven body"] * 2
+    within = f"within {result.gap:.1e}"
+    bound = _minimised(law) + ({"proven": f"proven {within}"}.get(result.proof, f"{within}, {result.proof}"))
+    told = f"{result.method}: {result.status}; P = {result.power:.6g}, {bound}"
+    what = "discs" if packing.dimension == 2 else "spheres"
+    undecided = int((result.state == ContactState.UNDECIDED).sum())
+    return {
+        **_facts(law, told, False, undecided, result.critical, 0),
+        **_speeds(speed / median, fastest / median),
+        "title": f"{packing.spheres:,} {what}, {run.summary['contacts']:,} contacts, {law}",
+        "shape": None,
+        "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
+        "steps": [SLICES] * packing.dimension,
+        "enclosing": 0,
+        "joined": "driven bodies",
+        "pieces": ["joined to several driven bodies", *(f"joined to {name}" for name in named), *ALONE],
+        "sides": [f"on the side of {name}" for name in named],
+        "spin_name": "R |ω| / R ω max",
+        "jump_name": "R ω max",
+        "jump_speed": fastest,
+        "normal_force": None,
+        "bottleneck_share": 1.0,
+        "busiest_share": 1.0,
+        "time": None,
+        "times": [],
+        "left_out": "",
+        "snapshot_threshold": 0.0,
+    }
+
+
+def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tied: int) -> dict[str, Any]:
+    """What the law and the states lead to. told : of method and power."""
+    decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
+    keys = ("coefficient", "viscosity")[: len(law.quantities)]
+    return {
+        "version": VERSION,
+        "subtitle": f"{told}; contact states {decided}",
+        "proven": proven,
+        "decided": decided,
+        "open": ", ".join(undecided_kinds(undecided, critical, tied)),
+        "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
+        "coefficients": [
+            {"key": key, "name": f"{quantity.name} coefficient", "unit": quantity.unit}
+            for quantity, key in zip(law.quantities, keys, strict=True)
+        ],
+    }
+
+
+def _speeds(speed: np.ndarray, largest: float) -> dict[str, Any]:
+    """Of spins, or surface speeds, and the largest imposed one; of a sphere of median size."""
+    return {"spin_max": largest or 1.0, "beyond": bool((speed > (largest or 1.0) * (1 + 1e-9)).any())}
+
+
+def _minimised(law: Law) -> str:
+    return "" if law.minimises == "power" else f"its {law.minimises} "
+
+
 def title_of(drawn: PointsAndLines) -> str:
     """Lattice, law and seed."""
     scene = drawn.scene
     source = f"seed {scene.seeds[0]}" if scene.drawn else "coefficients given"
     return f"{'×'.join(map(str, scene.lattice.shape))} {scene.law}{scene.closed}, {source}"
-
-
-def _subtitle(drawn: PointsAndLines) -> str:
-    """Method, power and what is proven of it."""
-    solution, scene = drawn.solution, drawn.scene
-    unit = scene.strength * scene.lattice.radius * abs(scene.imposed[0])
-    natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
-    of = "" if scene.law.minimises == "power" else f"its {scene.law.minimises} "
-    gap = f"{of}proven within {solution.gap[0]:.1e}" if np.isfinite(solution.gap[0]) else "without a proven bound"
-    power = f"P = {solution.power[0]:.6g}{natural}, {gap}"
-    return f"{solution.method}: {solution.status.value}; {power}; contact states {_decided(drawn)}"
-
-
-def _decided(drawn: PointsAndLines) -> str:
-    """What the contact states of the run rest on."""
-    by = "slip and friction" if drawn.scene.law.holds else "slip"
-    return "proven" if drawn.solution.states_proven[0] else f"decided by {by}, not proven"

@@ -12,7 +12,9 @@ import time
 import numpy as np
 import pytest
 
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.runs.packing_run import read_packing_run
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.view.view import view
@@ -154,18 +156,20 @@ def place_of(lattice, contact):
             return f"contact {axis}", f"({', '.join(map(str, place))})"
 
 
+AIM = """([layer, number]) => { const { picture } = bearings, id = picture.layers[layer].ids[number];
+    picture.mark(layer === "spheres" ? { sphere: id } : { contact: id });
+    const place = picture.marker.position.clone().project(picture.camera);
+    const box = picture.canvas.getBoundingClientRect();
+    const x = (place.x + 1) / 2 * box.width, y = (1 - place.y) / 2 * box.height;
+    return [id, picture.pick(x, y), x + box.left, y + box.top]; }"""
+
+
 def test_what_is_pointed_at_says_its_numbers(minimum, opened):
     page, solution = opened(minimum), read_run_file(minimum).solution
     page.press("Network")
-    aim = """(number) => { const { picture } = bearings, contact = picture.layers.network.ids[number];
-        picture.mark({ contact });
-        const place = picture.marker.position.clone().project(picture.camera);
-        const box = picture.canvas.getBoundingClientRect();
-        const x = (place.x + 1) / 2 * box.width, y = (1 - place.y) / 2 * box.height;
-        return [contact, picture.pick(x, y), x + box.left, y + box.top]; }"""
     asked = 0
     for number in range(0, 40, 4):
-        contact, found, x, y = page.tab.evaluate(aim, number)
+        contact, found, x, y = page.tab.evaluate(AIM, ["network", number])
         if found == {"contact": contact}:  # others may lie before it
             page.tab.mouse.move(x, y)
             axis, at = place_of(solution.scene.lattice, contact)
@@ -184,7 +188,7 @@ def test_what_is_pointed_at_says_its_numbers(minimum, opened):
 def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):
     page, rows = opened(periodic), points_and_lines(read_run_file(periodic))
     lattice = rows.scene.lattice
-    low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("low", "high"))
+    low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
     assert np.array_equal(np.column_stack([low, high]), rows.ends)
     network = structure_of(read_run_file(periodic).solution).network
     assert page.ask("bearings.sample.counts.spans") == network.spans
@@ -212,6 +216,64 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
         int(np.flatnonzero(slipless & over & (lattice.axis == 0) & (rows.ends[:, 0] % lattice.shape[-1] > 0))[0]),
     )
     assert over[found["contact"]]
+    assert page.is_quiet(), (page.complaints, page.requests)
+
+
+def test_a_packing_is_shown_as_it_is(packed, opened):
+    page, result = opened(packed), read_packing_run(packed).result
+    packing, structure = result.packing, PackingStructure.of(result)
+    flat, radius, (first, second) = packing.dimension == 2, np.asarray(packing.radius), packing.contact.T
+    place, way = (np.array(page.ask(f"Array.from(bearings.sample.{name})")).reshape(-1, 3) for name in ("place", "way"))
+    unit, axes = 2 * np.sort(radius)[len(radius) // 2], [0, 2] if flat else [0, 1, 2]
+    assert np.diff(place[:, axes], axis=0) * unit == pytest.approx(np.diff(packing.center, axis=0), abs=1e-5)
+    assert way[:, axes] * unit == pytest.approx(packing.normal * (radius[first] + radius[second])[:, None], abs=1e-5)
+    apart = np.linalg.norm(packing.center[second] - packing.center[first], axis=1)
+    over = apart > 1.01 * (radius[first] + radius[second])
+    assert page.ask("Array.from(bearings.sample.over)") == over.tolist()
+    for key, count in (("slipless", structure.slipless.sum()), ("slipping", (result.state == 1).sum())):
+        assert page.ask(f"bearings.sample.counts.{key}") == count
+    assert page.ask("bearings.sample.counts.spans") is structure.spans
+    reached = structure.touched[packing.driven < 0].mean()
+    assert page.ask("bearings.sample.counts.reached") == pytest.approx(reached)
+    joined = np.array(page.ask("Array.from(bearings.sample.piece)"))
+    assert ((joined == 0) == structure.spanning).all()
+    for preset, has in (("Bottlenecks", False), ("Minimum cut", structure.interface is not None)):
+        assert page.tab.get_by_role("button", name=preset, exact=True).is_enabled() == has
+    assert page.tab.locator("#colour option[value=kind]").is_disabled()
+    words = page.tab.locator("body").inner_text()
+    assert "driven bodies" in words
+    assert "bottom" not in words
+    wide = np.array(page.ask("Array.from(bearings.picture.layers.spheres.wide)")).reshape(-1, 4)[:, 0]
+    assert wide * unit == pytest.approx(2 * radius)
+    for sphere in (0, packing.spheres // 2, packing.spheres - 1):
+        _, found, x, y = page.tab.evaluate(AIM, ["spheres", sphere])
+        if flat or found == {"sphere": sphere}:
+            page.tab.mouse.move(x, y)
+            page.tab.wait_for_function(f"document.getElementById('numbers').innerText.includes('sphere {sphere} at (')")
+            text = page.tab.locator("#numbers").inner_text()
+            shown = re.search(r"at \((.*?)\)", text)[1]
+            assert np.array(shown.split(", "), dtype=float) == pytest.approx(packing.center[sphere], rel=6e-6, abs=1e-5)
+            assert (f"driven with body {packing.driven[sphere]}" in text) == (packing.driven[sphere] >= 0)
+    page.press("Network")
+    ids = np.array(page.ask("Array.from(bearings.picture.layers.network.ids)"))
+    count = page.ask("bearings.picture.layers.network.count")
+    assert sorted(ids[:count]) == sorted(np.repeat(np.arange(packing.contacts), structure.slipless * (1 + over)))
+    asked = 0
+    for number in range(0, count, 5):
+        contact, found, x, y = page.tab.evaluate(AIM, ["network", number])
+        if found == {"contact": contact}:  # others may lie before it
+            page.tab.mouse.move(x, y)
+            name = f"contact {contact} of spheres {first[contact]} and {second[contact]}"
+            page.tab.wait_for_function(f"document.getElementById('numbers').innerText.includes('{name}')")
+            shown = re.search(r"force \|f\|\s+(\S+) force", page.tab.locator("#numbers").inner_text())[1]
+            assert float(shown) == pytest.approx(result.force[contact], rel=6e-6)
+            asked += 1
+    assert asked >= 3
+    page.press("Domains")
+    page.tab.locator("#colour").select_option("body")
+    page.move("slice-x-to", 20)
+    left = packing.center[:, 0] <= packing.center[:, 0].min() + 20.5 / 40 * np.ptp(packing.center[:, 0])
+    assert page.ask("bearings.picture.layers.spheres.count") == left.sum()
     assert page.is_quiet(), (page.complaints, page.requests)
 
 

@@ -81,3 +81,9 @@ def test_an_earlier_page_is_replaced_only_where_it_is_ours(minimum, tmp_path):
 def test_a_page_needs_its_ending(minimum, tmp_path):
     with pytest.raises(InputError, match=r"page\.png'; it must end in \.html"):
         view(minimum, tmp_path / "page.png")
+
+
+def test_a_run_of_a_packing_has_one_sample(packed, tmp_path):
+    with pytest.raises(InputError, match="replica is 1; a run of a packing has 1"):
+        view(packed, tmp_path / "page.html", replica=1)
+    assert not list(tmp_path.iterdir())

@@ -23,9 +23,9 @@ class Controls {
   }
   buildLists() {
     const { sample, choices } = this, flags = (bit) => sample.flags.reduce((sum, f) => sum + ((f & bit) > 0), 0);
-    const walls = sample.low.reduce((sum, s, c) => sum + (sample.domain[s] !== sample.domain[sample.high[c]]), 0);
+    const walls = sample.first.reduce((sum, s, c) => sum + (sample.domain[s] !== sample.domain[sample.second[c]]), 0);
     const bottlenecks = sample.betweenness.reduce((sum, b) => sum + (b > 0 && b >= sample.facts.bottleneck_share), 0);
-    this.available = { spheres: sample.sites, network: 1, slipping: 1, undecided: sample.state.reduce((sum, is) => sum + (is === UNDECIDED), 0), cut: flags(CUT), walls, path: flags(PATH), bottlenecks };
+    this.available = { spheres: sample.spheres, network: 1, slipping: 1, undecided: sample.state.reduce((sum, is) => sum + (is === UNDECIDED), 0), cut: flags(CUT), walls, path: flags(PATH), bottlenecks };
     PRESETS.forEach(([name], n) => {
       const button = document.createElement("button");
       Object.assign(button, { type: "button", textContent: name, disabled: !this.available[PRESETS[n][5]] });
@@ -35,7 +35,8 @@ class Controls {
     });
     for (const [key, text] of LAYERS)
       this.switches[key] = this.tick("layers", text, LOOK[key], false, (on) => { choices.layers[key] = on; choices.preset = null; this.changed(); });
-    for (const [key, text] of COLOURS) element("colour").append(new Option(text, key));
+    for (const [key, text, needed] of COLOURS) element("colour").append(Object.assign(new Option(key === "spin" ? `spin ${sample.facts.spin_name}` : text, key), { disabled: !sample.has(needed) }));
+    element("kinds").hidden = !sample.has("kind");
     const members = KINDS.map(() => 0);
     for (const kind of sample.kind) members[kind]++;
     element("kinds").append(Object.assign(document.createElement("p"), { className: "note", textContent: "rigid domains locked to" }));
@@ -48,12 +49,12 @@ class Controls {
   }
   buildSlices() {
     const { sample, choices } = this;
-    this.slices = sample.shape.map((side, k) => {
+    this.slices = sample.slices.map(({ steps }, k) => {
       const row = document.createElement("div"), text = document.createElement("output");
       row.className = "slice";
       row.append("xyz"[k]);
       const ends = ["from", "to"].map((which, end) => {
-        const slider = Object.assign(document.createElement("input"), { type: "range", min: 0, max: side - 1, step: 1, value: end ? side - 1 : 0 });
+        const slider = Object.assign(document.createElement("input"), { type: "range", min: 0, max: steps, step: 1, value: end ? steps : 0 });
         slider.setAttribute("aria-label", `${"xyz"[k]} ${which}`);
         slider.id = `slice-${"xyz"[k]}-${which}`;
         slider.addEventListener("input", () => {
@@ -107,7 +108,7 @@ class Controls {
   usePreset(n) {
     const [, layers, colour, size, hidden] = PRESETS[n], { choices, sample } = this, flat = sample.dimension === 2;
     const some = KINDS.some((_, kind) => !hidden.includes(kind) && sample.kind.includes(kind));
-    Object.assign(choices, { colour, size, preset: n, power: 0, kinds: KINDS.map((_, kind) => flat || !(some && hidden.includes(kind))) });
+    Object.assign(choices, { colour: colour === "turn" && !sample.has(colour) ? "domain" : colour, size, preset: n, power: 0, kinds: KINDS.map((_, kind) => flat || !(some && hidden.includes(kind))) });
     for (const [key] of LAYERS) choices.layers[key] = layers.includes(key) && this.available[key] > 0;
     if (flat) {  // discs stay discs, and lines lie on them
       choices.size = 1;
@@ -155,19 +156,19 @@ class Controls {
     [...element("presets").children].forEach((button, n) => button.setAttribute("aria-pressed", String(n === choices.preset)));
     for (const key of ["colour", "size", "power", "threshold", "time"]) element(key).value = choices[key];
     const own = sample.isEnd ? `those of the run (${facts.proven ? "proven" : "not proven"})` : `those up to |v| = ${six(facts.snapshot_threshold)}`;
-    element("threshold-text").textContent = choices.slip === null ? own : `those up to ${(choices.slip / facts.jump_speed).toExponential(1)} R Δω`;
+    element("threshold-text").textContent = choices.slip === null ? own : `those up to ${(choices.slip / facts.jump_speed).toExponential(1)} ${facts.jump_name}`;
     element("threshold").setAttribute("aria-valuetext", element("threshold-text").textContent);
     const open = counts.undecided ? `, ${facts.open}` : "";
-    element("states").textContent = `${grouped(counts.slipless)} slipless, ${grouped(counts.slipping)} slipping${open}. They ${counts.spans ? "join" : "do not join"} bottom and top and touch ${six(100 * counts.reached)} % of the free spheres.`
+    element("states").textContent = `${grouped(counts.slipless)} slipless, ${grouped(counts.slipping)} slipping${open}. They ${counts.spans ? "join" : "do not join"} ${facts.joined} and touch ${six(100 * counts.reached)} % of the free spheres.`
       + (choices.slip === null && sample.isEnd ? "" : " Domains, path and bottlenecks stay those of the end state of the run.");
     const what = sample.isEnd ? "P" : "|v|";
     element("power-text").textContent = choices.power === 0 ? "all" : `${what} ≥ ${weakest(choices).toExponential(2)}`;
     element("power").setAttribute("aria-valuetext", element("power-text").textContent);
-    sample.shape.forEach((side, k) => {
+    sample.slices.forEach(({ at }, k) => {
       const { ends, text } = this.slices[k];
       ends[0].value = choices.low[k];
       ends[1].value = choices.high[k];
-      text.textContent = choices.low[k] === choices.high[k] ? `${choices.low[k]}` : `${choices.low[k]} – ${choices.high[k]}`;
+      text.textContent = choices.low[k] === choices.high[k] ? `${at(choices.low[k])}` : `${at(choices.low[k])} – ${at(choices.high[k])}`;
     });
     this.showTime();
     drawLegend(sample, choices);

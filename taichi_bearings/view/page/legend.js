@@ -26,13 +26,15 @@ function drawLegend(sample, choices) {
   };
   const { layers } = choices, shares = ["≤ 0.01 %", "0.1 %", "1 %", "10 %", "100 %"];
   if (layers.spheres) {
-    const of = { kind: sample.kind, piece: sample.piece, side: sample.above }[choices.colour];
-    if (choices.colour === "spin") bar("spheres: |ω| / ω max", sample.map_spin, ["0", "0.5", facts.beyond ? "≥ 1" : "1"]);
+    const listed = sample.listed(choices.colour);
+    if (choices.colour === "spin") bar(`spheres: ${facts.spin_name}`, sample.map_spin, ["0", "0.5", facts.beyond ? "≥ 1" : "1"]);
     if (choices.colour === "turn") bar(`spheres: how their domain turns${sample.dimension === 3 ? " (yellow, green: by component)" : ""}`, sample.map_spin, ["as the bottom", "as the top"]);
     if (choices.colour === "betweenness") bar("spheres: share of shortest paths", sample.map_share, shares);
-    if (of) list({ kind: KINDS, piece: PIECES, side: SIDES }[choices.colour].filter((_, n) => of.includes(n)));
+    if (choices.colour === "domain") list([["rigid domains of several spheres, largest first", `linear-gradient(90deg, ${TELLING.join()})`], ["single spheres", LOOK.plain]]);
+    if (choices.colour === "body") list([...sample.bodies.slice(0, TELLING.length).map((body) => [facts.shape ? ["driven with the bottom", "driven with the top"][body] : `driven body ${body}`, TELLING[body % TELLING.length]]), ["free", LOOK.plain]]);
+    if (listed) list(listed.table.filter((_, n) => listed.value.includes(n)));
   }
-  if (sample.dimension === 3) list([["top plane, driven", LOOK.top], ["bottom plane, driven", LOOK.bottom]]);
+  if (sample.dimension === 3 && facts.shape) list([["top plane, driven", LOOK.top], ["bottom plane, driven", LOOK.bottom]]);
   if (layers.network) list([["slipless contacts", LOOK.network]]);
   if (layers.slipping && sample.counts.slipping) {
     const least = weakest(choices), most = choices.range[1], middle = Math.sqrt(least * most), digits = (value) => value.toExponential(1);

@@ -1,26 +1,28 @@
 /** Draws a sample as the choices say. */
 class Picture {
   constructor(sample, choices, canvas) {
-    Object.assign(this, { sample, choices, canvas, layers: {}, shown: new Uint8Array(sample.sites) });
+    Object.assign(this, { sample, choices, canvas, layers: {}, shown: new Uint8Array(sample.spheres) });
     THREE.ColorManagement.enabled = false;  // colours on the screen are those of the legend
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.renderer.setClearColor(0xffffff);
-    this.extent = Math.hypot(...sample.shape);
+    this.extent = Math.hypot(...sample.sides);
     this.scene = new THREE.Scene();
     this.scene.fog = new THREE.Fog(0xffffff, 1, 2);
-    this.uniforms = { fade: { value: new THREE.Vector2() }, pixel: { value: 1 } };
-    this.camera = new THREE.PerspectiveCamera(28, 1, 0.1, 20 * this.extent + 50);
+    this.uniforms = { fade: { value: new THREE.Vector2() }, pixel: { value: 1 }, round: { value: sample.facts.shape ? 0 : 1 } };
+    const least = sample.size.reduce((a, b) => Math.min(a, b), 1);
+    this.camera = new THREE.PerspectiveCamera(28, 1, 0.1 * least, 20 * this.extent + 50);
     this.camera.up.set(0, 0, 1);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0xc3c9d2, 2.35), this.camera);
     const lamp = new THREE.DirectionalLight(0xffffff, 1.25);
     lamp.position.set(-0.5, 0.8, 1);
     this.camera.add(lamp);
     this.controls = new THREE.OrbitControls(this.camera, canvas);
-    Object.assign(this.controls, { zoomToCursor: true, enableRotate: sample.dimension === 3, minDistance: 2, maxDistance: 8 * this.extent + 20 });
+    Object.assign(this.controls, { zoomToCursor: true, enableRotate: sample.dimension === 3, minDistance: 2 * least, maxDistance: 8 * this.extent + 20 });
     if (sample.dimension === 2) this.controls.mouseButtons.LEFT = 2;  // drags
     this.controls.addEventListener("change", () => this.draw());
-    this.marker = new THREE.Mesh(new THREE.BoxGeometry(1, 1, 1), new THREE.MeshBasicMaterial({ color: "#000000", wireframe: true, fog: false }));
+    this.marker = new THREE.Mesh(new THREE.BoxGeometry(1, 1, 1), new THREE.MeshBasicMaterial({ color: "#000000", wireframe: true, fog: false, depthTest: sample.dimension === 3 }));
+    this.marker.renderOrder = 3;
     this.scene.add(this.marker);
     this.marker.visible = false;
     this.arrows = new THREE.Object3D();
@@ -31,7 +33,7 @@ class Picture {
   firstView() {
     const flat = this.sample.dimension === 2, aspect = Math.max(0.4, this.canvas.clientWidth / this.canvas.clientHeight);
     const away = 1 / Math.tan(this.camera.fov * Math.PI / 360);
-    if (flat) this.camera.position.set(0, -away * 0.62 * Math.max(this.sample.shape[1] + 1, (this.sample.shape[0] + 1) / aspect) - 1, 0);
+    if (flat) this.camera.position.set(0, -away * 0.62 * Math.max(this.sample.sides[1] + 1, (this.sample.sides[0] + 1) / aspect) - 1, 0);
     else this.camera.position.set(0.56, -0.75, 0.42).normalize().multiplyScalar(away * 0.57 * this.extent * Math.max(1, 1 / aspect));
     this.controls.target.set(0, 0, 0);
     this.controls.update();
@@ -40,17 +42,17 @@ class Picture {
   /** The squares of a layer, made when it is first shown. */
   squares(name, shaders, most = this.sample.lines, opacity = 1) {
     const made = this.layers[name] ??= new Squares(this.scene, shaders, this.uniforms, most, opacity);
+    if (this.sample.dimension === 2 && shaders === ROD) Object.assign(made.mesh, { renderOrder: this.isAcross(name) ? 1 : 2 }).material.depthTest = false;
     if (OVER.includes(name)) Object.assign(made.mesh, { renderOrder: 2 }).material.transparent = true;
     return made;
   }
+  /** Whether a layer lies across its contacts. */
+  isAcross(name) { return ACROSS.includes(name) || (this.sample.dimension === 2 && name === "slipping"); }
   /** What the slices leave, of each sphere. */
   slice() {
-    const { low, high } = this.choices, { cell, sites } = this.sample;
-    for (let s = 0; s < sites; s++) {
-      let inside = 1;
-      for (let k = 0; k < cell.length; k++) inside &= cell[k][s] >= low[k] && cell[k][s] <= high[k];
-      this.shown[s] = inside;
-    }
+    const { low, high } = this.choices;
+    this.shown.fill(1);
+    this.sample.slices.forEach(({ cell }, k) => { for (let s = 0; s < cell.length; s++) this.shown[s] &= cell[s] >= low[k] && cell[s] <= high[k]; });
   }
   refresh() {
     this.slice();
@@ -61,46 +63,48 @@ class Picture {
   }
   /** The colour of a sphere, as a function. */
   colourOf() {
-    const { sample, choices } = this, { turn, spinNow: w, sphere_betweenness: share } = sample, { spin_max } = sample.facts;
-    const listed = { kind: [KINDS, sample.kind], piece: [PIECES, sample.piece], side: [SIDES, sample.above] }[choices.colour];
+    const { sample, choices } = this, { turn, spinNow: w, sphere_betweenness: share, size, domain, domain_size: members, body } = sample, { spin_max } = sample.facts;
+    const listed = sample.listed(choices.colour);
     if (listed) {
-      const [table, value] = listed, colours = table.map(([, hex]) => rgb(hex));
+      const { table, value } = listed, colours = table.map(([, hex]) => rgb(hex));
       return (s) => colours[value[s]];
     }
-    const grey = rgb(LOOK.plain);
+    const grey = rgb(LOOK.plain), telling = TELLING.map(rgb);
+    if (choices.colour === "domain") {  // in the order of their sizes
+      const place = new Int32Array(members.length);
+      [...members.keys()].sort((a, b) => members[b] - members[a]).forEach((label, n) => { place[label] = n; });
+      return (s) => members[domain[s]] > 1 ? telling[place[domain[s]] % telling.length] : grey;
+    }
     return {
-      spin: (s) => shade(sample.map_spin, Math.hypot(w[3 * s], w[3 * s + 1], w[3 * s + 2]) / spin_max),
+      spin: (s) => shade(sample.map_spin, size[s] * Math.hypot(w[3 * s], w[3 * s + 1], w[3 * s + 2]) / spin_max),
+      body: (s) => body[s] < 0 ? grey : telling[body[s] % telling.length],
       turn: (s) => [turn[3 * s] / 255, turn[3 * s + 1] / 255, turn[3 * s + 2] / 255],
       betweenness: (s) => shade(sample.map_share, 1 - Math.log10(Math.max(1e-30, share[s])) / SHARES),
       plain: () => grey,
     }[choices.colour];
   }
   fillSpheres() {
-    const { sample, choices, shown } = this, balls = this.squares("spheres", SPHERE, sample.sites), size = choices.size;
+    const { sample, choices, shown } = this, { spheres, place } = sample, balls = this.squares("spheres", SPHERE, spheres);
     balls.begin();
-    balls.radius = size / 2;
     if (choices.layers.spheres) {
-      const drawn = new Uint8Array(sample.sites), colour = this.colourOf();
-      for (let s = 0; s < sample.sites; s++) drawn[s] = shown[s] && choices.kinds[sample.kind[s]];
-      const hidden = size >= 0.95 && sample.dimension === 3 ? this.inner(this.inner(drawn)) : null;
-      for (let s = 0; s < sample.sites; s++)
-        if (drawn[s] && !hidden?.[s]) balls.put(s, sample.place[3 * s], sample.place[3 * s + 1], sample.place[3 * s + 2], 2, size, colour(s));
+      const drawn = shown.map((is, s) => is && choices.kinds[sample.kind[s]]), colour = this.colourOf();
+      const hidden = choices.size >= 0.95 && sample.facts.enclosing ? this.inner(this.inner(drawn)) : null;
+      for (let s = 0; s < spheres; s++)
+        if (drawn[s] && !hidden?.[s]) balls.put(s, place[3 * s], place[3 * s + 1], place[3 * s + 2], 0, 0, 0, choices.size * sample.size[s], colour(s));
     }
     balls.end();
   }
-  /** Those whose six neighbours are all there: spheres two layers inside are not seen from anywhere. */
+  /** Those with so many neighbours around them that what they in turn surround is not seen from anywhere. */
   inner(there) {
-    const { shape, cell, stride, sites } = this.sample, found = new Uint8Array(sites);
-    for (let s = 0; s < sites; s++) {
-      let all = there[s];
-      for (let k = 0; k < 3 && all; k++)
-        all = cell[k][s] > 0 && cell[k][s] < shape[k] - 1 && there[s - stride[k]] && there[s + stride[k]];
-      found[s] = all ? 1 : 0;
+    const { first, second, over, contacts, facts } = this.sample, around = new Uint8Array(there.length);
+    for (let c = 0; c < contacts; c++) {
+      const a = first[c], b = second[c];
+      if (!over[c] && there[a] && there[b]) { around[a]++; around[b]++; }
     }
-    return found;
+    return around.map((count) => count >= facts.enclosing);
   }
   fillContacts() {
-    const { sample, choices } = this, { judged, flags, domain, low, high, betweenness } = sample;
+    const { sample, choices } = this, { judged, flags, domain, first, second, betweenness } = sample;
     const thin = sample.dimension === 2 ? 0.09 : 0.075, plain = Object.fromEntries(Object.entries(LOOK).map(([name, hex]) => [name, rgb(hex)]));
     const values = sample.valuesNow, least = weakest(choices), decades = Math.log10(choices.range[1] / least) || 1;
     const faint = choices.power > 0 ? least : 0;
@@ -110,46 +114,46 @@ class Picture {
       : shade(sample.map_power, Math.log10(Math.max(values[c], least) / least) / decades));
     this.fill("undecided", 1.5 * thin, (c) => judged[c] === UNDECIDED ? plain.undecided : null);
     this.fill("cut", 0.94, (c) => flags[c] & CUT ? plain.cut : null);
-    this.fill("walls", 0.94, (c) => domain[low[c]] !== domain[high[c]] && this.bounds(c) ? plain.walls : null);
+    this.fill("walls", 0.94, (c) => domain[first[c]] !== domain[second[c]] && this.bounds(c) ? plain.walls : null);
     this.fill("path", 2.2 * bold * thin, (c) => flags[c] & PATH ? plain.path : null);
     this.fill("bottlenecks", 3 * bold * thin, (c) => betweenness[c] > 0 && betweenness[c] >= bottleneck_share
       ? shade(sample.map_share, 1 - Math.log10(betweenness[c]) / SHARES) : null, (c) => bold * thin * (1.4 + 3 * Math.sqrt(betweenness[c] / busiest)));
   }
   /** Boundaries are drawn around the spheres that are. */
-  bounds(c) { const { kind, low, high } = this.sample; return this.choices.kinds[kind[low[c]]] || this.choices.kinds[kind[high[c]]]; }
-  /** One layer of contacts; colour : of a contact, null where it does not belong. In 2D lines lie on the discs, and
-   * what is across a contact is a line, too. */
+  bounds(c) { const { kind, first, second } = this.sample; return this.choices.kinds[kind[first[c]]] || this.choices.kinds[kind[second[c]]]; }
+  /** One layer of contacts; colour : of a contact, null where it does not belong. radius : of spheres of size 1. In 2D
+   * lines lie on the discs, and what is across a contact is a line, too. */
   fill(name, radius, colour, radiusOf = null) {
-    const { sample, choices, shown } = this, { place, low, high, axis, along } = sample, flat = sample.dimension === 2;
-    const across = ACROSS.includes(name) || (flat && name === "slipping"), before = !flat ? 0 : across ? -0.56 : -0.62;
+    const { sample, choices, shown } = this, { place, way, size, over, first, second } = sample, flat = sample.dimension === 2, across = this.isAcross(name);
     if (!choices.layers[name] && !this.layers[name]) return;
     const squares = this.squares(name, across && !flat ? PLATE : ROD, sample.lines, name === "network" && !flat && sample.contacts > 4 * MANY ? 0.16 : 1);
     squares.begin();
-    squares.radius = radius;
     if (choices.layers[name])
       for (let c = 0; c < sample.contacts; c++) {
-        const a = low[c], b = high[c], paint = (across ? shown[a] || shown[b] : shown[a] && shown[b]) ? colour(c) : null;
+        const a = first[c], b = second[c], paint = (across ? shown[a] || shown[b] : shown[a] && shown[b]) ? colour(c) : null;
         if (!paint) continue;
-        const k = along[axis[c]], sides = sample.isOver(c) ? 2 : 1, half = sides === 2 && !across, far = half ? 0.25 : 0.5;
-        for (let n = 0; n < sides; n++) {
-          const s = 3 * (n ? b : a), way = n ? -far : far;
-          squares.put(c, place[s] + (k === 0 ? way : 0), place[s + 1] + (k === 1 ? way : 0) + before, place[s + 2] + (k === 2 ? way : 0),
-            (flat && across ? 2 - k : k) + (half ? 3 : 0), flat && across ? FLAT[name] : radiusOf ? radiusOf(c) : radius, paint);
+        const smaller = Math.min(size[a], size[b]), wide = smaller * (flat && across ? FLAT[name] : radiusOf ? radiusOf(c) : radius);
+        const u = way[3 * c], v = way[3 * c + 1], w = way[3 * c + 2], turned = smaller / (size[a] + size[b]);
+        for (let n = 0; n <= over[c]; n++) {  // from either centre to the contact, or from the first one through it
+          const s = 3 * (n ? b : a), part = n ? -size[b] / (size[a] + size[b]) : over[c] || across ? size[a] / (size[a] + size[b]) : 1;
+          const at = across ? part : part / 2, half = across ? turned : at, [x, y, z] = flat && across ? [-w, v, u] : [u, v, w];
+          squares.put(c, place[s] + at * u, place[s + 1] + at * v, place[s + 2] + at * w, half * x, half * y, half * z, wide, paint);
         }
       }
     squares.end();
   }
-  /** The edges of the block, those of the driven planes in their colours. */
+  /** The edges of the block, those of driven planes in their colours. */
   frame() {
-    const sides = this.sample.shape, squares = this.squares("frame", ROD, 4 * (sides[0] + sides[1] + sides[2]));
+    const { sides, facts } = this.sample, number = sides.map(Math.ceil), squares = this.squares("frame", ROD, 4 * number.reduce((a, b) => a + b));
     squares.begin();
     for (let axis = 0; axis < 3; axis++)
       for (const u of [-0.5, 0.5])
         for (const w of [-0.5, 0.5])
-          for (let n = 0; n < sides[axis]; n++) {
-            const at = [0, 0, 0], [k, l] = [(axis + 1) % 3, (axis + 2) % 3];
-            at[axis] = n - (sides[axis] - 1) / 2; at[k] = u * sides[k]; at[l] = w * sides[l];
-            squares.put(-1, ...at, axis, 0.002 * this.extent, rgb(axis === 2 ? LOOK.frame : at[2] < 0 ? LOOK.bottom : LOOK.top));
+          for (let n = 0; n < number[axis]; n++) {
+            const at = [0, 0, 0], way = [0, 0, 0], [k, l] = [(axis + 1) % 3, (axis + 2) % 3];
+            at[axis] = ((n + 0.5) / number[axis] - 0.5) * sides[axis]; at[k] = u * sides[k]; at[l] = w * sides[l];
+            way[axis] = sides[axis] / number[axis] / 2;
+            squares.put(-1, ...at, ...way, 0.002 * this.extent, rgb(axis === 2 || !facts.shape ? LOOK.frame : at[2] < 0 ? LOOK.bottom : LOOK.top));
           }
     squares.end();
   }
@@ -221,22 +225,22 @@ class Picture {
     const o = ray.ray.origin.toArray(), d = ray.ray.direction.toArray();
     const pixel = 2 * Math.tan(this.camera.fov * Math.PI / 360) / height;  // its size at distance 1
     let nearest = Infinity, found = null;
-    const keep = (distance, what) => { if (distance > 0 && distance < nearest) { nearest = distance; found = what; } };
-    for (const [name, { ids, count, radius, place, paint }] of Object.entries(this.layers)) {
+    const keep = (distance, what) => { if (distance < nearest) { nearest = distance; found = what; } };
+    const before = this.sample.dimension === 2 ? 1e9 : 0;  // lines lie on discs
+    for (const [name, { ids, count, place, way, wide, shaders }] of Object.entries(this.layers)) {
       if (name === "frame") continue;
-      const plate = ACROSS.includes(name) || (this.sample.dimension === 2 && name === "slipping");
       for (let n = 0; n < count; n++) {
-        const at = 12 * n, q = [place[at] - o[0], place[at + 1] - o[1], place[at + 2] - o[2]];
+        const at = 12 * n, q = [place[at] - o[0], place[at + 1] - o[1], place[at + 2] - o[2]], size = wide[4 * n];
         const ahead = q[0] * d[0] + q[1] * d[1] + q[2] * d[2], off = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] - ahead * ahead;
-        if (ahead <= 0 || off > 0.6 + 16 * pixel * pixel * ahead * ahead) continue;
-        if (name === "spheres") {
-          const reach = Math.max(radius, 3 * pixel * ahead);
-          if (off < reach * reach) keep(ahead - Math.sqrt(Math.max(0, radius * radius - off)), { sphere: ids[n] });
+        const half = [way[at], way[at + 1], way[at + 2]], reach = size + Math.hypot(...half) + 4 * pixel * ahead;
+        if (ahead <= 0 || off > reach * reach) continue;
+        if (shaders === SPHERE) {
+          const radius = Math.max(size / 2, 3 * pixel * ahead);
+          if (off < radius * radius) keep(ahead - Math.sqrt(Math.max(0, size * size / 4 - off)), { sphere: ids[n] });
           continue;
         }
-        const axis = this.sample.along[this.sample.axis[ids[n]]], flat = this.sample.dimension === 2;
-        const hit = plate && !flat ? onPlate(q, d, axis) : onRod(q, d, plate ? 2 - axis : axis, ahead, plate ? 0.12 : Math.max(radius, 4 * pixel * ahead), paint[16 * n + 3] > 2 ? 0.25 : 0.5);
-        if (hit !== null) keep(hit, { contact: ids[n] });
+        const hit = shaders === PLATE ? onPlate(q, d, half, size / 2, this.uniforms.round.value) : onRod(q, d, half, ahead, Math.max(size, 4 * pixel * ahead));
+        if (hit > 0) keep(hit - before, { contact: ids[n] });
       }
     }
     return found;
@@ -245,13 +249,14 @@ class Picture {
     const { sample, marker } = this;
     marker.visible = found !== null;
     if (!found) return;
-    const c = found.contact;
-    marker.position.fromArray(sample.place, 3 * (c === undefined ? found.sphere : sample.low[c]));
-    marker.scale.setScalar(c === undefined ? 1.02 : 0.3);
-    if (c === undefined) return;
-    const k = sample.along[sample.axis[c]], length = sample.isOver(c) ? 0.5 : 1;
-    marker.position.setComponent(k, marker.position.getComponent(k) + length / 2);
-    marker.scale.setComponent(k, length);
+    const { contact: c, sphere } = found, { place, way, size, first, second, over } = sample;
+    marker.quaternion.identity();
+    marker.position.fromArray(place, 3 * (c === undefined ? sphere : first[c]));
+    if (c === undefined) { marker.scale.setScalar(1.02 * size[sphere]); return; }
+    const along = new THREE.Vector3().fromArray(way, 3 * c), part = over[c] ? size[first[c]] / (size[first[c]] + size[second[c]]) : 1;
+    marker.position.addScaledVector(along, part / 2);
+    marker.scale.setScalar(0.3 * Math.min(size[first[c]], size[second[c]])).setX(part * along.length());
+    marker.quaternion.setFromUnitVectors(new THREE.Vector3(1, 0, 0), along.normalize());
   }
 }
 
@@ -264,19 +269,19 @@ function shade(map, part) {
 /** Least power, or slip, of the slipping contacts that are shown. */
 function weakest({ range: [least, most], power }) { return least * (most / least) ** (power / 100); }
 
-/** Distance along a line of sight d at which it meets a unit square across an axis, whose middle is at q; or null. */
-function onPlate(q, d, axis) {
-  const t = q[axis] / d[axis];
-  const misses = [0, 1, 2].some((k) => k !== axis && Math.abs(t * d[k] - q[k]) > 0.47);
-  return Number.isFinite(t) && !misses ? t : null;
+/** Distance along a line of sight d at which it meets a plate across n, whose middle is at q: a square, whose sides lie
+ * along axes, or a disc; not a number where it does not. */
+function onPlate(q, d, n, radius, isRound) {
+  const t = (q[0] * n[0] + q[1] * n[1] + q[2] * n[2]) / (d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), off = q.map((x, k) => Math.abs(t * d[k] - x));
+  return (isRound ? Math.hypot(...off) : Math.max(...off)) <= radius ? t : NaN;
 }
 
-/** The same for a rod of a radius that reaches so far from its middle. */
-function onRod(q, d, axis, ahead, radius, reach) {
-  const slope = d[axis], rest = 1 - slope * slope;
-  const along = Math.max(-reach, Math.min(reach, rest < 1e-9 ? 0 : (ahead * slope - q[axis]) / rest));
-  const t = ahead + along * slope, gap = [0, 1, 2].map((k) => q[k] + (k === axis ? along : 0) - t * d[k]);
-  return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 < radius * radius ? t - radius : null;
+/** The same for a rod of a radius that reaches as far as `half` from its middle. */
+function onRod(q, d, half, ahead, radius) {
+  const reach = Math.hypot(...half), e = half.map((x) => x / reach), slope = d[0] * e[0] + d[1] * e[1] + d[2] * e[2], rest = 1 - slope * slope;
+  const along = Math.max(-reach, Math.min(reach, rest < 1e-9 ? 0 : (ahead * slope - q[0] * e[0] - q[1] * e[1] - q[2] * e[2]) / rest));
+  const t = ahead + along * slope, gap = [0, 1, 2].map((k) => q[k] + along * e[k] - t * d[k]);
+  return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 < radius * radius ? t - radius : NaN;
 }
 
 /** Median time of a frame in milliseconds while the picture turns, with what it has drawn really there. */

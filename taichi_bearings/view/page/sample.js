@@ -1,48 +1,54 @@
-/** The lattice and what is known of it; what depends on the slip threshold or the time is found by `judge`. */
+/** A bearing and what is known of it; what depends on the slip threshold or the time is found by `judge`.
+ * In the world its middle is at 0, height up, and a sphere of median size 1 across. */
 class Sample {
   constructor(facts, arrays) {
-    Object.assign(this, { facts, ...arrays });
-    this.shape = facts.shape;
-    this.dimension = this.shape.length;
-    this.sites = this.shape.reduce((a, b) => a * b);
-    this.along = this.dimension === 2 ? [0, 2] : [0, 1, 2];  // lattice axis -> axis of the world, height up
-    this.cell = this.shape.map(() => new Int16Array(this.sites));
-    this.place = new Float32Array(3 * this.sites);
-    const stride = this.shape.map((_, k) => this.shape.slice(k + 1).reduce((a, b) => a * b, 1));
-    for (let s = 0; s < this.sites; s++)
-      for (let k = 0; k < this.dimension; k++) {
-        const index = Math.floor(s / stride[k]) % this.shape[k];
-        this.cell[k][s] = index;
-        this.place[3 * s + this.along[k]] = index - (this.shape[k] - 1) / 2;
+    const spheres = arrays.radius.length, contacts = arrays.slip.length, dimension = arrays.center.length / spheres;
+    const absent = { betweenness: new Float32Array(contacts), flags: new Uint8Array(contacts), kind: new Uint8Array(spheres).fill(KINDS.length - 1), path: [] };
+    Object.assign(this, { facts, spheres, contacts, dimension, ...absent, ...arrays });
+    this.has = (name) => name in arrays;
+    const { center, radius, normal, first, second } = this, unit = 2 * radius.slice().sort()[spheres >> 1];
+    const along = dimension === 2 ? [0, 2] : [0, 1, 2];  // axis -> axis of the world
+    this.size = radius.map((r) => 2 * r / unit);
+    this.place = new Float32Array(3 * spheres);
+    this.way = new Float32Array(3 * contacts);  // from the first centre to the second
+    this.over = new Uint8Array(contacts);  // 1 over a periodic side: drawn as two parts, at both sides
+    for (let c = 0, s = 0; c < contacts; c++) { s = first[c] += s; second[c] += s; }
+    const axes = facts.steps.map((steps, k) => {
+      let low = Infinity, high = -Infinity, least = Infinity, most = -Infinity;
+      for (let s = 0; s < spheres; s++) {
+        const x = center[spheres * k + s];
+        low = Math.min(low, x - radius[s]); high = Math.max(high, x + radius[s]); least = Math.min(least, x); most = Math.max(most, x);
       }
-    this.contacts = this.slip.length;
-    this.axis = new Uint8Array(this.contacts);
-    this.low = new Int32Array(this.contacts);
-    this.high = new Int32Array(this.contacts);
-    let c = 0;
-    for (let k = 0; k < this.dimension; k++)
-      for (let s = 0; s < this.sites; s++)
-        if (this.cell[k][s] < this.shape[k] - 1 || facts.periodic.includes(k)) {
-          this.axis[c] = k; this.low[c] = s; this.high[c] = s + stride[k] * (this.cell[k][s] < this.shape[k] - 1 ? 1 : 1 - this.shape[k]);
-          c++;
-        }
-    this.lines = this.contacts + this.low.reduce((sum, s, c) => sum + this.isOver(c), 0);
-    this.stride = stride;
-    this.judged = new Uint8Array(this.contacts);
-    this.piece = new Uint8Array(this.sites);
+      for (let s = 0; s < spheres; s++) this.place[3 * s + along[k]] = (center[spheres * k + s] - (low + high) / 2) / unit;
+      for (let c = 0; c < contacts; c++) this.way[3 * c + along[k]] = normal[contacts * k + c] * (radius[first[c]] + radius[second[c]]) / unit;
+      const step = (most - least) / steps || 1, cell = new Int16Array(spheres).map((_, s) => Math.round((center[spheres * k + s] - least) / step));
+      return { side: (high - low) / unit, cell, steps: most > least ? steps : 0, at: (number) => (facts.origin[k] + least + number * step).toFixed(Math.min(20, Math.max(0, Math.ceil(-Math.log10(step))))) };
+    });
+    this.slices = axes;  // along each axis: steps, in which of them each sphere lies, and where they are
+    this.sides = axes.map(({ side }) => side);
+    for (let c = 0; c < contacts; c++) {
+      const gap = [0, 1, 2].map((k) => this.place[3 * second[c] + k] - this.place[3 * first[c] + k] - this.way[3 * c + k]);
+      this.over[c] = Math.hypot(...gap) > this.size[first[c]] / 2;
+    }
+    this.lines = contacts + this.over.reduce((sum, over) => sum + over, 0);
+    this.bodies = [...new Set(this.body)].filter((body) => body >= 0).sort((a, b) => a - b);
+    this.judged = new Uint8Array(contacts);
+    this.piece = new Uint8Array(spheres);
   }
-  /** Whether a contact leads over a periodic side: it is drawn as two halves, at both sides. */
-  isOver(c) { return this.high[c] < this.low[c]; }
-  isDriven(s) { const z = this.cell[this.dimension - 1][s]; return z === 0 || z === this.shape[this.dimension - 1] - 1; }
   /** Spins and slips at a moment, the last of which is the answer of the run. */
   at(moment) {
     const kept = moment < this.facts.times.length;
     this.isEnd = !kept;
-    this.spinNow = kept ? this.snapshot_spin.subarray(3 * this.sites * moment, 3 * this.sites * (moment + 1)) : this.spin;
+    this.spinNow = kept ? this.snapshot_spin.subarray(3 * this.spheres * moment, 3 * this.spheres * (moment + 1)) : this.spin;
     this.slipNow = kept ? this.snapshot_slip.subarray(this.contacts * moment, this.contacts * (moment + 1)) : this.slip;
   }
   /** What colours slipping contacts: their power, or the slip where power is not kept. */
   get valuesNow() { return this.isEnd ? this.power : this.slipNow; }
+  /** Names and colours that a colouring tells apart, and which each sphere has; undefined if it has no such list. */
+  listed(colour) {
+    const named = (names, colours) => names.map((name, n) => [name, colours[n]]), { pieces, sides } = this.facts;
+    return { kind: { table: KINDS, value: this.kind }, piece: { table: named(pieces, PIECES), value: this.piece }, side: { table: named(sides, SIDES), value: this.above } }[colour];
+  }
   /** Contact states by a slip threshold, or those of the run (null), and what the slipless ones join. */
   judge(threshold) {
     const limit = threshold ?? (this.isEnd ? null : this.facts.snapshot_threshold);
@@ -55,57 +61,61 @@ class Sample {
     }
     this.join();
   }
-  /** The pieces of the slipless network: each driven plane is one body. */
+  /** The pieces of the slipless network: the spheres of a driven body are one. */
   join() {
-    const root = Int32Array.from({ length: this.sites }, (_, s) => s), touched = new Uint8Array(this.sites);
+    const { body, bodies, first, second } = this, root = Int32Array.from({ length: this.spheres }, (_, s) => s), touched = new Uint8Array(this.spheres);
     const find = (s) => { while (root[s] !== s) s = root[s] = root[root[s]]; return s; };
-    const height = this.cell[this.dimension - 1], top = this.sites - 1, highest = this.shape[this.dimension - 1] - 1;
-    for (let s = 0; s < this.sites; s++) {
-      if (height[s] === 0) root[s] = 0;
-      if (height[s] === highest) root[s] = top;
-    }
+    const leader = new Map();
+    for (let s = 0; s < this.spheres; s++)
+      if (body[s] >= 0) {
+        if (!leader.has(body[s])) leader.set(body[s], s);
+        root[s] = leader.get(body[s]);
+      }
     for (let c = 0; c < this.contacts; c++)
       if (this.judged[c] === SLIPLESS) {
-        touched[this.low[c]] = touched[this.high[c]] = 1;
-        root[find(this.low[c])] = find(this.high[c]);
+        touched[first[c]] = touched[second[c]] = 1;
+        root[find(first[c])] = find(second[c]);
       }
-    const bottom = find(0), upper = find(top);
-    let reached = 0;
-    for (let s = 0; s < this.sites; s++) {
-      const mine = find(s), low = mine === bottom, high = mine === upper, driven = this.isDriven(s);
-      this.piece[s] = low && high ? 0 : low ? 1 : high ? 2 : touched[s] ? 3 : 4;
-      reached += touched[s] && !driven;
+    const held = new Map();  // root -> kind of its piece
+    for (const [number, s] of leader) held.set(find(s), held.has(find(s)) ? 0 : bodies.length === 2 ? 1 + bodies.indexOf(number) : 1);
+    let reached = 0, free = 0;
+    for (let s = 0; s < this.spheres; s++) {
+      this.piece[s] = held.get(find(s)) ?? (touched[s] ? 3 : 4);
+      free += body[s] < 0;
+      reached += touched[s] && body[s] < 0;
     }
-    this.counts.spans = bottom === upper;
-    this.counts.reached = reached / (this.sites - 2 * this.sites / this.shape[this.dimension - 1]);
+    this.counts.spans = [...held.values()].includes(0);
+    this.counts.reached = reached / (free || 1);
   }
 }
 
 /** What is known of a sphere or contact, as rows of a name and a value. */
 function numbersOf(sample, found) {
-  const { facts } = sample, position = (s) => `(${sample.cell.map((index) => index[s]).join(", ")})`;
+  const { facts, dimension } = sample, axes = [0, 1, 2].slice(0, dimension), position = (s) => `(${axes.map((k) => six(facts.origin[k] + sample.center[sample.spheres * k + s])).join(", ")})`;
   if (found.sphere !== undefined) {
     const s = found.sphere, spin = [0, 1, 2].map((k) => sample.spinNow[3 * s + k]);
-    const size = Math.hypot(...spin);
-    const ofDomain = sample.domain_size[sample.domain[s]];
-    const atEnd = !sample.isEnd ? [] : [["rigid domain", `${grouped(sample.domain[s])}, of ${grouped(ofDomain)} ${ofDomain === 1 ? "sphere" : "spheres"}`],
-      ["locked to", KINDS[sample.kind[s]][0]], ["shortest paths", `${six(100 * sample.sphere_betweenness[s])} % visit it`]];
-    return { title: `sphere ${position(s)}${sample.isDriven(s) ? ", driven" : ""}`, rows: [
-      ["spin ω", `${sample.dimension === 2 ? six(spin[2]) : `(${spin.map(six).join(", ")})`} 1/time`],
-      ["|ω| / ω max", six(size / facts.spin_max)], ["slipless network", PIECES[sample.piece[s]][0]], ...atEnd] };
+    const ofDomain = sample.domain_size[sample.domain[s]], atEnd = [["rigid domain", `${grouped(sample.domain[s])}, of ${grouped(ofDomain)} ${ofDomain === 1 ? "sphere" : "spheres"}`]];
+    if (sample.has("kind")) atEnd.push(["locked to", KINDS[sample.kind[s]][0]]);
+    if (sample.has("sphere_betweenness")) atEnd.push(["shortest paths", `${six(100 * sample.sphere_betweenness[s])} % visit it`]);
+    const name = facts.shape ? position(s) : `${s} at ${position(s)}`, by = facts.shape ? "" : ` with body ${sample.body[s]}`;
+    return { title: `sphere ${name}${sample.body[s] < 0 ? "" : `, driven${by}`}`, rows: [
+      ...(facts.shape ? [] : [["radius", `${six(sample.radius[s])} length`]]),
+      ["spin ω", `${dimension === 2 ? six(spin[2]) : `(${spin.map(six).join(", ")})`} 1/time`],
+      [facts.spin_name, six(sample.size[s] * Math.hypot(...spin) / facts.spin_max)], ["slipless network", facts.pieces[sample.piece[s]]], ...(sample.isEnd ? atEnd : [])] };
   }
-  const c = found.contact, name = "xyz"[sample.axis[c]], is = sample.judged[c], was = sample.state[c];
+  const c = found.contact, is = sample.judged[c], was = sample.state[c];
   const words = ["slipless", "slipping", "undecided", "between driven spheres or absent"];
   const byRun = sample.isEnd && is === was && facts.by_run;
   const how = is === DRIVEN ? "" : byRun ? `, ${facts.decided}` : ", by slip alone";
   const rows = [["state", words[is] + how], ["slip |v|", `${six(sample.slipNow[c])} length/time`]];
   if (sample.isEnd) {
     rows.push(["power P", `${six(sample.power[c])} energy/time`], ["force |f|", `${six(sample.force[c])} force`]);
-    if (facts.friction_limit) rows.push(["|f| / (μ Fₙ)", six(sample.force[c] / (facts.normal_force * sample.coefficient[c]))]);
+    if (facts.friction_limit) rows.push(["|f| / (μ Fₙ)", six(sample.force[c] / ((facts.normal_force ?? sample.normal_force[c]) * sample.coefficient[c]))]);
   } else rows.push(["power, force", "not kept with a snapshot"]);
   for (const { key, name: what, unit } of facts.coefficients) rows.push([what, six(sample[key][c]) + (unit === "1" ? "" : ` ${unit}`)]);
   if (sample.betweenness[c] > 0) rows.push(["shortest paths", `${six(100 * sample.betweenness[c])} % of pairs run through it`]);
   const part = [[CUT, "minimum cut"], [PATH, "shortest path"]].filter(([bit]) => sample.flags[c] & bit).map(([, text]) => text);
   if (part.length) rows.push(["belongs to", part.join(", ")]);
-  return { title: `contact ${name} of sphere ${position(sample.low[c])}`, rows };
+  const axis = axes.findIndex((k) => sample.normal[sample.contacts * k + c]), a = sample.first[c];
+  return { title: facts.shape ? `contact ${"xyz"[axis]} of sphere ${position(a)}` : `contact ${c} of spheres ${a} and ${sample.second[c]}`, rows };
 }

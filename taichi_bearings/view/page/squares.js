@@ -1,15 +1,14 @@
-// Everything on the lattice is a square of two triangles. Those of spheres and rods face the eye, shaded as what they
-// stand for; plates lie across their contacts. All squares of a layer are one mesh: copies by the thousand are slow.
+// Everything is a square of two triangles. Those of spheres and rods face the eye, shaded as what they stand for; plates
+// lie across their contacts. All squares of a layer are one mesh: copies by the thousand are slow.
 const COMMON = `
   uniform float pixel, opacity;
   uniform vec2 fade;
   varying vec3 colour;`;
 const VERTEX = `${COMMON}
   attribute vec4 paint;
+  attribute vec3 way;
   attribute float wide;
-  vec2 corner() { return vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) - 0.5; }
-  vec3 unit(float axis) { return vec3(lessThan(abs(vec3(0.0, 1.0, 2.0) - axis), vec3(0.5))); }
-  float axis() { return floor(255.0 * paint.a + 0.5); }`;
+  vec2 corner() { return vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) - 0.5; }`;
 const FRAGMENT = `${COMMON}
   vec4 shaded(vec3 normal, float away, float cover) {
     float light = 0.62 + 0.16 * normal.y + 0.32 * max(0.0, dot(normal, normalize(vec3(-0.5, 0.8, 1.0))));
@@ -51,13 +50,12 @@ const ROD = {
     varying float away, reach;
     void main() {
       colour = paint.rgb;
-      float cut = step(2.5, axis());  // a rod of half the length
-      vec3 middle = (modelViewMatrix * vec4(position, 1.0)).xyz, along = normalize(mat3(modelViewMatrix) * unit(axis() - 3.0 * cut));
+      vec3 middle = (modelViewMatrix * vec4(position, 1.0)).xyz, along = normalize(mat3(modelViewMatrix) * way);
       float radius = max(wide, 0.6 * pixel * length(middle));
       sideways = normalize(cross(along, middle) + vec3(1e-6, 0.0, 0.0));
       facing = normalize(cross(sideways, along));
       facing *= sign(dot(facing, -middle) + 1e-9);
-      reach = (0.5 - 0.25 * cut) / radius;
+      reach = length(way) / radius;
       at = 2.0 * corner() * vec2(1.0, reach + 1.0);
       vec3 point = middle + radius * (at.x * sideways + at.y * along);
       away = length(point);
@@ -76,29 +74,39 @@ const ROD = {
 const PLATE = {
   vertexShader: `${VERTEX}
     varying vec3 across, point;
+    varying vec2 at;
     void main() {
       colour = paint.rgb;
-      vec2 at = wide * corner();
-      vec3 u = unit(mod(axis() + 1.0, 3.0)), w = unit(mod(axis() + 2.0, 3.0));
-      point = (modelViewMatrix * vec4(position + at.x * u + at.y * w, 1.0)).xyz;
-      across = mat3(modelViewMatrix) * unit(axis());
+      at = corner();
+      vec3 n = normalize(way), size = abs(n);
+      vec3 u = normalize(cross(n, size.x <= size.y && size.x <= size.z ? vec3(1.0, 0.0, 0.0) : size.y <= size.z ? vec3(0.0, 1.0, 0.0) : vec3(0.0, 0.0, 1.0)));
+      point = (modelViewMatrix * vec4(position + wide * (at.x * u + at.y * cross(n, u)), 1.0)).xyz;
+      across = mat3(modelViewMatrix) * n;
       gl_Position = projectionMatrix * vec4(point, 1.0);
     }`,
   fragmentShader: `${FRAGMENT}
+    uniform float round;
     varying vec3 across, point;
-    void main() { gl_FragColor = shaded(normalize(dot(across, point) > 0.0 ? -across : across), length(point), 1.0); }`,
+    varying vec2 at;
+    void main() {
+      if (round * dot(at, at) > 0.25) discard;
+      gl_FragColor = shaded(normalize(dot(across, point) > 0.0 ? -across : across), length(point), 1.0);
+    }`,
 };
 
 /** One layer of squares. */
 class Squares {
   constructor(scene, shaders, uniforms, most, opacity) {
     const shape = this.shape = new THREE.BufferGeometry(), index = new Uint32Array(6 * most);
+    this.shaders = shaders;
     for (let n = 0; n < most; n++) index.set([4 * n, 4 * n + 1, 4 * n + 2, 4 * n + 2, 4 * n + 1, 4 * n + 3], 6 * n);
     shape.setIndex(new THREE.BufferAttribute(index, 1));
     this.place = new Float32Array(12 * most);
+    this.way = new Float32Array(12 * most);
     this.paint = new Uint8Array(16 * most);
     this.wide = new Float32Array(4 * most);
     shape.setAttribute("position", new THREE.BufferAttribute(this.place, 3));
+    shape.setAttribute("way", new THREE.BufferAttribute(this.way, 3));
     shape.setAttribute("paint", new THREE.BufferAttribute(this.paint, 4, true));
     shape.setAttribute("wide", new THREE.BufferAttribute(this.wide, 1));
     this.mesh = new THREE.Mesh(shape, new THREE.ShaderMaterial({
@@ -111,12 +119,14 @@ class Squares {
     scene.add(this.mesh);
   }
   begin() { this.count = 0; }
-  /** One of them, for the sphere or contact `id`; axis : of the world, along the contact, and 3 more for half a rod. */
-  put(id, x, y, z, axis, wide, colour) {
-    const n = this.count++, { place, paint } = this;
+  /** One of them, for the sphere or contact `id`, its middle at (x, y, z). u, v, w : half a rod, or across a plate.
+   * wide : diameter of a sphere, side of a plate, radius of a rod. */
+  put(id, x, y, z, u, v, w, wide, colour) {
+    const n = this.count++, { place, way, paint } = this;
     for (let k = 4 * n; k < 4 * n + 4; k++) {
       place[3 * k] = x; place[3 * k + 1] = y; place[3 * k + 2] = z;
-      paint[4 * k] = 255 * colour[0]; paint[4 * k + 1] = 255 * colour[1]; paint[4 * k + 2] = 255 * colour[2]; paint[4 * k + 3] = axis;
+      way[3 * k] = u; way[3 * k + 1] = v; way[3 * k + 2] = w;
+      paint[4 * k] = 255 * colour[0]; paint[4 * k + 1] = 255 * colour[1]; paint[4 * k + 2] = 255 * colour[2];
       this.wide[k] = wide;
     }
     this.ids[n] = id;
@@ -124,7 +134,7 @@ class Squares {
   end() {
     this.mesh.visible = this.count > 0;
     this.shape.setDrawRange(0, 6 * this.count);
-    for (const name of ["position", "paint", "wide"]) {
+    for (const name of ["position", "way", "paint", "wide"]) {
       const attribute = this.shape.getAttribute(name);
       attribute.clearUpdateRanges();
       attribute.addUpdateRange(0, 4 * attribute.itemSize * this.count);

@@ -15,7 +15,7 @@ async function start() {
   for (const { name, kind, offset, length } of facts.arrays) arrays[name] = new kinds[kind](bytes, offset, length);
   const sample = new Sample(facts, arrays);
   if (sample.dimension === 2) LOOK.cut = "#1d2733";  // lines on coloured discs
-  const choices = { layers: {}, power: 0, threshold: 0, time: facts.times.length, low: facts.shape.map(() => 0), high: facts.shape.map((side) => side - 1) };
+  const choices = { layers: {}, power: 0, threshold: 0, time: facts.times.length, low: sample.slices.map(() => 0), high: sample.slices.map(({ steps }) => steps) };
   let picture;
   try {
     picture = new Picture(sample, choices, element("canvas"));
