@@ -21,7 +21,6 @@ from taichi_bearings.verifier.samples import UNPROVEN
 from taichi_bearings.words import shown
 
 CLOSEST = 1e-13  # relative gap at which the central path ends: states come apart where the gap is small
-NO_MARGIN = 1e-6  # of friction that is all borne
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
 AT_REST = 1e-9  # of the largest imposed slip, that no slip at rest can exceed
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)

@@ -19,10 +19,9 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined, row_sum
 from taichi_bearings.verifier.motion import length
-from taichi_bearings.verifier.samples import LAWS, power_of_two
+from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, power_of_two
 
-LEAST_SCALE, MOST_SCALE = 1e-100, 1e60  # of speeds and forces
-MOST_CONTRAST = 1e60  # of spins and forces, over the scale
+LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 
 
 @dataclass(frozen=True)
@@ -70,13 +69,13 @@ class Network:
         damping = packing.get("viscosity") if holds else packing["friction"]
         slope = damping if flows and damping is not None else np.zeros(contacts)
         largest = max(float((first if holds else 0 * first).max(initial=0.0)), float(slope.max(initial=0.0)) * fastest)
-        if not (LEAST_SCALE < fastest < MOST_SCALE and (LEAST_SCALE < largest < MOST_SCALE or not largest)):
+        if not (LEAST_SPEED < fastest < MOST_SCALE and (LEAST_SCALE < largest < MOST_SCALE or not largest)):
             return None
         speed, force = power_of_two(fastest), power_of_two(largest)
         acts = ((first > 0) | (slope > 0)) & free[packing["contact"]].any(axis=1)
         with np.errstate(over="ignore"):
             spin, friction = spin / speed, np.where(acts[:, None], friction / force, 0.0)
-        if not all((np.abs(values) < MOST_CONTRAST).all() for values in (spin, spin * radius[:, None], friction)):
+        if not all((np.abs(values) < MOST_SCALE).all() for values in (spin, spin * radius[:, None], friction)):
             return None
         zero = Enclosure.exact(np.zeros(contacts))
         return cls(

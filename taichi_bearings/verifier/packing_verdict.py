@@ -18,11 +18,11 @@ from taichi_bearings.verifier.stored_packing import StoredPacking
 from taichi_bearings.verifier.ties import MISSED_LIMIT
 from taichi_bearings.verifier.verdict import ARITHMETIC, DRIVEN_STATE, EPS, ROUNDED, TORQUE_COST
 
-STATUSES = ("certified", "stalled")
-METHODS = ("planar-cut", "interior-point", "linear-solver")
-UNIT_ERROR = 1e-6  # of the length of a normal, and of its distance from that of the centres
-GAP, OVERLAP = 0.01, 0.2  # of the sum of the radii, that may part two surfaces, and that they may be pressed
-CHECKED = {
+PACKING_STATUSES = ("certified", "stalled")
+PACKING_METHODS = ("planar-cut", "interior-point", "linear-solver")
+NORMAL_ERROR = 1e-6  # of the length of a normal, and of its distance from that of the centres
+APART, PRESSED = 0.01, 0.2  # of the sum of the radii, that may part two surfaces, and that they may be pressed
+CHECKED_OF_PACKINGS = {
     "power", "potential", "lower_bound", "gap", "proof", "law", "spheres", "driven_spheres", "contacts", "slipping",
     "slipless", "undecided", "critical", "driven_power", "largest_balance_residual", "tolerance", "shape", "scene",
     "schema", "schema_version", "sha256",
@@ -123,20 +123,20 @@ def _packing(run: StoredPacking) -> Iterator[str]:
     """What is stored is a packing: unit normals, each contact once, and spheres that touch along the normals."""
     contact, normal = run.packing["contact"], run.packing["normal"]
     size = np.linalg.norm(normal, axis=1)
-    if (bad := np.abs(size - 1) > UNIT_ERROR).any():
+    if (bad := np.abs(size - 1) > NORMAL_ERROR).any():
         e = int(np.argmax(bad))
         yield f"the normal of contact {e} has length {size[e]!r}; it must be a unit vector"
     low, high = np.sort(contact, axis=1).T
     outward = np.where((contact[:, 0] == low)[:, None], normal, -normal)
     order = np.lexsort((high, low))
     same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    same &= np.linalg.norm(outward[order][1:] - outward[order][:-1], axis=1) < UNIT_ERROR
+    same &= np.linalg.norm(outward[order][1:] - outward[order][:-1], axis=1) < NORMAL_ERROR
     if same.any():
-        e = order[int(np.argmax(same)) :][:2]
-        yield f"contacts {e[0]} and {e[1]} are of the same two spheres, at the same place"
+        twins = order[int(np.argmax(same)) :][:2]
+        yield f"contacts {twins[0]} and {twins[1]} are of the same two spheres, at the same place"
     direct, distance = _from_centres(run)
     reach = run.packing["radius"][contact].sum(axis=1)
-    apart = direct & ((distance > (1 + GAP) * reach) | (distance < (1 - OVERLAP) * reach))
+    apart = direct & ((distance > (1 + APART) * reach) | (distance < (1 - PRESSED) * reach))
     if apart.any() and not (~direct).any():  # with normals that are given, centres need not say what touches
         e = int(np.argmax(apart))
         yield f"contact {e} does not touch: its centres are {distance[e]!r} apart, and its radii add up to {reach[e]!r}"
@@ -149,7 +149,7 @@ def _from_centres(run: StoredPacking) -> tuple[np.ndarray, np.ndarray]:
     distance = np.linalg.norm(vector, axis=1)
     with np.errstate(all="ignore"):
         off = np.linalg.norm(vector / distance[:, None] - run.packing["normal"], axis=1)
-    return off <= UNIT_ERROR, distance
+    return off <= NORMAL_ERROR, distance
 
 
 def _arrays(run: StoredPacking, judgement: PackingJudgement) -> Iterator[str]:
@@ -219,13 +219,13 @@ def _summary(run: StoredPacking, judgement: PackingJudgement) -> Iterator[str]:
         "slipless": int((state == SLIPLESS).sum()), "undecided": int((state == UNPROVEN).sum()),
         "critical": int((full & (state == UNPROVEN)).sum()),
     }  # fmt: skip
-    words = {"proof": bounds.proof, "shape": None}
-    for name, told in (counts | words).items():
+    told: Any
+    for name, told in {**counts, "proof": bounds.proof, "shape": None}.items():
         if name in run.attributes and (type(run.claimed(name)), run.claimed(name)) != (type(told), told):
             yield f"{name.replace('_', ' ')}: the summary says {run.claimed(name)!r}, the arrays {told!r}"
-    for name, value in (("law", run.law), ("tolerance", run.attributes.get("tolerance"))):
-        if name in run.settings and value is not None and run.settings[name] != value:
-            yield f"the scene has {name} = {run.settings[name]!r}, and the file {value!r}"
+    for name, told in (("law", run.law), ("tolerance", run.attributes.get("tolerance"))):
+        if name in run.settings and told is not None and run.settings[name] != told:
+            yield f"the scene has {name} = {run.settings[name]!r}, and the file {told!r}"
 
 
 def _bounds_of_slips(run: StoredPacking, judgement: PackingJudgement) -> Iterator[str]:
@@ -242,12 +242,12 @@ def _ended(run: StoredPacking, bounds: Bounds) -> Iterator[str]:
     method = run.claimed("method")
     if not 0 < tolerance < 1:
         yield f"the tolerance is {tolerance!r}; it must be between 0 and 1"
-    if status not in STATUSES:
-        yield f"the status is {status!r}; it must be one of {', '.join(STATUSES)}"
+    if status not in PACKING_STATUSES:
+        yield f"the status is {status!r}; it must be one of {', '.join(PACKING_STATUSES)}"
     elif (status == "certified") != (bounds.gap <= tolerance):
         yield f"the run is said to be {status} to {tolerance!r}; what is proven leaves {bounds.gap!r}"
-    if "method" in run.attributes and method not in METHODS:
-        yield f"the method is {method!r}; it must be one of {', '.join(METHODS)}"
+    if "method" in run.attributes and method not in PACKING_METHODS:
+        yield f"the method is {method!r}; it must be one of {', '.join(PACKING_METHODS)}"
 
 
 def _is_number(value: Any) -> bool:
@@ -256,7 +256,7 @@ def _is_number(value: Any) -> bool:
 
 def _not_checked(run: StoredPacking) -> list[str]:
     """Names of what is in the file and that nothing is held against: as of lattices."""
-    sure = CHECKED | ({"status"} if run.claimed("status") == "certified" else set())
+    sure = CHECKED_OF_PACKINGS | ({"status"} if run.claimed("status") == "certified" else set())
     found = [name for name in run.attributes if name not in sure]
     found += [f"scene.{key}" for key in run.settings if key not in ("law", "tolerance")]
     given = ["friction", "normal_force", "spin", "driven", *(["viscosity"] if "viscosity" in run.packing else [])]

@@ -23,9 +23,9 @@ from taichi_bearings.verifier.stored_run import (
     settings_of,
 )
 
-NEEDED = ("law", "scene", "power", "lower_bound", "status")  # attributes
-SIZES = {"radius": "sphere", "friction": "contact", "viscosity": "contact", "normal_force": "contact"}
-LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of these, and most of places and spins
+NEEDED_OF_PACKINGS = ("law", "scene", "power", "lower_bound", "status")  # attributes
+STORED_SIZES = {"radius": "sphere", "friction": "contact", "viscosity": "contact", "normal_force": "contact"}
+LEAST_STORED, MOST_STORED = 1e-15, 1e15  # of these, and most of places and spins
 OPTIONAL_SETS = ("proven", "slip_bound")
 
 
@@ -71,7 +71,7 @@ def read_any_run(run: Path) -> StoredRun | StoredPacking:
 
 
 def _read(path: Path, file: h5py.File) -> StoredPacking:
-    attributes = attributes_of(path, file, NEEDED)
+    attributes = attributes_of(path, file, NEEDED_OF_PACKINGS)
     law = attributes["law"]
     if not isinstance(law, str) or law not in LAWS:
         raise FileError(f"{path} has the law {law!r}; {', '.join(LAWS)} can be verified")
@@ -92,14 +92,14 @@ def _read(path: Path, file: h5py.File) -> StoredPacking:
                 (packing[name] >= -(name == "driven")) & (packing[name] < count))  # fmt: skip
         packing[name] = packing[name].astype(np.int64)
     _refuse(path, "contact", "contact", packing["contact"], packing["contact"][:, :1] != packing["contact"][:, 1:])
-    for name, what in SIZES.items():
+    for name, what in STORED_SIZES.items():
         if name in packing:
             values = packing[name]
             absent = (values == 0) & (name in ("friction", "viscosity"))
-            _refuse(path, name, what, values, (values >= LEAST_SIZE) & (values <= MOST_SIZE) | absent)
+            _refuse(path, name, what, values, (values >= LEAST_STORED) & (values <= MOST_STORED) | absent)
     for name in ("center", "normal", "spin"):
         held = (packing["driven"] >= 0) | (name != "spin")
-        fine = np.abs(packing[name].reshape(len(packing[name]), -1)).max(axis=1, initial=0.0) <= MOST_SIZE
+        fine = np.abs(packing[name].reshape(len(packing[name]), -1)).max(axis=1, initial=0.0) <= MOST_STORED
         _refuse(path, name, "contact" if name == "normal" else "sphere", packing[name],
                 fine | ~(held if name == "spin" else True))  # fmt: skip
     spin, friction = get("spin", (count, *parts))[0], get("contact/friction", (contacts, *parts))[0]

@@ -46,7 +46,7 @@ WHOLE_ATTRIBUTES = (
 )
 NEVER_OPEN = ("states_proven",)
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
-WHOLE_SETS = ("/state", "/proven", "/contact", "/driven")  # that hold whole numbers
+WHOLE_DATA = ("/state", "/proven", "/contact", "/driven")  # that hold whole numbers
 REPORTED_SETS = ("slip", "power", "force", "state")
 MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z|\[["xyz, ]*\]\Z)|#|\Z)""")
@@ -223,7 +223,7 @@ def array_of(path: Path, file: h5py.File, count: int, name: str, expected: tuple
     stored, whole = file[name], (count, *expected)
     if stored.shape != whole and (count > 1 or stored.shape != expected):
         raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice or packing needs {expected}")
-    kinds, words = ("ui", "whole numbers") if name.endswith(WHOLE_SETS) else ("f", "real numbers")
+    kinds, words = ("ui", "whole numbers") if name.endswith(WHOLE_DATA) else ("f", "real numbers")
     if stored.dtype.kind not in kinds:
         raise FileError(f"{path} has {name} of {stored.dtype}; it must hold {words}")
     return np.asarray(stored[()], dtype=np.float64).reshape(whole)
