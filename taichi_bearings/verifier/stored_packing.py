@@ -97,11 +97,9 @@ def _read(path: Path, file: h5py.File) -> StoredPacking:
             values = packing[name]
             absent = (values == 0) & (name in ("friction", "viscosity"))
             _refuse(path, name, what, values, (values >= LEAST_STORED) & (values <= MOST_STORED) | absent)
-    for name in ("center", "normal", "spin"):
-        held = (packing["driven"] >= 0) | (name != "spin")
-        fine = np.abs(packing[name].reshape(len(packing[name]), -1)).max(axis=1, initial=0.0) <= MOST_STORED
-        _refuse(path, name, "contact" if name == "normal" else "sphere", packing[name],
-                fine | ~(held if name == "spin" else True))  # fmt: skip
+    packing["spin"][packing["driven"] < 0] = 0.0
+    for name, what in (("center", "sphere"), ("spin", "sphere"), ("normal", "contact")):
+        _refuse(path, name, what, packing[name], np.abs(packing[name]) <= MOST_STORED)
     spin, friction = get("spin", (count, *parts))[0], get("contact/friction", (contacts, *parts))[0]
     names = [*REPORTED_SETS, *(name for name in OPTIONAL_SETS if f"contact/{name}" in file)]
     reported = {name: get(f"contact/{name}", (contacts,))[0] for name in names}
@@ -115,7 +113,7 @@ def _read(path: Path, file: h5py.File) -> StoredPacking:
 
 def _refuse(path: Path, name: str, what: str, values: np.ndarray, fine: np.ndarray | np.bool_) -> None:
     """FileError for the first of these values that is not fine."""
-    fine = np.broadcast_to(fine, values.shape[: fine.ndim]).reshape(len(values), -1).all(axis=1)
+    fine = fine.reshape(len(values), -1).all(axis=1) if len(values) else np.ones(0, dtype=bool)
     if not fine.all():
         first = int(np.argmin(fine))
         raise FileError(f"{path} has {values[first].tolist()!r} for packing/{name} of {what} {first}; that cannot be")
