@@ -16,13 +16,14 @@ from taichi_bearings.packing.polish import polished
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Status
+from taichi_bearings.verifier.network_states import AT_REST
 from taichi_bearings.verifier.packing_verdict import PackingJudgement
 from taichi_bearings.verifier.samples import UNPROVEN
 from taichi_bearings.words import shown
 
 CLOSEST = 1e-13  # relative gap at which the central path ends: states come apart where the gap is small
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
-AT_REST = 1e-9  # of the largest imposed slip, that no slip at rest can exceed
+
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 

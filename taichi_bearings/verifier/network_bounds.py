@@ -9,9 +9,9 @@ at any spins u* at which the potential is least. Where components do not mix (di
 every component to the largest size imposed lengthens no slip, so some u* lies within, and r costs |r| times that.
 
 On other networks no box of imposed spins holds. There springs q take the torques away, F - q (K z) with K^T q K z = r,
-until some 1e-30 of them are left: these are paid for at all spins up to `FARTHEST` times the fastest imposed one. That
-some u* is among them is proven so: with Phi the potential of any spins, each contact has q |y*|^2 <= phi(y*) / Phi for
-q = w^2_min / Phi^2 * w / w_min, or eta / (2 Phi). So the norm of q^1/2 y* is at most 1, and
+until some 1e-30 of them are left: these are paid for at the largest spins that some u* can have. With Phi the potential
+of any spins, each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2 with w = mu F_n, or eta / (2 Phi). So the
+norm of q^1/2 y* is at most 1, and
 
     |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D,
 
@@ -19,7 +19,7 @@ a floor that an elimination proves. Spheres whose contacts all have one directio
 the largest component of that is held at 0. Spheres whose contacts bear nothing, and whose spins make any slips of these
 contacts whatever (their rows of K are independent, by a floor of K K^T), let them roll at every minimum and are left
 out, with all that is loose among them. If other motions slip by no more than rounding no floor is found, and the bound
-is one on spins up to FARTHEST alone.
+is one on spins up to `FASTEST_COMPARED` times the fastest imposed one alone.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, row_sum
 from taichi_bearings.verifier.motion import length
 from taichi_bearings.verifier.network import Network
 
-FARTHEST = 1e6  # times the fastest imposed surface, up to which spins are compared
+FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
 ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
 NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 PAID = 1e-10  # of the potential, that a proof for all spins may cost
 UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing
 LEAST_POWER = 1e-3  # of the natural power, for which the springs are made at least
-PROVEN, WITHIN = "proven", f"proven of all spins up to {FARTHEST:.0e} times the fastest imposed"
+PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Bounds:
         proof, paid, friction, springs = PROVEN, price, stored, None
         if network.mixes and upper > 0:
             springs = Springs.of(network, max(upper, LEAST_POWER * natural(network)))
-            fastest, reach = FARTHEST * float(network.box.max(initial=0.0)), np.inf
+            fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.inf
             if springs is not None:
                 friction, torques = springs.balanced(stored)
                 reach = springs.reach

@@ -34,6 +34,7 @@ from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN
 
 MOST_LEVELS = 100  # steps of imposed values that are looked at, the largest
 STILL = 1e-12  # of the fastest imposed component, below which slips may be none
+AT_REST = 1e-9  # of the fastest imposed component, up to which a slip may well be none
 CLEAR_ROOM = 1e-3  # of its friction, from which a contact may well rest
 STIFFEST = 1e4  # stiffness of what rests, over that of what slips
 PASSES = 2
@@ -53,29 +54,33 @@ class NetworkStates:
 def network_states(bounds: Bounds) -> NetworkStates:
     network = bounds.network
     states = np.full(len(network.contact), UNPROVEN)
-    bound = np.where(network.acts, np.inf, np.nan)
+    bound = np.where(network.acts, _most(bounds), np.inf)
     rests = network.acts & ~network.counts | (network.acts & (bounds.upper == 0))
     open_ = network.counts & ~rests
     if bounds.proof != PROVEN:
         reason = "the bound is proven of some spins alone"
     else:
-        bound[open_] = _by_room(bounds)[open_]
+        bound[open_] = np.fmin(bound, _by_room(bounds))[open_]
         states, reason = _by_law(bounds, states, bound)
     states, bound = np.where(rests, SLIPLESS, states), np.where(rests, 0.0, bound)
     bound = np.where(np.isnan(bound), np.inf, bound) * UP
     bound[states == SLIPLESS] = 0.0
-    return NetworkStates(
-        np.where(network.acts, states, UNPROVEN), bound, reason if (states[open_] == UNPROVEN).any() else ""
-    )
+    unknown = open_ & (states == UNPROVEN)
+    slow = int((bound[unknown] <= AT_REST * network.box.max(initial=0.0)).sum())
+    reason += f"; {slow:,} of these slip by no more than {AT_REST:.0e} of the fastest imposed" if slow else ""
+    return NetworkStates(np.where(network.acts, states, UNPROVEN), bound, reason if unknown.any() else "")
+
+
+def _most(bounds: Bounds) -> np.ndarray:
+    """(E,), by all that there is to dissipate."""
+    network = bounds.network
+    return np.fmin(bounds.upper / network.holding.least, np.sqrt(2 * bounds.upper / network.slope.least)) * UP
 
 
 def _by_room(bounds: Bounds) -> np.ndarray:
-    """(E,), by the room that friction leaves, and by all that there is to dissipate."""
-    network = bounds.network
-    room = (network.holding - bounds.size).lower()
-    most = slip_bound(np.zeros(len(room)), network.slope.least, np.array(bounds.upper))
-    by_room = slip_bound(room, network.slope.least, np.array(bounds.excess))
-    return np.fmin(np.fmin(by_room, most), bounds.upper / network.holding.least) * UP
+    """(E,), by the room that friction leaves."""
+    room = (bounds.network.holding - bounds.size).lower()
+    return slip_bound(room, bounds.network.slope.least, np.array(bounds.excess)) * UP
 
 
 def _by_law(bounds: Bounds, states: np.ndarray, bound: np.ndarray) -> tuple[np.ndarray, str]:

@@ -224,3 +224,31 @@ def test_friction_out_of_balance_is_paid_for():
     bounds = PackingJudgement.of("coulomb", packing.arrays(), found.spin, wrong).bounds
     assert 0 <= bounds.lower_bound <= found.power
     assert bounds.gap > 1e-3
+
+
+def poorer(found, rng):
+    """Spins and friction near those of a minimum: noise that has to be balanced and paid for."""
+    packing, size = found.packing, 10.0 ** rng.uniform(-9, -3)
+    spin = found.spin + size * rng.standard_normal(found.spin.shape) * np.abs(found.spin).max()
+    scale = found.friction.reshape(packing.contacts, -1)
+    noise = size * rng.standard_normal(scale.shape) * np.abs(scale).max(axis=1, keepdims=True)
+    if packing.dimension == 3:
+        noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
+    friction = (scale * (1 - size * rng.integers(0, 2)) + noise).reshape(found.friction.shape)
+    return PackingJudgement.of(packing.law.name, packing.arrays(), spin, friction)
+
+
+@pytest.mark.parametrize("seed", range(36))
+def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
+    packing = drawn(seed + 200)
+    found = tb.solve(packing)
+    judged = poorer(found, np.random.default_rng(seed))
+    unit = np.abs(packing.imposed).max()
+    assert judged.bounds.lower_bound <= found.potential * (1 + 1e-12)
+    assert judged.bounds.upper_bound >= found.lower_bound
+    acts, known = found.state != 3, judged.states.proven
+    assert (found.slip <= judged.slip_bound + 1e-12 * unit)[acts].all()
+    assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()
+    assert (found.slip[acts & (known == 1)] > 0).all()
+    assert not ((known == 1) & (found.proven == 0)).any()
+    assert not ((known == 0) & (found.proven == 1)).any()
