@@ -10,8 +10,8 @@ every component to the largest size imposed lengthens no slip, so some u* lies w
 
 On other networks no box of imposed spins holds. There springs q take the torques away, F - q (K z) with K^T q K z = r,
 until some 1e-30 of them are left: these are paid for at the largest spins that some u* can have. With Phi the potential
-of any spins, each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2 with w = mu F_n, or eta / (2 Phi). So the
-norm of q^1/2 y* is at most 1, and
+of any spins, each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2 with w = mu F_n, or eta / (2 Phi). So
+the norm of q^1/2 y* is at most 1, and
 
     |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D,
 

@@ -1,10 +1,13 @@
 """Runs of packings: honest ones are never refuted, forged ones are found, and what is proven is true."""
 
+import json
 from itertools import product
 
 import h5py
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from taichi_bearings_cli.main import bearings
 
 import taichi_bearings as tb
 from taichi_bearings.errors import FileError
@@ -192,6 +195,19 @@ def test_hostile_files_are_refused_in_one_sentence(name, tmp_path):
     with pytest.raises(FileError, match=words) as refusal:
         verify(path)
     assert "\n" not in str(refusal.value)
+
+
+def test_the_command_line_says_what_is_proven(tmp_path):
+    found = tb.solve(tb.Packing.lattice("bcc", KINDS["bcc"], seed=3))
+    path = write_run(tmp_path / "run.h5", found)
+    told = CliRunner().invoke(bearings, ["verify", str(path)])
+    assert told.exit_code == 0, told.output
+    assert f"packing of {found.packing.spheres} spheres, coulomb, certified" in told.output
+    report = json.loads(CliRunner().invoke(bearings, ["verify", "--json", str(path)]).stdout)
+    assert report["lower_bound"] == found.lower_bound
+    with h5py.File(path, "a") as file:
+        file.attrs["power"] = 2 * found.power
+    assert CliRunner().invoke(bearings, ["verify", str(path)]).exit_code == 1
 
 
 def test_a_file_without_an_array_or_of_another_shape_is_refused(tmp_path):
