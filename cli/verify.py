@@ -46,7 +46,8 @@ def command(context: click.Context, run: Path, as_json: bool) -> None:
 
 def describe(report: dict[str, Any], times: str = "") -> str:
     """The verdict for people. times : where the time went."""
-    shape, law = "x".join(map(str, report["shape"])), LAWS[report["law"]]
+    law = LAWS[report["law"]]
+    shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"
     status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
     lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
     keys = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
@@ -69,6 +70,8 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         elif unique:
             proven.append("there is only one")
         lines.append(f"    contacts: {'; '.join(proven)}")
+    if (proof := report.get("proof", "proven")) != "proven":
+        lines.append(f"  the lower bound is {proof}")
     if len(rows) > 10:
         lines.append(f"  ... and {len(rows) - 10} more samples")
     if isinstance(report["gap"], float):

@@ -10,7 +10,6 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.bounds import Bound, lower_bound
 from taichi_bearings.packing.central_path import balanced, followed, viscous_spins
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
@@ -18,12 +17,14 @@ from taichi_bearings.packing.polish import polished
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Status
+from taichi_bearings.verifier.network_states import AT_REST
+from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.samples import UNPROVEN
 from taichi_bearings.words import shown
 
 CLOSEST = 1e-13  # relative gap at which the central path ends: states come apart where the gap is small
-MARGIN, RESOLVED, NO_MARGIN = 1e-2, 1e3, 1e-6  # of contacts that rest; powers over what is open, and margin, that slip
-SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # the same at exact minima, slips in units of the largest imposed one
-NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
+SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
+
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 
@@ -31,12 +32,11 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 class PackingResult:
     """What was found for a packing. Contacts between driven spheres, or with no coefficient, are left out of `power`.
 
-    power : energy/time. potential : what is minimised; the power, but for "coulomb-viscous". lower_bound : on the least
-    potential of any spins (for "viscous" on the power); 0 where nothing is proven. It is rigorous where `proof` is
-    "proven"; else only if the motions that `proof` counts slip nowhere, which the rounding of normals hides.
+    power : energy/time. potential : what is minimised; the power, but for "coulomb-viscous". lower_bound : rigorous, on
+    the least potential (for "viscous" the least power); 0 where nothing is proven. proof : "proven"; or of which spins
+    the bound is, where some motions slip by no more than the rounding of the normals; or why there is none.
     gap : (potential - lower_bound) / potential; where next to nothing is dissipated, over what all contacts would at
-    the largest imposed surface velocity, or where none is imposed at the largest one. proof : "proven", what it rests
-    on beside, or why there is none.
+    the largest imposed surface velocity.
     status : "certified" if the gap is within the tolerance, else "stalled", or how a dynamics or descent ended.
     method : "planar-cut", "interior-point", "linear-solver", or the one that was asked for.
     spin : (N, 3), of discs (N,), laboratory frame, 1/time; slipless motions that nothing decides are left at rest, by a
@@ -45,6 +45,8 @@ class PackingResult:
     of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
     between driven or absent. driven_power : what contacts between driven spheres dissipate, energy/time.
     slipless_motions : of the free spheres that driven ones reach; None if undecided. unbalanced : largest torque left.
+    proven : (E,) 0 slips at no minimum, 1 at every minimum, 2 not proven, 3 between driven or absent. slip_bound : (E,)
+    what no slip of any minimum exceeds, length/time; infinite at absent contacts.
     seconds : wall time. iterations : of the method, factorisations of an interior point.
     history : of dynamics and descent, the columns of `Result.history`. time : simulated time of a dynamics, else None.
     """
@@ -67,6 +69,8 @@ class PackingResult:
     slipless_motions: int | None
     unbalanced: float
     seconds: float
+    proven: np.ndarray | None = None
+    slip_bound: np.ndarray | None = None
     iterations: int = 0
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
     time: float | None = None
@@ -78,7 +82,7 @@ class PackingResult:
         if held is None:
             return 0
         left = self.potential - self.lower_bound
-        full = (self.force >= (1 - NO_MARGIN) * held) & (held * self.slip <= left)
+        full = (self.force >= (1 - SURE_MARGIN) * held) & (held * self.slip <= left)
         return int((full & (self.state == UNDECIDED)).sum())
 
     def __repr__(self) -> str:
@@ -88,14 +92,12 @@ class PackingResult:
 
 @dataclass(frozen=True)
 class Found:
-    """spins (unknowns,), force (d, A) in units of force, state (A,) where it is known exactly, else None. slips : (A,)
-    sets of an exact minimum, where they were found. everywhere : u (N, C) of all spheres, where a method moves all."""
+    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found.
+    everywhere : u (N, C) of all spheres, where a method moves all."""
 
     spins: np.ndarray
     force: np.ndarray
     method: str
-    state: np.ndarray | None = None
-    bound: float | None = None
     slips: np.ndarray | None = None
     everywhere: np.ndarray | None = None
 
@@ -123,8 +125,7 @@ def _found(system: System, matrix: NewtonMatrix) -> Found:
     if not system.unknowns or not system.offset.any():
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
     if law.is_rate_independent and system.packing.dimension == 2:
-        cut = planar.least_power(system)
-        return Found(cut.spins, cut.force, "planar-cut", cut.state, cut.lower_bound)
+        return Found(*planar.least_power(system), "planar-cut")
     held, viscosity = (
         np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
     )
@@ -141,55 +142,39 @@ def _found(system: System, matrix: NewtonMatrix) -> Found:
     return Found(point.spins * fastest, point.force * largest, "interior-point", slips=slips)
 
 
+def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
+    """Spins (N, 3), of discs (N,), of u = R omega (N, C); those of driven spheres bit by bit as they are imposed."""
+    spin = u / np.asarray(packing.radius)[:, None]
+    spin = spin[:, 0] if packing.dimension == 2 else spin
+    spin[packing.driven >= 0] = packing.spin[packing.driven >= 0]
+    return spin
+
+
 def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float, begun: float) -> PackingResult:
     """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
     packing, law = system.packing, system.packing.kind
-    spins = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
-    slip = slip_of(packing, spins)
-    acts = np.zeros(packing.contacts, dtype=bool)
-    acts[system.contact] = True
-    between = (packing.driven[packing.contact] >= 0).all(axis=1)
-    power = law.power(packing.coefficients, slip)
-    objective = law.objective(packing.coefficients, slip)
-    slip_sum, total = float(power[~between].sum()), float(objective[~between].sum())
-    above = float(law.potential(packing.coefficients, slip)[acts].sum()) * (1 + len(slip) * 1e-16 + 1e-12)
-    bound = lower_bound(system, matrix, found.force, above)
-    value = bound.value * law.share
-    if found.bound is not None:
-        bound, value = Bound(max(found.bound, value), "proven"), max(found.bound, value)
-    value = min(value, total)  # both are of the same minimum; roundings of the power are above
-    fastest = float(np.abs(packing.imposed).max(initial=0.0)) or float(np.abs(spins).max(initial=0.0))
-    natural = float(law.objective(packing.coefficients, np.full(packing.contacts, fastest))[~between].sum())
-    unit = total if total > NO_POWER * natural else natural
-    gap = (total - value) / unit if unit > 0 else 0.0
-    reached = gap <= tolerance
-    force, friction = _forces(system, found.force)
-    left = max(total - _estimate(system, found) * law.share, 0.0)
-    state = _states(system, found, slip, left, natural)
-    proof = bound.proof
-    if not bound.proven and gap > tolerance:
-        state[state != DRIVEN] = UNDECIDED
-        proof += f"; balanced exactly, the forces would prove a gap of {left / unit:.0e}"
-    spin = spins / np.asarray(packing.radius)[:, None]
-    unbalanced = float(np.abs(system.torques(found.force)).max(initial=0.0))
+    u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
+    spin = spins_of(packing, np.nan_to_num(u, posinf=0.0, neginf=0.0))
+    force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
+    judgement = PackingJudgement.of(law.name, packing.arrays(), spin, friction)
+    if judgement is None:
+        raise InputError(
+            "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
+        )
+    bounds, proven = judgement.bounds, judgement.states.proven
+    acts = judgement.network.acts
+    state = np.where(acts, np.where(proven == UNPROVEN, _states(system, found, judgement), proven), DRIVEN)
     return PackingResult(
-        packing, slip_sum, total, value, gap, proof, (Status.CERTIFIED if reached else Status.STALLED).value,
-        found.method, spin[:, 0] if packing.dimension == 2 else spin, slip, force, friction, power, state,
-        float(power[between].sum()), system.motions.number if system.motions.counted else None,
-        unbalanced, perf_counter() - begun, matrix.factorisations,
+        packing, bounds.power, bounds.objective, bounds.lower_bound, bounds.gap, bounds.proof,
+        (Status.CERTIFIED if bounds.gap <= tolerance else Status.STALLED).value, found.method, spin,
+        judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),
+        judgement.driven_power, system.motions.number if system.motions.counted else None, judgement.largest_torque,
+        perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound,
+        matrix.factorisations,
     )  # fmt: skip
 
 
-def slip_of(packing: Packing, spins: np.ndarray) -> np.ndarray:
-    """Slip speeds (E,) for u = R omega of all spheres, (N, C)."""
-    sums = spins[packing.contact].sum(axis=1)
-    if packing.dimension == 2:
-        return np.abs(sums[:, 0])
-    assert packing.normal is not None
-    return np.linalg.norm(np.cross(sums, packing.normal), axis=1)
-
-
-def _forces(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def forces_of(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sizes (E,) and friction on the second sphere, (E, 3), of discs (E,), along z x n."""
     packing = system.packing
     size, vectors = np.zeros(packing.contacts), np.zeros((packing.contacts, system.across.shape[2]))
@@ -201,37 +186,19 @@ def _forces(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return size, np.cross(vectors, packing.normal)
 
 
-def _estimate(system: System, found: Found) -> float:
-    """What the forces would prove if they were balanced exactly, in units of potential."""
-    law = system.packing.kind
-    work = float((found.force * system.offset).sum())
-    cost = law.conjugate(system.coefficients, np.linalg.norm(found.force, axis=0)).sum() if law.flows else 0.0
-    return work - float(cost)
-
-
-def _states(system: System, found: Found, slip: np.ndarray, left: float, natural: float) -> np.ndarray:
-    """States (E,). left : what is open of the power; natural : what all contacts would dissipate."""
+def _states(system: System, found: Found, judgement: PackingJudgement) -> np.ndarray:
+    """States (E,), as slips and margins tell them, of contacts of which nothing is proven."""
     packing, law = system.packing, system.packing.kind
-    acts = np.any([values > 0 for values in packing.coefficients], axis=0)
-    state = np.where(acts & (packing.driven[packing.contact] < 0).any(axis=1), SLIPLESS, DRIVEN).astype(np.uint8)
-    if found.state is not None:
-        state[system.contact] = found.state
-        return state
-    held, speed = law.holding_force(system.coefficients), slip[system.contact]
-    open_ = max(left, np.finfo(np.float64).eps * natural)
+    fastest = float(np.abs(packing.imposed).max(initial=0.0))
+    held, slip = law.holding_force(system.coefficients), judgement.slip
+    state = np.where(judgement.slip_bound <= AT_REST * fastest, SLIPLESS, UNDECIDED)
     if held is None or not held.any():
-        rounding = 1e-12 * float(np.abs(packing.imposed).max(initial=0.0))
-        state[system.contact] = np.where(speed > rounding, SLIPPING, SLIPLESS)
-        return state
-    if not system.offset.any():
+        return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
+    if found.slips is None:
         return state
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
-    rests = (margin > MARGIN) & (held * speed * margin <= RESOLVED * open_) & (held > 0)
-    slips = (margin < NO_MARGIN) & (held * speed > RESOLVED * open_) | (held == 0) & (speed > 0)
-    if found.slips is not None:
-        rests = ~found.slips & (margin > SURE_MARGIN)
-        slips = found.slips & (speed > SURE_SLIP * float(np.abs(system.offset).max()))
-    own = np.where(rests, SLIPLESS, np.where(slips, SLIPPING, UNDECIDED)).astype(np.uint8)
+    slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
+    own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
     if not law.flows:
         own[tied(system, found.force, own)] = UNDECIDED
     state[system.contact] = own

@@ -1,12 +1,9 @@
 """The matrix of a Newton step, sum K_e^T S_e K_e over the contacts, in an order of elimination from the centres."""
 
-from functools import cached_property
-
 import numpy as np
 from scipy import sparse
 
 from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite
-from taichi_bearings.numerics.cholesky.fronts import BlockPattern
 from taichi_bearings.packing.motions import order_of, touching
 from taichi_bearings.packing.system import System
 
@@ -76,17 +73,6 @@ class NewtonMatrix:
         for _ in range(REFINEMENTS):
             force = force - resisted(stiffness, self.system.change(self.solve(self.system.torques(force))))
         return force
-
-    @cached_property
-    def rows(self) -> np.ndarray:
-        """Numbers in the rows of the factor, (unknowns,): so many products are in a sum at most."""
-        pattern = self.cholesky.pattern
-        if isinstance(pattern, BlockPattern):
-            return np.full(pattern.size, pattern.size)
-        count = np.zeros(pattern.size, dtype=np.int64)
-        np.add.at(count, pattern.border, np.repeat(pattern.own, pattern.width))
-        inner = np.arange(pattern.size) - np.repeat(pattern.first, pattern.own)
-        return (count + inner + 1)[pattern.place]
 
 
 def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:

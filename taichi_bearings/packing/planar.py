@@ -6,33 +6,19 @@ With u = s U the sums u_i + u_j of a network without odd loops are differences, 
 
 over the sorted driven values t. Parts with odd loops take two copies of each disc, U = u and U = -u, and half the
 friction. Frictions are rounded down to whole units, so flows are exact: one that fills all nested cuts and is balanced
-in whole numbers proves the least power of the rounded network, which is never above that of the true one. What it
-leaves open tells which contacts slip in all minima, and which in none (Picard and Queyranne, 1980).
+in whole numbers proves the least power of the rounded network, which is never above that of the true one.
 """
 
 from dataclasses import dataclass
-from math import fsum
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import breadth_first_order
 
-from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow
+from taichi_bearings.numerics.minimum_cut import largest_flow
 from taichi_bearings.packing.system import System, odd_parts
 
 UNIT_BITS = 59  # of the sum of all frictions
-EPS = np.finfo(np.float64).eps
-
-
-@dataclass(frozen=True)
-class Planar:
-    """spins : (unknowns,). force : (1, A), balanced but for one rounding each. lower_bound : proven. state : (A,) 0
-    slipless, 1 slipping, in all minima, 2 not in all."""
-
-    spins: np.ndarray
-    force: np.ndarray
-    lower_bound: float
-    state: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -57,20 +43,17 @@ class _Cover:
     unit: float
 
 
-def least_power(system: System) -> Planar:
-    """Of a system of discs with friction alone."""
+def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """Of a system of discs with friction alone: spins (unknowns,), and forces (1, A), balanced but for one rounding."""
     cover, node, mirrored, sign = _covered(system)
     place = _nested(cover)
     inner, outer = _filling(cover, place)
     force = np.zeros(len(system.contact), dtype=np.int64)
     np.add.at(force, cover.inner_contact, cover.inner_sign * inner)
     np.add.at(force, cover.outer_contact, cover.outer_sign * outer)
-    sizes = -outer.astype(np.float64) * cover.values[cover.level]
-    power = fsum(sizes.tolist()) - 4 * EPS * fsum(np.abs(sizes).tolist())
     turned = cover.values[place] if len(cover.values) else np.zeros(cover.nodes)
     spins = np.where(mirrored >= 0, (turned[node] - turned[mirrored]) / 2, sign * turned[node])
-    state = _states(cover, inner, outer, len(system.contact))
-    return Planar(spins, (force * cover.unit)[None], max(0.0, power * cover.unit * (1 - 4 * EPS)), state)
+    return spins, (force * cover.unit)[None]
 
 
 def _covered(system: System) -> tuple[_Cover, np.ndarray, np.ndarray, np.ndarray]:
@@ -191,31 +174,3 @@ def _filling(cover: _Cover, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise RuntimeError("a largest flow does not fill the nested cuts")
     inner[flat], outer[rim] = flow[: int(flat.sum())], flow[int(flat.sum()) :]
     return inner, outer
-
-
-def _states(cover: _Cover, inner: np.ndarray, outer: np.ndarray, contacts: int) -> np.ndarray:
-    """States (contacts,): arcs with something left lead only to nodes that turn as fast or faster, in all minima."""
-    levels, nodes = len(cover.values), cover.nodes
-    cut = np.abs(outer).sum()
-    tie = int(TIED_WEIGHTS * float(cut)) + len(inner) + len(outer) + 1
-    low, high = np.concatenate([cover.low, cover.end]), np.concatenate([cover.high, nodes + cover.level])
-    weight, flow = np.concatenate([cover.inner_weight, cover.outer_weight]), np.concatenate([inner, outer])
-    up = np.arange(nodes, nodes + max(0, levels - 1))
-    row = np.concatenate([low[weight - flow > tie], high[weight + flow > tie], up])
-    column = np.concatenate([high[weight - flow > tie], low[weight + flow > tie], up + 1])
-    graph = sparse.csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(nodes + levels,) * 2)
-    alike = connected_components(graph, connection="strong")[1]
-    least, most = np.zeros(nodes + levels, dtype=np.int64), np.full(nodes + levels, levels - 1)
-    for k in range(1, levels):
-        least[_reached(nodes + levels, row, column, np.array([nodes + k]))] = k
-    for k in range(levels - 2, -1, -1):
-        most[_reached(nodes + levels, column, row, np.array([nodes + k]))] = k
-    slips = (least[low] > most[high]) | (least[high] > most[low])
-    rests = (alike[low] == alike[high]) | (
-        (least[low] == most[low]) & (least[high] == most[high]) & (least[low] == least[high])
-    )
-    contact = np.concatenate([cover.inner_contact, cover.outer_contact])
-    state = np.full(contacts, 2, dtype=np.uint8)
-    state[contact[rests & ~slips]] = 0
-    state[contact[slips & ~rests]] = 1
-    return state

@@ -15,7 +15,9 @@ from taichi_bearings.runs.run_file import refuse_scan
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.claims import is_drawn
-from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
+from taichi_bearings.verifier.packing_verdict import packing_report
+from taichi_bearings.verifier.stored_packing import StoredPacking, read_any_run
+from taichi_bearings.verifier.stored_run import StoredRun
 from taichi_bearings.verifier.verdict import as_report, verdict_of
 
 Draw = Callable[[Lattice, Distribution, int], tuple[np.ndarray, ...]]
@@ -32,24 +34,39 @@ def verify(path: Path) -> dict[str, Any]:
         file = path / "run.h5" if path.is_dir() else path
         if file.is_file():
             look_through(file)
-        run = read_stored_run(path)
+        run = read_any_run(path)
     with stage("proving"), one_thread():
-        report = as_report(verdict_of(run), run.samples.count)
-    with stage("drawing the coefficients again"):
-        report["contradictions"] += _coefficients(run)
+        if isinstance(run, StoredPacking):
+            report, words = packing_report(run), _of_packing(run)
+        else:
+            report, words = as_report(verdict_of(run), run.samples.count), _of_lattice(run)
+    if isinstance(run, StoredRun):
+        with stage("drawing the coefficients again"):
+            report["contradictions"] += _coefficients(run)
     report["contradictions"] += [f"{name} was changed after it was written" for name in run.changed or ()]
     return {
         "verified": not report["contradictions"],
         **report,
         "unchanged": None if run.changed is None else not run.changed,
         "status": np.asarray(run.attributes["status"]).tolist(),
+        **words,
+        "run": str(path),
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def _of_lattice(run: StoredRun) -> dict[str, Any]:
+    return {
         "law": run.samples.law,
         "shape": list(run.samples.shape),
         "seed": np.asarray(run.attributes.get("seed", -1)).tolist(),
         "coefficients": "drawn" if is_drawn(run) else "given",
-        "run": str(path),
-        "seconds": time.perf_counter() - began,
     }
+
+
+def _of_packing(run: StoredPacking) -> dict[str, Any]:
+    numbers = {"spheres": len(run.spin), "contacts": len(run.packing["contact"])}
+    return {"law": run.law, "shape": None, **numbers, "seed": -1, "coefficients": "given"}
 
 
 def _coefficients(run: StoredRun) -> list[str]:

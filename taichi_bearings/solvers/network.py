@@ -15,8 +15,7 @@ from scipy import sparse
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
-from taichi_bearings.packing.answer import NO_POWER
-from taichi_bearings.packing.bounds import lower_bound
+from taichi_bearings.packing.answer import forces_of, spins_of
 from taichi_bearings.packing.central_path import viscous_spins
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.newton import NewtonMatrix, isotropic
@@ -26,8 +25,10 @@ from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import OnLattice
+from taichi_bearings.verifier.packing_verdict import PackingJudgement
 from taichi_bearings.words import meant, shown
 
+NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
 LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
 STARTS_OF_PACKINGS = ("linear", "random", "zero")
@@ -171,22 +172,28 @@ class Network:
         whole : also from the forces without the torques they leave, by a factorisation; where normals are oblique no
         others prove anything.
         """
-        system, matrix = self.proof
+        system, _ = self.proof
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
             return 0.0, force
-        above = float(self.law.potential(self.contact, self.slips(spins)).sum()) * (1 + 1e-12 + 1e-16 * force.size)
         own = force[:, 0, self.of_system]
         candidates = [own] if whole or along_axes(self.packing, system.contact) else []
         if whole:
             candidates += self._balanced(own)
         best, found = 0.0, own
         for candidate in candidates:
-            value = lower_bound(system, matrix, candidate, above).value * self.law.share
+            value = self._proven_by(candidate, spins)
             best, found = (value, candidate) if value > best else (best, found)
         proving = force.copy()
         proving[:, 0, self.of_system] = found
         self.proven = max(self.proven, best)
         return best, proving
+
+    def _proven_by(self, force: np.ndarray, spins: np.ndarray) -> float:
+        """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
+        packing, friction = self.packing, forces_of(self.proof[0], force)[1]
+        spin = spins_of(packing, spins[:, 0].T)
+        judgement = PackingJudgement.of(self.law.name, packing.arrays(), spin, friction)
+        return 0.0 if judgement is None else judgement.bounds.lower_bound
 
     def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
         """Forces (d, A) of the system in balance; with friction also shortened all alike to what it bears."""
@@ -222,7 +229,7 @@ class OnNetwork(OnLattice):
         objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
         fastest = float(np.abs(scene.packing.imposed).max(initial=0.0)) or np.abs(staggered).max(initial=0.0)
         natural = scene.law.objective(scene.contact, np.full(1, fastest)).sum(axis=1)
-        scene.is_cut_off = objective <= NO_POWER * natural
+        scene.is_cut_off = objective <= NEXT_TO_NO_POWER * natural
         whole = more["iteration"] >= LOOK_AGAIN * scene._looked
         scene._looked = max(more["iteration"], 1) if whole else scene._looked
         bound, proof = scene.bound(force if proof is None else proof, staggered, whole)

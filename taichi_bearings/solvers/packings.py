@@ -80,7 +80,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         self.team = Team(self.fields.team_size)
         steps: Any = list_sweeps(CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order])
         self.steps = steps
-        self.steps.compile(self.fields, self.team)
+        steps.compile(self.fields, self.team)
 
     def _stability_bound(self, network: Network) -> float:
         """As of lattices, with a proven bound on the stiffest mode in the place of their known one."""

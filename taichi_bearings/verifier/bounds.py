@@ -102,14 +102,10 @@ def _proven(samples: Samples, work: Work) -> Enclosure:
     return left / Enclosure.exact(np.maximum(work.saturation, 1.0))
 
 
-@np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.ndarray]:
     """No minimum slips faster: (R, *contacts) an axis, over radius * `spin_unit`, rounded up; of laws with friction.
 
-    Let E be the objective (R,) of any spins, rounded up, less what the friction F proves. At a minimum no contact has
-    phi(v) + phi*(F) - |F| v below 0, and all together have no more than E. With the room m = mu F_n - |F| left in its
-    disc a contact of Coulomb's has m v <= E, one with viscosity eta as well eta v^2 / 2 + m v <= E, and where F exceeds
-    the disc eta (v + m / eta)^2 / 2 <= E. Nor does any slip more than the spins between those of the planes allow.
+    objective : (R,), of any spins, rounded up. Nor does any slip more than the spins between those of the planes allow.
     """
     excess = np.maximum(((objective - _proven(samples, work).lower()) * UP).reshape(-1, *(1,) * samples.dimension), 0.0)
     worst = np.maximum(work.saturation, 1.0).reshape(excess.shape)  # no disc is exceeded without viscosity
@@ -117,14 +113,24 @@ def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.
     for axis, size in enumerate(work.size):
         if not samples.flows and (worst > 1).any():
             size = size / Enclosure.exact(np.broadcast_to(worst, size.high.shape))
-        room = (samples.strength[axis] - size).lower()
-        inside = np.maximum(room, 0.0)
-        bound = excess / inside  # infinite where there is no room, or no number
-        if samples.flows:
-            slope = samples.slope[axis].least
-            root = np.sqrt(inside**2 + 2 * slope * excess)
-            bound = np.where(excess > 0, 2 * excess / (inside + root), 0.0) + np.maximum(-room, 0.0) / slope
+        slope = samples.slope[axis].least if samples.flows else np.zeros(1)
+        bound = slip_bound((samples.strength[axis] - size).lower(), slope, excess)
         box = np.sqrt(sum(samples.jump_over(k, samples.dimension).most ** 2 for k in samples.felt(axis)))
         bound = np.fmin(bound, box) * UP
         found.append(np.where(samples.between_driven(axis), 0.0, bound))
     return found
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def slip_bound(room: np.ndarray, slope: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    """No contact slips faster at any minimum; nearly rounded up, or no number. room : m = mu F_n - |F|, rounded down.
+
+    Let E, the excess, be the potential of any spins less what the friction F proves. At a minimum no contact has
+    phi(v) + phi*(F) - |F| v below 0, and all together have no more than E. With room in its disc a contact of Coulomb's
+    has m v <= E, one with viscosity eta as well eta v^2 / 2 + m v <= E, and where F exceeds the disc
+    eta (v + m / eta)^2 / 2 <= E.
+    """
+    inside = np.maximum(room, 0.0)
+    root = np.sqrt(inside**2 + 2 * slope * excess)
+    beyond = np.where(room < 0, -room / slope, 0.0)  # infinite without viscosity
+    return np.where((excess > 0) | (slope == 0), 2 * excess / (inside + root), 0.0) + beyond

@@ -228,7 +228,7 @@ class Curvature:
         rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
         place = contacts.place[:, contacts.curved] @ _with(rows, rows.data**2)
         elimination = Elimination.of((rows.T @ rows).tocsc(), place)
-        tau = _proven(rows, doubt, elimination)
+        tau = proven_floor(rows, doubt, elimination)
         return None if tau is None else cls(clusters, scale, tau, elimination, changes)
 
     @property
@@ -307,7 +307,7 @@ def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sp
     return found, doubt[0] + doubt[1]
 
 
-def _proven(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination) -> float | None:
+def proven_floor(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination) -> float | None:
     """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
     elimination : of A^T A. The first guess saves a factorisation where it will do."""
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4

@@ -232,13 +232,14 @@ def length(parts: list[Enclosure]) -> Enclosure:
     if len(parts) == 1:
         return abs(parts[0])
     # the squares of faint ones would be lost
-    sizes = np.maximum(*(part.most for part in parts))
+    sizes = np.max([part.most for part in parts], axis=0)
     scale = np.ldexp(1.0, -np.where(sizes < LEAST_LENGTH, np.maximum(np.frexp(sizes)[1], -1000), 0))
-    scaled = [part.signed(scale) for part in parts]
-    root = (scaled[0].squared() + scaled[1].squared()).sqrt().signed(1 / scale)
+    squares = [part.signed(scale).squared() for part in parts]
+    root = sum(squares[1:], squares[0]).sqrt().signed(1 / scale)
     root.error[scale > 1] += LEAST_ROUNDING
-    # along an axis the length is exactly the size of the other part, whose square may be too small a number
-    for part, other in ((parts[0], parts[1]), (parts[1], parts[0])):
-        nothing = np.flatnonzero((other.high == 0) & (other.error == 0))
-        root.put(nothing, abs(part.at(nothing)))
+    # along an axis the length is exactly the size of the one part, whose square may be too small a number
+    nothing = np.array([(part.high == 0) & (part.error == 0) for part in parts])
+    for part, one in zip(parts, nothing, strict=True):
+        alone = np.flatnonzero(nothing.sum(axis=0) - one == len(parts) - 1)
+        root.put(alone, abs(part.at(alone)))
     return root

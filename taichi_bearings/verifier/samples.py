@@ -201,14 +201,14 @@ class Samples:
     def spin_unit(self) -> float:
         """A power of two near the jump; 1 without one."""
         if self.top is None:
-            return _power_of_two(self.spin_top - self.spin_bottom)
+            return power_of_two(self.spin_top - self.spin_bottom)
         jumps = (high - low for k in self.components for low, high in zip(*self.imposed_in_layers(k), strict=True))
-        return _power_of_two(max(abs(float(jump)) for jump in jumps))
+        return power_of_two(max(abs(float(jump)) for jump in jumps))
 
     @cached_property
     def force_unit(self) -> float:
         """A power of two near the largest coefficient, times the normal force for friction."""
-        return _power_of_two(max(float(c.max()) for c in self.coefficient) * self._strength)
+        return power_of_two(max(float(c.max()) for c in self.coefficient) * self._strength)
 
     @property
     def holds(self) -> bool:
@@ -262,7 +262,7 @@ class Samples:
     @cached_property
     def strength(self) -> tuple[Enclosure, ...]:
         """Friction that a contact can bear, or its damping, in units of `force_unit`; (R, *contacts) an axis."""
-        unit = _power_of_two(self._strength)
+        unit = power_of_two(self._strength)
         factor, scale = np.array([self._strength / unit]), self.force_unit / unit
         return tuple(Enclosure.exact(values / scale).times(factor) for values in self.coefficient)
 
@@ -343,6 +343,6 @@ class Samples:
         return tuple(low), tuple(high)
 
 
-def _power_of_two(value: float) -> float:
+def power_of_two(value: float) -> float:
     """The largest power of two up to |value|; 1 for 0."""
     return float(np.ldexp(1.0, int(np.frexp(abs(value))[1]) - 1)) if value else 1.0

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
@@ -17,6 +18,7 @@ from taichi_bearings.errors import FileError
 from taichi_bearings.verifier.samples import LAWS, Samples
 
 AXES = "xyz"
+T = TypeVar("T")
 LAYOUT = 1  # version that is read
 NEEDED_ATTRIBUTES = (
     "law",
@@ -44,6 +46,7 @@ WHOLE_ATTRIBUTES = (
 )
 NEVER_OPEN = ("states_proven",)
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
+WHOLE_DATA = ("/state", "/proven", "/contact", "/driven")  # that hold whole numbers
 REPORTED_SETS = ("slip", "power", "force", "state")
 MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z|\[["xyz, ]*\]\Z)|#|\Z)""")
@@ -101,40 +104,52 @@ class StoredRun:
 
 def read_stored_run(run: Path) -> StoredRun:
     """A run directory or its run.h5; FileError in one sentence where it cannot be read."""
+    return read_with(run, read_lattice)
+
+
+def read_with(run: Path, read: Callable[[Path, h5py.File], T]) -> T:
+    """What `read` makes of it."""
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
         raise FileError(f"{run} is not a run: there is no {path}")
     try:
         with h5py.File(path, "r") as file:
-            return _read(path, file)
+            return read(path, file)
     except FileError:
         raise
     except (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError) as error:
         raise FileError(f"{path} cannot be read as a run: {str(error).strip(chr(39))}") from None
 
 
-def _read(path: Path, file: h5py.File) -> StoredRun:
+def attributes_of(path: Path, file: h5py.File, needed: tuple[str, ...]) -> dict[str, Any]:
+    """Those of a run of a known version, with the needed ones among them."""
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
     if attributes.get("schema") != "taichi_bearings.run":
         raise FileError(f"{path} was not written by taichi_bearings")
     version = attributes.get("schema_version", LAYOUT)
     if type(version) is not int or version != LAYOUT:
         raise FileError(f"{path} has layout version {version!r}; this program reads version {LAYOUT}")
-    for name in NEEDED_ATTRIBUTES:
+    for name in needed:
         if name not in attributes:
             raise FileError(f"{path} lacks the attribute {name!r}; it is damaged or was changed")
+    return attributes
+
+
+def read_lattice(path: Path, file: h5py.File) -> StoredRun:
+    """What is in the open file of a run of a lattice."""
+    attributes = attributes_of(path, file, NEEDED_ATTRIBUTES)
     shape = _shape(path, attributes["shape"])
     axes = AXES[: len(shape)]
     count = 1 if file["coefficient/x"].ndim == len(shape) else len(file["coefficient/x"])
     if count < 1:
         raise FileError(f"{path} holds no sample")
     parts = () if len(shape) == 2 else (3,)
-    settings = _settings(path, str(attributes["scene"]))
+    settings = settings_of(path, str(attributes["scene"]))
     periodic = _periodic(path, settings.get("periodic", []), shape)
     shorter = [int(axis not in periodic) for axis in range(len(shape))]
     contacts = [tuple(n - (a == axis) * shorter[axis] for a, n in enumerate(shape)) for axis in range(len(shape))]
 
-    get = partial(_array, path, file, count)
+    get = partial(array_of, path, file, count)
     number = partial(_number, path, attributes)
 
     def by_axis(name: str, parts: tuple[int, ...] = ()) -> tuple[np.ndarray, ...]:
@@ -169,7 +184,7 @@ def _read(path: Path, file: h5py.File) -> StoredRun:
     others = [name for name in file if name not in known]
     for axis in axes:
         others += [f"contact/{axis}/{name}" for name in file[f"contact/{axis}"] if name not in (*names, "friction")]
-    return StoredRun(path, samples, attributes, settings, reported, history, others, _changed(path, file))
+    return StoredRun(path, samples, attributes, settings, reported, history, others, changed_sets(path, file))
 
 
 def _shape(path: Path, stored: Any) -> tuple[int, ...]:
@@ -201,14 +216,14 @@ def _number(path: Path, attributes: dict[str, Any], name: str) -> float:
     return float(attributes[name])
 
 
-def _array(path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...]) -> np.ndarray:
+def array_of(path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...]) -> np.ndarray:
     """A data set (count, *expected), in which a single sample has no axis of samples; of what it must be."""
     if name not in file:
         raise FileError(f"{path} lacks the data set {name}, without which nothing can be verified")
     stored, whole = file[name], (count, *expected)
     if stored.shape != whole and (count > 1 or stored.shape != expected):
-        raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice needs {expected}")
-    kinds, words = ("ui", "whole numbers") if name.endswith(("/state", "/proven")) else ("f", "real numbers")
+        raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice or packing needs {expected}")
+    kinds, words = ("ui", "whole numbers") if name.endswith(WHOLE_DATA) else ("f", "real numbers")
     if stored.dtype.kind not in kinds:
         raise FileError(f"{path} has {name} of {stored.dtype}; it must hold {words}")
     return np.asarray(stored[()], dtype=np.float64).reshape(whole)
@@ -241,7 +256,7 @@ def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarr
     return np.asarray(stored[()])
 
 
-def _changed(path: Path, file: h5py.File) -> tuple[str, ...] | None:
+def changed_sets(path: Path, file: h5py.File) -> tuple[str, ...] | None:
     """By checksums alone: what is missing is seen by those who need it."""
     if "sha256" not in file.attrs:
         return None
@@ -269,7 +284,7 @@ def _differs(file: h5py.File, name: str, digest: str) -> bool:
     return hashlib.sha256(content).hexdigest() != digest
 
 
-def _settings(path: Path, text: str) -> dict[str, Any]:
+def settings_of(path: Path, text: str) -> dict[str, Any]:
     import sys
 
     if sys.version_info >= (3, 11):

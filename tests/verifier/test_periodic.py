@@ -267,7 +267,7 @@ def test_a_run_says_which_sides_are_closed(name, tmp_path):
 
 
 @pytest.mark.parametrize(("said", "words"), [
-    ("[]", "its lattice needs"), ('["y"]', "3 spheres along the periodic axis y; they must be even"),
+    ("[]", "its lattice or packing needs"), ('["y"]', "3 spheres along the periodic axis y; they must be even"),
     ('["x", "x"]', "a list of axes, of x and y"), ('["z"]', "a list of axes"), ('"x"', "a list of axes"),
     ("1", "a list of axes"), ('[["x"]]', "not a key and a value"),
 ])  # fmt: skip

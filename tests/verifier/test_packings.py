@@ -1,0 +1,270 @@
+"""Runs of packings: honest ones are never refuted, forged ones are found, and what is proven is true."""
+
+import json
+from itertools import product
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from taichi_bearings_cli.main import bearings
+
+import taichi_bearings as tb
+from taichi_bearings.errors import FileError
+from taichi_bearings.packing import structure_of
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from tests.packing.twins import clarabel_least, random_packing
+from tests.verifier.packing_files import KINDS, drawn, write_run
+
+
+@pytest.mark.parametrize("seed", range(0, 120, 4))
+def test_honest_runs_are_not_refuted(seed, tmp_path):
+    found = tb.solve(drawn(seed))
+    report = verify(write_run(tmp_path / "run.h5", found))
+    assert report["contradictions"] == []
+    assert (report["lower_bound"], report["gap"]) == (found.lower_bound, found.gap)
+    assert sum(report["states_proven"].values()) == (found.state != 3).sum()
+
+
+def small_discs(seed):
+    """Whole frictions and driven values, so that all minima can be listed; ties abound."""
+    rng = np.random.default_rng([7, seed])
+    while True:
+        packing = random_packing(rng, 2, spheres=int(rng.integers(5, 9)), levels=1)
+        if (packing.driven < 0).sum() <= 6:
+            break
+    names = ("center", "contact", "driven", "normal")
+    arrays = {name: getattr(packing, name) for name in names}
+    driven = rng.integers(-1, 2, packing.spheres).astype(float)
+    friction = rng.integers(1, 4, packing.contacts).astype(float)
+    return tb.Packing(**arrays, spin=driven, radius=1.0, friction=friction, normal_force=1.0)
+
+
+def all_minima(packing):
+    """Slips (minima, E) of all minima whose spins are half differences of values that are imposed, by trying each."""
+    held = packing.driven >= 0
+    levels = np.unique([*packing.spin[held], *-packing.spin[held], 0.0])
+    values = np.unique((levels[:, None] - levels) / 2)
+    spins = np.tile(packing.spin, (len(values) ** (~held).sum(), 1))
+    spins[:, ~held] = list(product(values, repeat=(~held).sum()))
+    slips = spins[:, packing.contact].sum(axis=2)
+    acts = (~held)[packing.contact].any(axis=1)
+    power = np.abs(slips[:, acts]) @ packing.friction[acts]
+    return slips[power == power.min()], power.min()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_states_of_discs_are_those_of_all_minima(seed):
+    packing = small_discs(seed)
+    found, (slips, power) = tb.solve(packing), all_minima(packing)
+    assert found.lower_bound <= power <= found.power * (1 + 1e-14)
+    assert found.power == pytest.approx(power, rel=1e-14)
+    least, most = slips.min(axis=0), slips.max(axis=0)
+    rests, always = (least == 0) & (most == 0), (least > 0) | (most < 0)
+    truth = np.where(found.state == 3, 3, np.where(rests, 0, np.where(always, 1, 2)))
+    assert ((found.proven == truth) | (found.proven == 2)).all()
+    if structure_of(packing).bipartite:  # with odd loops the cover may tie where the network does not
+        assert (found.proven == truth).all()
+    acts = found.state != 3
+    assert (found.slip_bound >= np.maximum(-least, most))[acts].all()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_bounds_of_slips_and_power_hold_at_another_minimum(seed):
+    pytest.importorskip("clarabel")
+    packing = drawn(3 * seed + 120)
+    found, (power, _, slip, status, _) = tb.solve(packing), clarabel_least(packing)
+    if status != "Solved":
+        pytest.skip("Clarabel has no minimum of its own")
+    unit = sum(values.sum() for values in packing.coefficients) * max(np.abs(packing.imposed).max(), 0.01)
+    off = 1e-7 * abs(power) + 1e-9 * unit  # what Clarabel reaches
+    assert found.lower_bound <= (2 if packing.law.name == "viscous" else 1) * power + off
+    acts = (found.state != 3) & (packing.coefficients[0] > 1e-3 * packing.coefficients[0].max())
+    lost = np.sqrt(off / unit) * max(np.abs(packing.imposed).max(), 0.01)
+    assert (slip <= found.slip_bound + lost)[acts].all()
+
+
+@pytest.mark.parametrize(("seed", "direction"), [(1, (1, 1, 0)), (2, (1, 0, 0)), (3, (1, 1, 1)), (4, (1, 1, 0))])
+def test_a_cubic_packing_has_the_proven_states_of_the_lattice(seed, direction):
+    values = {"distribution": "bimodal:1,2,0.5"} if seed == 4 else {}
+    scene = tb.Scene.random((4, 3, 4), seed=seed, direction=direction, **values)
+    best, packing = (
+        tb.solve(scene, threads=1),
+        tb.Packing.lattice("cubic", (4, 3, 4), seed=seed, direction=direction, **values),
+    )
+    found = tb.solve(packing)
+    lattice = np.concatenate([np.asarray(of_axis).ravel() for of_axis in best.proven])
+    both = (found.proven < 2) & (lattice < 2)
+    assert (found.proven == lattice)[both].all()
+    assert seed == 4 or (both == (lattice != 3)).all()
+
+
+def test_oblique_lattices_have_proven_slips():
+    found = tb.solve(tb.Packing.lattice("bcc", (3, 3, 4), seed=1))
+    assert (found.proven[found.state == 1] == 1).all()
+    assert found.slip_bound[found.state == 0].max() < 1e-9
+
+
+def test_spheres_that_can_only_roll_prove_that_they_do():
+    """A loop of four hangs on one contact of a driven pair; nothing in it slips, whatever rounding does to normals."""
+    center = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.7, 0.51], [1.2, 1.1, 1.3], [0.1, 1.6, 0.9], [0.7, 2.0, 1.8]])
+    contact = [[0, 2], [1, 2], [2, 3], [2, 4], [3, 5], [4, 5]]
+    pair = np.array([[a, b] for a, b in contact])
+    normal = center[pair[:, 1]] - center[pair[:, 0]]
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    spin = np.array([[1.0, 0.3, 0.2], [-0.4, 0.8, 0.1], *[[0.0] * 3] * 4])
+    found = tb.solve(tb.Packing(center, pair, [0, 1, -1, -1, -1, -1], spin, normal=normal, friction=np.ones(6)))
+    assert found.proof == "proven"
+    assert found.proven[2:].tolist() == [0] * 4
+    assert found.power > 0
+
+
+def test_motions_that_rounding_hides_restrict_the_bound():
+    packing = next(p for p in map(drawn, range(200)) if "times the fastest" in tb.solve(p).proof)
+    found = tb.solve(packing)
+    assert found.status == "certified"
+    assert found.lower_bound > 0
+
+
+def forge(name, change):
+    def forgery(file):
+        if name.startswith("@"):
+            file.attrs[name[1:]] = change(file.attrs[name[1:]])
+        else:
+            file[name][...] = change(file[name][()])
+
+    return forgery
+
+
+def first(value):
+    def change(values):
+        values = values.copy()
+        values.flat[0] = value
+        return values
+
+    return change
+
+
+def shifted(values):
+    return np.roll(values, 1, axis=0)
+
+
+FORGERIES = {
+    **{f"@{name}": lambda value: value * (1 + 1e-9) for name in ("power", "lower_bound", "driven_power")},
+    **{f"@{name}": lambda value: value + 1 for name in (
+        "slipping", "slipless", "undecided", "critical", "contacts", "spheres", "driven_spheres")},
+    "@gap": lambda value: value + 1e-9, "@largest_balance_residual": lambda value: value * 2 + 1,
+    "@status": lambda _: "stalled", "@method": lambda _: "guess", "@proof": lambda _: "proven beyond doubt",
+    "@law": lambda _: "viscous", "@scene": lambda text: text.replace("1e-08", "1e-30"),
+    "spin": shifted, "contact/friction": shifted, "contact/slip": shifted, "contact/power": shifted,
+    "contact/force": shifted, "contact/state": lambda state: 1 - np.minimum(state, 1),
+    "contact/proven": shifted, "contact/slip_bound": lambda values: values / 2,
+    "packing/friction": shifted, "packing/normal_force": lambda values: values * (1 + 1e-9),
+    "packing/radius": lambda values: values * 1.5, "packing/normal": lambda values: values * 1.1,
+    "packing/contact": shifted, "packing/driven": lambda values: np.where(values >= 0, -1, values),
+    "packing/spin": lambda values: values * 2,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_forgeries_are_found(name, tmp_path):
+    packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=3, spin_bottom=0.5)
+    path = write_run(tmp_path / "run.h5", tb.solve(packing))
+    assert verify(path)["verified"]
+    with h5py.File(path, "a") as file:
+        forge(name, FORGERIES[name])(file)
+    assert not verify(path)["verified"]
+
+
+HOSTILE = {
+    "packing/contact": (first(10**9), "contact of contact 0"), "packing/driven": (first(-2), "driven of sphere 0"),
+    "packing/radius": (first(0.0), "radius of sphere 0"), "packing/friction": (first(-1.0), "friction of contact 0"),
+    "packing/center": (first(np.nan), "center of sphere 0"), "packing/normal": (first(np.inf), "normal of contact 0"),
+    "@law": (lambda _: "sticky", "the law 'sticky'"), "@power": (lambda _: np.ones(7), "7 values of 'power'"),
+    "@scene": (lambda _: "= =", "the scene"), "@schema_version": (lambda _: 9, "layout version"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused_in_one_sentence(name, tmp_path):
+    change, words = HOSTILE[name]
+    path = write_run(tmp_path / "run.h5", tb.solve(tb.Packing.lattice("cubic", (3, 3, 3), seed=3)))
+    with h5py.File(path, "a") as file:
+        forge(name, change)(file)
+    with pytest.raises(FileError, match=words) as refusal:
+        verify(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_the_command_line_says_what_is_proven(tmp_path):
+    found = tb.solve(tb.Packing.lattice("bcc", KINDS["bcc"], seed=3))
+    path = write_run(tmp_path / "run.h5", found)
+    told = CliRunner().invoke(bearings, ["verify", str(path)])
+    assert told.exit_code == 0, told.output
+    assert f"packing of {found.packing.spheres} spheres, coulomb, certified" in told.output
+    report = json.loads(CliRunner().invoke(bearings, ["verify", "--json", str(path)]).stdout)
+    assert report["lower_bound"] == found.lower_bound
+    with h5py.File(path, "a") as file:
+        file.attrs["power"] = 2 * found.power
+    assert CliRunner().invoke(bearings, ["verify", str(path)]).exit_code == 1
+
+
+def test_a_file_without_an_array_or_of_another_shape_is_refused(tmp_path):
+    path = write_run(tmp_path / "run.h5", tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
+    with h5py.File(path, "a") as file:
+        values = file["spin"][:-1]
+        del file["spin"]
+        file["spin"] = values
+    with pytest.raises(FileError, match=r"spin of shape \(8,\)"):
+        verify(path)
+    with h5py.File(path, "a") as file:
+        del file["packing/contact"]
+    with pytest.raises(FileError):
+        verify(path)
+
+
+def test_a_number_that_is_none_proves_nothing(tmp_path):
+    path = write_run(tmp_path / "run.h5", tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
+    with h5py.File(path, "a") as file:
+        file["spin"][4] = np.nan
+    report = verify(path)
+    assert not report["verified"]
+    assert report["lower_bound"] is None
+
+
+def test_friction_out_of_balance_is_paid_for():
+    packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=2)
+    found = tb.solve(packing)
+    wrong = found.friction * np.random.default_rng(0).uniform(0.9, 1.1, (packing.contacts, 1))
+    bounds = PackingJudgement.of("coulomb", packing.arrays(), found.spin, wrong).bounds
+    assert 0 <= bounds.lower_bound <= found.power
+    assert bounds.gap > 1e-3
+
+
+def poorer(found, rng):
+    """Spins and friction near those of a minimum: noise that has to be balanced and paid for."""
+    packing, size = found.packing, 10.0 ** rng.uniform(-9, -3)
+    spin = found.spin + size * rng.standard_normal(found.spin.shape) * np.abs(found.spin).max()
+    scale = found.friction.reshape(packing.contacts, -1)
+    noise = size * rng.standard_normal(scale.shape) * np.abs(scale).max(axis=1, keepdims=True)
+    if packing.dimension == 3:
+        noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
+    friction = (scale * (1 - size * rng.integers(0, 2)) + noise).reshape(found.friction.shape)
+    return PackingJudgement.of(packing.law.name, packing.arrays(), spin, friction)
+
+
+@pytest.mark.parametrize("seed", range(36))
+def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
+    packing = drawn(seed + 200)
+    found = tb.solve(packing)
+    judged = poorer(found, np.random.default_rng(seed))
+    unit = np.abs(packing.imposed).max()
+    assert judged.bounds.lower_bound <= found.potential * (1 + 1e-12)
+    assert judged.bounds.upper_bound >= found.lower_bound
+    acts, known = found.state != 3, judged.states.proven
+    assert (found.slip <= judged.slip_bound + 1e-12 * unit)[acts].all()
+    assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()
+    assert (found.slip[acts & (known == 1)] > 0).all()
+    assert not ((known == 1) & (found.proven == 0)).any()
+    assert not ((known == 0) & (found.proven == 1)).any()
