@@ -48,9 +48,9 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 
 @dataclass(frozen=True)
 class Bounds:
-    """least : bounds of the least potential, in units of power; upper is that of the spins, rounded up. proof : PROVEN,
-    or what `lower` is restricted to. size : |F| / s, and sizes of the torques, (N,), of the friction as it is stored.
-    worst : 1 / s. price : what these torques may cost at spins within the box."""
+    """upper, lower : of the least potential, in units of power; of the spins, and of the friction. proof :
+    PROVEN, or what `lower` is restricted to. friction : F, balanced where components mix. worst : 1 / s. size : s |F|.
+    largest_torque, price : of the friction as it is stored; what its torques may cost at spins within the box."""
 
     network: Network
     upper: float
@@ -61,6 +61,7 @@ class Bounds:
     largest_torque: float
     price: float
     springs: Springs | None
+    friction: list[Enclosure]
 
     @classmethod
     def of(cls, network: Network) -> Bounds:
@@ -93,7 +94,7 @@ class Bounds:
         beyond = Enclosure.exact(np.maximum((size.at(soft) - network.holding.at(soft)).upper(), 0.0))
         cost = row_sum((beyond * beyond / network.slope.at(soft)).signed(0.5).reshaped((1, -1)))
         lower = float((work / Enclosure.exact(np.array([worst])) - cost).lower()[0])
-        return cls(network, upper, lower, size, worst, proof, float(left.max(initial=0.0)), price, springs)
+        return cls(network, upper, lower, size, worst, proof, float(left.max(initial=0.0)), price, springs, friction)
 
     @property
     def excess(self) -> float:

@@ -311,7 +311,7 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
         return np.full(len(network.contact), np.inf)
     holding, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
     room = np.maximum((network.holding - bounds.size).lower(), 0.0)
-    moment = np.stack([part.value for part in network.moments(network.own_friction)], axis=1)
+    moment = np.stack([part.value for part in network.moments(bounds.friction)], axis=1)
     across = moment / np.linalg.norm(moment, axis=1)[:, None]
     slides = network.counts & (room <= CLEAR_ROOM * holding) & np.isfinite(across).all(axis=1)
     count, own = len(holding), np.flatnonzero(slides)

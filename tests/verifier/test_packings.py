@@ -246,7 +246,7 @@ def poorer(found, rng):
     """Spins and friction near those of a minimum: noise that has to be balanced and paid for."""
     packing, size = found.packing, 10.0 ** rng.uniform(-9, -3)
     spin = found.spin + size * rng.standard_normal(found.spin.shape) * np.abs(found.spin).max()
-    scale = found.friction.reshape(packing.contacts, -1)
+    scale = found.friction.reshape(packing.contacts, found.spin.size // packing.spheres)
     noise = size * rng.standard_normal(scale.shape) * np.abs(scale).max(axis=1, keepdims=True)
     if packing.dimension == 3:
         noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
