@@ -73,11 +73,12 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         if options.energy:
             spheres, contacts = spheres | {"impulse": c}, contacts | {"work": 1}
         spec = self._spec(spheres, contacts)
-        self.fields: Any = ListFields(network.lists, spec)
-        self._load_contacts(self.fields)
+        fields: Any = ListFields(network.lists, spec)
+        self.fields = fields
+        self._load_contacts(fields)
         self.fields.load("is_free", np.where(network.lattice.is_driven, 0.0, 1 / self.inertia)[None, None])
         self._load_gear(spins)
-        self.team = Team(self.fields.team_size)
+        self.team = Team(fields.team_size)
         steps: Any = list_sweeps(CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order])
         self.steps = steps
         self.steps.compile(self.fields, self.team)
@@ -127,11 +128,12 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
         if self.averages:
             spheres, contacts = spheres | {"spin_sum": c}, {"force_sum": d}
         spec = self._spec(spheres, contacts)
-        self.fields: Any = ListFields(network.lists, spec)
-        self._load_contacts(self.fields)
+        fields: Any = ListFields(network.lists, spec)
+        self.fields = fields
+        self._load_contacts(fields)
         self._load_spins(spins)
         self.viscosity = self._viscosity()
-        self.team, self.sweeps = Team(self.fields.team_size), list_sweeps(DescentLists, spec, network.law.name, ())
+        self.team, self.sweeps = Team(fields.team_size), list_sweeps(DescentLists, spec, network.law.name, ())
         self._begin()
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
