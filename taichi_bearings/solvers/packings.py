@@ -23,10 +23,11 @@ from taichi_bearings.solvers.drive import Monitor, _Course
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
+from taichi_bearings.solvers.implicit_packing import ImplicitCundallStrackOfPacking
 from taichi_bearings.solvers.network import Network, OnNetwork
 from taichi_bearings.solvers.recording import Recording, parse_times
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
-from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, MethodOptions
+from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, ImplicitCundallStrack, MethodOptions
 from taichi_bearings.words import meant, shown
 
 
@@ -157,6 +158,7 @@ DEVICES = ("arch", "precision", "threads")
 BUILT: dict[type[MethodOptions], Any] = {
     CundallStrack: CundallStrackOfPacking,
     GradientDescent: GradientDescentOfPacking,
+    ImplicitCundallStrack: ImplicitCundallStrackOfPacking,
 }
 
 
