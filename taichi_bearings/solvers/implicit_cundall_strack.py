@@ -81,8 +81,8 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         with one_thread():  # once for all, so that the kernels are compiled before the clock starts
             self.stage.matrix.factorise(isotropic(self.system.offset), 1.0)
 
-    def free_spins(self, staggered: np.ndarray) -> list[np.ndarray]:
-        """Unknowns of each replica."""
+    def free_spins(self, staggered: np.ndarray) -> np.ndarray:
+        """(R, unknowns)."""
         return free_spins(staggered)
 
     def place_free_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:

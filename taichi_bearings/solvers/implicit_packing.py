@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.conic.grouped import Arrays, Grouped, isotropic
-from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.motions import Motions
 from taichi_bearings.packing.newton import NewtonMatrix
@@ -106,8 +105,8 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
     def unit_inertia(self) -> float:
         return float(self.inertia[self.free].mean())
 
-    def free_spins(self, staggered: np.ndarray) -> list[np.ndarray]:
-        return [staggered[:, 0, self.free].T.ravel() / self.system.scale]
+    def free_spins(self, staggered: np.ndarray) -> np.ndarray:
+        return (staggered[:, 0, self.free].T.ravel() / self.system.scale)[None]
 
     def place_free_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
         staggered[:, 0, self.free] = (spins * self.system.scale).reshape(-1, len(staggered)).T
