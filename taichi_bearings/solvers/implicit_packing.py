@@ -103,7 +103,7 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
 
     @property
     def unit_inertia(self) -> float:
-        return float(self.inertia[self.free].mean())
+        return float(self.inertia[self.free].mean()) if self.free.any() else 1.0
 
     def free_spins(self, staggered: np.ndarray) -> np.ndarray:
         return (staggered[:, 0, self.free].T.ravel() / self.system.scale)[None]

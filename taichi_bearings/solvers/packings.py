@@ -65,7 +65,8 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         self.inertia: Any = network.inertias(options.mass, options.inertia, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
         self.rest = RestWatch(*self.checks, np.full(1, np.inf))
-        self.stability_bound = self._stability_bound(network)
+        bound = self._stability_bound(network)
+        self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
         spheres = {f"gear_{n}": c for n in range(options.gear_order + 1)} | {"predicted": c, "is_free": 1}
         contacts = dict[str, int]()
@@ -110,7 +111,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
     def is_believed(self, found: Any) -> bool:
         """By the best bound so far; where none is proven as with static_ratio > 1."""
         if not self.scene.proven > 0:
-            return self.time >= self._loading_time()
+            return not len(self.scene.acting) or self.time >= self._loading_time()
         return super().is_believed(replace(found, lower_bound=np.array([self.scene.proven])))
 
 

@@ -259,3 +259,14 @@ def test_times_asked_for_are_rows_of_the_history():
     assert found.history["time"] == pytest.approx([0.002, 0.004, 0.006, 0.008, 0.01], abs=5e-5)
     assert found.status == "finished"
     assert found.time == found.history["time"][-1]
+
+
+@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent", "implicit-cundall-strack"])
+@pytest.mark.parametrize(
+    ("driven", "contact"), [([0, 1], [[0, 1]]), ([-1, -1], [[0, 1]]), ([0, -1], np.zeros((0, 2), int))]
+)
+def test_nothing_free_nothing_driven_and_no_contact(driven, contact, method):
+    packing = tb.Packing([[0, 0], [1, 0]], contact, driven, [1.0, 0.5], friction=[0.5] * len(contact))
+    found = tb.solve(packing, method, iterations=50)
+    assert (found.power, found.lower_bound, found.status) == (0, 0, "certified")
+    assert found.spin.tolist() == np.where(np.array(driven) >= 0, [1.0, 0.5], 0.0).tolist()
