@@ -202,12 +202,15 @@ def describe_packing(summary: dict[str, Any], times: str) -> str:
     others = _others(summary["undecided"], summary["critical"], 0)
     motions = summary["slipless_motions"]
     free = "not decided" if motions is None else f"{motions:,}"
+    states = "the contact states are proven"
+    if summary["unproven"]:
+        states = f"of {summary['contacts'] - summary['unproven']:,} contacts it is proven what they are called"
     lines = [
         f"{summary['spheres']:,} spheres, {summary['driven_spheres']:,} of them driven, {summary['law']}, "
         f"{summary['method']}: {summary['status']}",
         f"  P = {summary['power']:.12g}, {proven}; of {summary['contacts']:,} contacts "
         f"{summary['slipping']:,} slip, {summary['slipless']:,} do not, {others}",
-        f"  slipless motions beside: {free}",
+        f"  {states}; slipless motions beside: {free}",
     ]
     if summary["driven_power"]:
         lines.append(f"  contacts between driven spheres dissipate {summary['driven_power']:.12g} beside")

@@ -22,9 +22,10 @@ from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storabl
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import CONTACTS, SPHERES
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
 from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.run_directory import RunDirectory, claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
@@ -32,7 +33,7 @@ from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, p
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.solvers.table import InteriorPoint
+from taichi_bearings.solvers.table import METHODS, InteriorPoint
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import shown
@@ -60,10 +61,11 @@ FRICTION_OF_SECOND = {
     3: "friction on the second sphere, laboratory frame",
 }
 """By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-CONTACT_SETS = ("slip", "power", "force", "state", "friction")  # of the group /contact
+MAY_LACK = ("proven", "slip_bound")
+CONTACT_SETS = ("slip", "power", "force", "state", "friction", *MAY_LACK)  # of the group /contact
 READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
 SIZES = ("radius", "normal_force")
-KEPT = ("law", "tolerance", "seed", "threads", "figures")  # keys in scene.toml; run.h5 has what the others led to
+LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}  # keys that are not kept; run.h5 has what they led to
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,8 @@ class PackingRun:
         """The numbers of the run, as in `--json` of `run`."""
         result, packing = self.result, self.result.packing
         states = np.bincount(result.state, minlength=4).tolist()
+        proven = np.full(packing.contacts, ContactState.UNDECIDED) if result.proven is None else result.proven
+        unproven = int(((proven == ContactState.UNDECIDED) & (result.state != ContactState.DRIVEN)).sum())
         numbers = {
             "power": result.power,
             **({"potential": result.potential} if packing.kind.minimises == "potential" else {}),
@@ -106,10 +110,14 @@ class PackingRun:
             "slipless": states[ContactState.SLIPLESS],
             "undecided": states[ContactState.UNDECIDED],
             "critical": result.critical,
+            "states_proven": unproven == 0,
+            "unproven": unproven,
             "driven_power": result.driven_power,
             "slipless_motions": result.slipless_motions,
             "largest_balance_residual": result.unbalanced,
             "version": VERSION,
+            **({} if result.time is None else {"time": result.time}),
+            **({} if self.settings.duration is None else {"duration": self.settings.duration}),
             "warnings": [] if result.proof == "proven" else [f"what is proven of the least power: {result.proof}"],
             "coefficients": None,
             "run": None if self.path is None else str(self.path),
@@ -130,11 +138,12 @@ def packing_of(settings: RunSettings) -> Packing:
     with other driven bodies than planes."""
     given = settings.given
     used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
-    if strange := [key for key in given if key not in used]:
+    row = InteriorPoint if settings.method == "auto" else METHODS[settings.method]
+    if strange := [key for key in given if key not in (*used, *options_of(row))]:
         raise InputError(
             f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
         )
-    if unused := settings.unused(InteriorPoint):
+    if unused := settings.unused(row):
         raise InputError(next(iter(unused.values())))
     if settings.packing is None:
         return _lattice(settings)
@@ -178,7 +187,7 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
         packing = packing_of(settings)
     with run_directory(out or default_run_path(), force) as directory:
         with stage("solving"):
-            result = solve_packing(packing, settings.tolerance)
+            result = _solved(settings, packing)
         found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]))
         with awaited() as heard:
             found = publish_packing(directory, found)
@@ -188,6 +197,23 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
             with stage("drawing"):
                 _draw(found)
     return found
+
+
+STOPS = ("iterations", "time_limit", "duration", "record")
+DEVICE = ("arch", "precision", "threads")
+
+
+def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
+    if settings.method == "auto":
+        if strange := settings.given.keys() & {"initial", *STOPS}:
+            raise InputError(f"{min(strange)} is given, but method auto of a packing does not use it")
+        return solve_packing(packing, settings.tolerance)
+    from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
+
+    row = METHODS[settings.method]
+    options = {key: value for key in options_of(row) if (value := getattr(settings, key)) is not None}
+    others = {key: value for key in (*STOPS, *DEVICE) if (value := getattr(settings, key)) is not None}
+    return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 
 def publish_packing(directory: RunDirectory, found: PackingRun) -> PackingRun:
@@ -201,7 +227,8 @@ def publish_packing(directory: RunDirectory, found: PackingRun) -> PackingRun:
 
 
 def _write(folder: Path, found: PackingRun) -> None:
-    stored = replace(RunSettings(packing="run.h5"), **{key: getattr(found.settings, key) for key in KEPT})
+    kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
+    stored = RunSettings(**{**kept, "packing": "run.h5"})
     origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
     write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
     write_text(folder / "scene.toml", stored.to_toml())
@@ -226,6 +253,8 @@ def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) ->
         column = getattr(result, "power_per_contact" if name == "power" else name, None)
         if column is not None:
             put(f"contact/{name}", column, row.unit, row.text)
+    for name, column in result.history.items():
+        put(f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
     put("contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
 
 
@@ -323,7 +352,8 @@ def read_packing_run(run: Path) -> PackingRun:
             packing = packing_of(replace(settings, packing=str(path)))
         except InputError as error:
             raise FileError(f"{path} is damaged or was changed: {error}") from None
-        arrays = {name: _whole(path, file, name, packing) for name in ("spin", *map("contact/{}".format, CONTACT_SETS))}
+        names = ["spin", *(f"contact/{n}" for n in CONTACT_SETS if n not in MAY_LACK or f"contact/{n}" in file)]
+        arrays = {name: _whole(path, file, name, packing) for name in names}
         sets: dict[str, Any] = {name.removeprefix("contact/"): values for name, values in arrays.items()}
         number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
         motions = attributes["slipless_motions"]
@@ -337,6 +367,8 @@ def read_packing_run(run: Path) -> PackingRun:
             slipless_motions=None if motions == "" else int(motions),
             unbalanced=float(attributes["largest_balance_residual"]),
             iterations=int(attributes["iterations"]),
+            history=_history(path, file),
+            time=None if "time" not in attributes else float(attributes["time"]),
             **sets,
             **number,
         )
@@ -357,6 +389,16 @@ def packing_to_draw(
         yield found, path
 
 
+def _history(path: Path, file: h5py.File) -> dict[str, np.ndarray]:
+    """Columns of the history; FileError for what is none."""
+    if "history" not in file:
+        return {}
+    columns = {name: file[f"history/{name}"] for name in CHECK_ROWS if f"history/{name}" in file}
+    if strange := [name for name, column in columns.items() if column.ndim != 1 or column.dtype.kind not in "fiu"]:
+        raise FileError(f"history/{strange[0]} in {path} is damaged: it must hold numbers, one a check")
+    return {name: column[()] for name, column in columns.items()}
+
+
 def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarray:
     """A data set of a run file; FileError for one whose shape or numbers cannot be."""
     components = () if packing.dimension == 2 else (3,)
@@ -366,7 +408,7 @@ def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarr
     if stored.shape != shape or stored.dtype.kind not in "fiu":
         raise FileError(f"{name} in {path} is damaged: it has shape {stored.shape}, and must have {shape}")
     values = stored[()]
-    if not np.isfinite(values).all():
+    if np.isnan(values).any() or not (name == "contact/slip_bound" or np.isfinite(values).all()):
         raise FileError(f"{name} in {path} is damaged: it must hold finite numbers")
     if name == "contact/state" and values.max(initial=0) > ContactState.DRIVEN:
         raise FileError(f"{name} in {path} is damaged: states are 0 to 3")

@@ -77,7 +77,8 @@ TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4
 BETWEEN_PLANES = "planes"
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 OF_PACKINGS = (
-    "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "threads", "figures",
+    "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",
+    "initial", "iterations", "time_limit", "duration", "record", "arch", "precision", "threads",
 )  # fmt: skip
 """Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
 

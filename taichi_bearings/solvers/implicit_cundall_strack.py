@@ -11,6 +11,7 @@ factor, and K g acts as the penalty of the method of multipliers: the proven gap
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -59,14 +60,18 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
     same_force, checks = 1e-9, (1, 32, 1 / 16)
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        options, axes = self.options, self.spin_axes
-        self.system = lattice_system(scene.lattice, axes, scene.top_spin(axes))
-        staggered = scene.staggered_spin(spin, axes)
+        axes = self.spin_axes
+        self.system: Any = lattice_system(scene.lattice, axes, scene.top_spin(axes))
+        self._begin(scene.staggered_spin(spin, axes))
+
+    def _begin(self, staggered: np.ndarray) -> None:
+        """From these spins (C, R, *N), with springs that nothing stretches."""
+        scene, options, axes = self.scene, self.options, self.spin_axes
         self.spin_scale = float(np.abs(staggered).max()) or 1.0
         self.staggered = scene.impose_driving(staggered, axes)
         self._set_stage()
-        self.elongation, self.force = np.zeros((2, len(axes), scene.replicas, scene.lattice.all_contacts))
-        for replica, spins in enumerate(free_spins(self.staggered)):
+        self.elongation, self.force = np.zeros((2, *self.differences(staggered).shape))
+        for replica, spins in enumerate(self.free_spins(self.staggered)):
             self.system.scatter_vectors(self._force_at_start(replica, spins), self.force, replica)
         self.open_books(self.staggered)
         longest = self._longest_step()
@@ -76,9 +81,26 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         with one_thread():  # once for all, so that the kernels are compiled before the clock starts
             self.stage.matrix.factorise(isotropic(self.system.offset), 1.0)
 
+    def free_spins(self, staggered: np.ndarray) -> np.ndarray:
+        """(R, unknowns)."""
+        return free_spins(staggered)
+
+    def place_free_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        place_free_spins(staggered, replica, spins)
+
+    def _matrix(self) -> Any:
+        return NewtonMatrix(self.system, dissect(self.scene.lattice, self.spin_axes))
+
+    def _conserved(self) -> np.ndarray:
+        return _conserved_modes(self.scene, self.spin_axes)
+
+    @property
+    def unit_inertia(self) -> float:
+        """Of the unknowns."""
+        return self.inertia
+
     def _set_stage(self) -> None:
-        scene = self.scene
-        matrix = NewtonMatrix(self.system, dissect(scene.lattice, self.spin_axes))
+        scene, matrix = self.scene, self._matrix()
         replicas = range(scene.replicas)
         self.strength = [
             scene.strength * self.system.gather(scene.positive_coefficient, replica) for replica in replicas
@@ -88,12 +110,13 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         strongest = max(strength.max() for strength in self.strength)
         if not scene.law.holds:
             strongest *= scene.lattice.radius * self.spin_scale
-        conserved = _conserved_modes(scene, self.spin_axes)
-        self.stage = FrictionStage(self.system, matrix, scene.lattice.radius, conserved, self.spin_scale, strongest)
+        self.stage = FrictionStage(
+            self.system, matrix, scene.lattice.radius, self._conserved(), self.spin_scale, strongest
+        )
 
     def _friction(self, replica: int, span: float) -> Friction:
         """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
-        strength, inertia = self.strength[replica], self.inertia / span if span > 0 else np.inf
+        strength, inertia = self.strength[replica], self.unit_inertia / span if span > 0 else np.inf
         if not self.scene.law.holds:
             return Friction(each(np.full_like, strength, np.inf), strength, inertia)
         resistance = self.options.stiffness * span + self.options.damping
@@ -110,11 +133,11 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""
         scene, radius = self.scene, self.scene.lattice.radius
         if scene.law.holds:
-            longest = np.sqrt(self.inertia / self.options.stiffness) / radius
+            longest = np.sqrt(self.unit_inertia / self.options.stiffness) / radius
         else:
-            longest = self.inertia / (radius**2 * float(scene.coefficient.max()))
+            longest = self.unit_inertia / (radius**2 * float(scene.coefficient.max()))
         forces = (self.system.gather_vectors(self.force, replica) for replica in range(scene.replicas))
-        fastest = max(_mean_size(radius / self.inertia * self.system.torques(force)) for force in forces)
+        fastest = max(_mean_size(radius / self.unit_inertia * self.system.torques(force)) for force in forces)
         change = self.options.error_tolerance * self.stage.spin_scale
         return min(longest, change / fastest) if fastest > 0 else longest
 
@@ -142,7 +165,7 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         for _ in range(MOST_RETREATS):
             arrives = 0 < left <= planned * (1 + 1e-12)
             span = left if arrives else planned
-            tried = [self._tried(*sample, span) for sample in enumerate(free_spins(self.staggered))]
+            tried = [self._tried(*sample, span) for sample in enumerate(self.free_spins(self.staggered))]
             found = [new for new in tried if new is not None]
             if len(found) < len(tried):
                 planned, most = FAILED_CHANGE * span, 1.0
@@ -164,7 +187,7 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         before, self.staggered = self.staggered, self.staggered.copy()
         self.elongation, self.force, mean = np.zeros((3, *self.force.shape))
         for replica, new in enumerate(found):
-            place_free_spins(self.staggered, replica, new.spins)
+            self.place_free_spins(self.staggered, replica, new.spins)
             self.system.scatter_vectors(new.elongation, self.elongation, replica)
             self.system.scatter_vectors(new.force, self.force, replica)
             self.system.scatter_vectors(new.mean_force, mean, replica)
@@ -202,7 +225,7 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         if end is None:
             return None
         stuck = (end.held - damping * self.system.differences(end.spins)) / stiffness
-        of_force, of_past = self.options.after_slip(self.inertia / friction.inertia)
+        of_force, of_past = self.options.after_slip(self.unit_inertia / friction.inertia)
         return end, where(end.slips, of_force * end.held + of_past * elongation, stuck)
 
     def _bearable(self, friction: Friction, elongation: Arrays) -> Arrays:

@@ -49,6 +49,7 @@ class Network:
         self.across = tangents(packing.normal[self.acting])
         self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
         self.acting_coefficient, self.viscosities = self.contact[0], self.law.viscosity(self.contact)
+        self.coefficient = self.positive_coefficient = self.acting_coefficient
         self.viscosity_beside_friction = self.viscosities if self.law.holds else None
         self.components, held = packing.imposed.shape[1], packing.driven >= 0
         self.lattice = SimpleNamespace(radius=1.0, is_driven=held)

@@ -23,10 +23,11 @@ from taichi_bearings.solvers.drive import Monitor, _Course
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
+from taichi_bearings.solvers.implicit_packing import ImplicitCundallStrackOfPacking
 from taichi_bearings.solvers.network import Network, OnNetwork
 from taichi_bearings.solvers.recording import Recording, parse_times
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
-from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, MethodOptions
+from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, ImplicitCundallStrack, MethodOptions
 from taichi_bearings.words import meant, shown
 
 
@@ -64,7 +65,8 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         self.inertia: Any = network.inertias(options.mass, options.inertia, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
         self.rest = RestWatch(*self.checks, np.full(1, np.inf))
-        self.stability_bound = self._stability_bound(network)
+        bound = self._stability_bound(network)
+        self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
         spheres = {f"gear_{n}": c for n in range(options.gear_order + 1)} | {"predicted": c, "is_free": 1}
         contacts = dict[str, int]()
@@ -73,11 +75,12 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         if options.energy:
             spheres, contacts = spheres | {"impulse": c}, contacts | {"work": 1}
         spec = self._spec(spheres, contacts)
-        self.fields: Any = ListFields(network.lists, spec)
-        self._load_contacts(self.fields)
+        fields: Any = ListFields(network.lists, spec)
+        self.fields = fields
+        self._load_contacts(fields)
         self.fields.load("is_free", np.where(network.lattice.is_driven, 0.0, 1 / self.inertia)[None, None])
         self._load_gear(spins)
-        self.team = Team(self.fields.team_size)
+        self.team = Team(fields.team_size)
         steps: Any = list_sweeps(CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order])
         self.steps = steps
         steps.compile(self.fields, self.team)
@@ -108,7 +111,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
     def is_believed(self, found: Any) -> bool:
         """By the best bound so far; where none is proven as with static_ratio > 1."""
         if not self.scene.proven > 0:
-            return self.time >= self._loading_time()
+            return not len(self.scene.acting) or self.time >= self._loading_time()
         return super().is_believed(replace(found, lower_bound=np.array([self.scene.proven])))
 
 
@@ -127,11 +130,12 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
         if self.averages:
             spheres, contacts = spheres | {"spin_sum": c}, {"force_sum": d}
         spec = self._spec(spheres, contacts)
-        self.fields: Any = ListFields(network.lists, spec)
-        self._load_contacts(self.fields)
+        fields: Any = ListFields(network.lists, spec)
+        self.fields = fields
+        self._load_contacts(fields)
         self._load_spins(spins)
         self.viscosity = self._viscosity()
-        self.team, self.sweeps = Team(self.fields.team_size), list_sweeps(DescentLists, spec, network.law.name, ())
+        self.team, self.sweeps = Team(fields.team_size), list_sweeps(DescentLists, spec, network.law.name, ())
         self._begin()
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
@@ -155,6 +159,7 @@ DEVICES = ("arch", "precision", "threads")
 BUILT: dict[type[MethodOptions], Any] = {
     CundallStrack: CundallStrackOfPacking,
     GradientDescent: GradientDescentOfPacking,
+    ImplicitCundallStrack: ImplicitCundallStrackOfPacking,
 }
 
 
@@ -203,7 +208,8 @@ def follow_packing(
         course = _Course(scene, built, stop, recording, None, interrupt)
         status, last, seconds = course.follow(monitors)
         found = _answer(network, course, row.name, tolerance, begun)
-    if status not in (Status.CERTIFIED, Status.STALLED):
+    cut_short = "duration" in stops and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+    if found.status != Status.CERTIFIED.value or cut_short:
         found = replace(found, status=status.value)
     columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
     return replace(found, history=columns, time=last.time, seconds=seconds, iterations=last.iteration)

@@ -70,15 +70,29 @@ def test_a_free_disc_is_driven_by_another_one_as_the_exact_solution_says(needs_f
         assert found.spin.reshape(2, -1)[1, :-1] == pytest.approx(0)  # about the contact nothing turns
 
 
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)])
+def test_implicit_steps_of_a_lattice_given_as_packing_are_those_of_its_scene(shape, law, needs_f64):
+    """To what Newton's method leaves of a stage; the books close to rounding."""
+    scene = tb.Scene.random(shape, seed=3, law=law, spin_bottom=-1.0)
+    options = tb.ImplicitCundallStrack(time_step=0.5 if law == "viscous" else 2e-3)
+    twin = drive.solve(scene, options.build(), initial_spin(scene, "random"), StopRule(iterations=20, tolerance=1e-14))
+    found = tb.solve(as_packing(scene, shape), options, start="random", iterations=20, tolerance=1e-14)
+    assert found.history["iteration"][-1] == 20
+    assert found.spin == pytest.approx(twin.spin[0].reshape(found.spin.shape), abs=1e-9)
+    assert found.history["power"] == pytest.approx(twin.history["power"][:, 0], rel=1e-8)
+    assert np.abs(found.history["energy_residual"]).max() < 1e-13
+
+
 @pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent"])
+@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent", "implicit-cundall-strack"])
 def test_random_networks_end_at_the_proven_minimum(method, seed, needs_f64):
     """Odd loops, several bodies, floating parts and rattlers, radii over two decades; all laws, in 2D and 3D."""
     law, dimension = LAWS[seed % 3], 2 + seed // 3 % 2
     packing = random_packing(np.random.default_rng([44, seed]), dimension, law, contrast=1)
-    least, dynamic = tb.solve(packing), method == "cundall-strack"
-    options = tb.CundallStrack(stiffness=1e3, damping=30.0) if dynamic else method
-    weights = {"density": 1 / packing.radius**dimension} if dynamic else {}
+    least = tb.solve(packing)
+    options = tb.CundallStrack(stiffness=1e3, damping=30.0) if method == "cundall-strack" else method
+    weights = {} if method == "gradient-descent" else {"density": 1 / packing.radius**dimension}
     found = tb.solve(packing, options, start="random", iterations=200_000, tolerance=1e-6, **weights)
     natural = sum(values.sum() for values in packing.coefficients) * (np.abs(packing.imposed).max() or 1.0)
     assert found.status == "certified"
@@ -245,3 +259,14 @@ def test_times_asked_for_are_rows_of_the_history():
     assert found.history["time"] == pytest.approx([0.002, 0.004, 0.006, 0.008, 0.01], abs=5e-5)
     assert found.status == "finished"
     assert found.time == found.history["time"][-1]
+
+
+@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent", "implicit-cundall-strack"])
+@pytest.mark.parametrize(
+    ("driven", "contact"), [([0, 1], [[0, 1]]), ([-1, -1], [[0, 1]]), ([0, -1], np.zeros((0, 2), int))]
+)
+def test_nothing_free_nothing_driven_and_no_contact(driven, contact, method):
+    packing = tb.Packing([[0, 0], [1, 0]], contact, driven, [1.0, 0.5], friction=[0.5] * len(contact))
+    found = tb.solve(packing, method, iterations=50)
+    assert (found.power, found.lower_bound, found.status) == (0, 0, "certified")
+    assert found.spin.tolist() == np.where(np.array(driven) >= 0, [1.0, 0.5], 0.0).tolist()
