@@ -73,7 +73,7 @@ ASKED = {  # parts by which others ask for a verdict
     "network_states", "stored_packing", "packing_verdict",
 }  # fmt: skip
 ASKING = {
-    "solvers/answer.py": ASKED, "packing/answer.py": ASKED, "runs/verify.py": ASKED,
+    "solvers/answer.py": ASKED, "packing/answer.py": ASKED, "solvers/network.py": ASKED, "runs/verify.py": ASKED,
     "studies/paper/supplement.py": ASKED | {"curvature", "motion"},
 }  # fmt: skip
 

@@ -199,20 +199,20 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
     return found
 
 
-STOPS = ("iterations", "time_limit", "duration", "record")
-DEVICE = ("arch", "precision", "threads")
+STOPPED_BY = ("iterations", "time_limit", "duration", "record")
+ON_DEVICE = ("arch", "precision", "threads")
 
 
 def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
     if settings.method == "auto":
-        if strange := settings.given.keys() & {"initial", *STOPS}:
+        if strange := settings.given.keys() & {"initial", *STOPPED_BY}:
             raise InputError(f"{min(strange)} is given, but method auto of a packing does not use it")
         return solve_packing(packing, settings.tolerance)
     from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
 
     row = METHODS[settings.method]
     options = {key: value for key in options_of(row) if (value := getattr(settings, key)) is not None}
-    others = {key: value for key in (*STOPS, *DEVICE) if (value := getattr(settings, key)) is not None}
+    others = {key: value for key in (*STOPPED_BY, *ON_DEVICE) if (value := getattr(settings, key)) is not None}
     return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 

@@ -23,8 +23,8 @@ PACKING_METHODS = ("planar-cut", "interior-point", "linear-solver", *FOLLOWED)
 NORMAL_ERROR = 1e-6  # of the length of a normal, and between those of two contacts of the same spheres
 CHECKED_OF_PACKINGS = {
     "power", "potential", "lower_bound", "gap", "proof", "law", "spheres", "driven_spheres", "contacts", "slipping",
-    "slipless", "undecided", "critical", "unproven", "states_proven", "driven_power", "largest_balance_residual", "tolerance", "shape", "scene",
-    "schema", "schema_version", "sha256",
+    "slipless", "undecided", "critical", "unproven", "states_proven", "driven_power", "largest_balance_residual",
+    "tolerance", "shape", "scene", "schema", "schema_version", "sha256",
 }  # fmt: skip
 
 
