@@ -19,14 +19,24 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.law import COULOMB
+from taichi_bearings.scene.ramp import Ramp
+from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Scene], Solution]
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
 AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
 
 
-def refuse_driven(settings: RunSettings) -> None:
-    """InputError for settings that say how fast the top turns, or that the bottom does."""
+def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
+    """InputError for settings that say how fast the top turns, or that the bottom does, and for a torque in time
+    without a dynamics or a dynamics without a duration or from another start than rest."""
+    rises, initial = settings.torque is not None and Ramp.of(settings.torque).rises, settings.initial
+    if rises and not method.is_dynamics:
+        raise InputError(f"torque is {settings.torque}, which grows in time; it needs --method cundall-strack")
+    if method.takes_torque and method.is_dynamics and settings.duration is None:
+        raise InputError(f"torque is {settings.torque}, and duration is not given; a dynamics needs how long it acts")
+    if method.is_dynamics and initial not in ("linear", "zero"):
+        raise InputError(f"initial is {initial!r}, but under a torque a dynamics starts at rest; leave it out")
     at_rest = settings.top is not None and not any(settings.bottom or ())
     for key in ("spin_top", "spin_bottom", *(() if at_rest else ("bottom",))):
         if key in settings.given:
@@ -36,8 +46,16 @@ def refuse_driven(settings: RunSettings) -> None:
             )
 
 
-def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
-    """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes.
+def by_friction(solution: Solution, solve: Solve) -> Solution:
+    """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
+    scene = solution.scene
+    both = scene.law.holds and scene.law.flows
+    return solve(replace(scene, law=COULOMB, viscosity=())) if both else solution
+
+
+def under_torque(solution: Solution, friction: Solution, torque: float, solve: Solve) -> Solution:
+    """The motion of strength 1, with what the torque does beside it. friction : the same with friction alone.
+    solve : the same for other scenes.
 
     yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
     force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
@@ -46,7 +64,6 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     scene = solution.scene
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
-        friction = solve(replace(scene, law=COULOMB, viscosity=())) if scene.law.flows else solution
         low, high = friction.lower_bound, friction.power
     yields, held = np.abs(torque) > high * SURELY, np.abs(torque) <= low
     amplitude = np.where(held, 0.0, np.nan)
