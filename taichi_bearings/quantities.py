@@ -223,6 +223,7 @@ FINDINGS = _named(
         Quantity("yield_torque_lower_bound", "force*length", "torque that friction is proven to hold"),
         Quantity("amplitude", "1", "strength of the motion under the torque, 1 for that of the run; 0 where it holds"),
         Quantity("torque_at_yield", "force*length", "torque at the moment from which on the top turns"),
+        Quantity("torque_at_yield_error", "force*length", "about by how much inertia and viscosity make it too large"),
         Quantity("time_at_yield", "time", "simulated time from which on the top turns"),
         Quantity("newton_steps", "1", "factorisations of a dynamics with implicit steps"),
     ]

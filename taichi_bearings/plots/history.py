@@ -11,8 +11,11 @@ from taichi_bearings.scene import Solution
 
 @in_our_style
 def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
-    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics)."""
+    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics); where a
+    torque turns the top, how fast it does."""
     history, scene = solution.history, solution.scene
+    if "torque" in history:
+        return _draw_turning(solution, page)
     width = page.inches("single")
     figure = plain_figure(width, 0.85 * width + 0.4, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
@@ -38,4 +41,30 @@ def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
     if scale == "log":
         label_in_plain_text(bottom.xaxis, bottom.yaxis)
     figure.align_ylabels()
+    return figure
+
+
+def _draw_turning(solution: Solution, page: Page) -> Figure:
+    """Strength of the motion of the top against a torque that grows, or else against time; with the bounds between
+    which the torque is proven to set it in motion, and the moment at which it did."""
+    history, found = solution.history, solution.findings
+    width = page.inches("single")
+    figure = plain_figure(width, 0.75 * width, page.dpi)
+    axes, torque, strength = figure.subplots(), history["torque"], np.abs(history["amplitude"])
+    rises = np.ptp(torque) > 0
+    x, moment = (torque, "torque_at_yield") if rises else (history["time"][:, None] + 0 * torque, "time_at_yield")
+    turning = axes.plot(x, np.where(strength > 0, strength, np.nan), color=BLUE)
+    marks = [(turning[0], "top")]
+    if rises:
+        way = -1.0 if torque[-1, 0] < 0 else 1.0
+        for name, label, dashes in (("_lower_bound", "proven to be held", "--"), ("", "proven not to be held", "-")):
+            lines = [axes.axvline(way * value, color=ORANGE, ls=dashes) for value in found[f"yield_torque{name}"]]
+            marks.append((lines[0], label))
+    turns = [axes.axvline(value, color=GREY, ls=":") for value in found[moment] if np.isfinite(value)]
+    marks += [(line, "begins to turn") for line in turns[:1]]
+    axes.legend(*zip(*marks, strict=True), frameon=True, framealpha=0.85, edgecolor="none")
+    name = "torque (force · length)" if rises else "time"
+    title = f"{describe(solution.scene, None)}\n{solution.method}"
+    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion", title=title)
+    label_in_plain_text(axes.yaxis)
     return figure

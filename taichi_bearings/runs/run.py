@@ -364,6 +364,8 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
             _refuse_past(path, stored.duration, checkpoint.arrays or {})
+            if stored.torque is not None and Ramp.of(stored.torque).rises:
+                raise InputError(f"duration cannot change when a run is resumed with torque {stored.torque}: it says how fast that rises")
         job = prepare(
             RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
         )

@@ -78,7 +78,7 @@ def under_torque(solution: Solution, friction: Solution, torque: float, solve: S
         "yields": yields,
         "yield_torque": high,
         "yield_torque_lower_bound": low,
-        "amplitude": np.sign(torque) * amplitude if torque else amplitude,
+        "amplitude": np.sign(torque) * amplitude + 0.0 if torque else amplitude,
     }
     return replace(solution, findings={**solution.findings, **found})
 

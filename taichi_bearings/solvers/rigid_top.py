@@ -13,8 +13,9 @@ stretch (that holds for springs that relax; a reset one may jump)
     T_low angle <= E (4 s + s^2 / (1 - s)).
 
 A top that has turned farther than with s = SAFE is beyond s T_low. It turns since it was last no faster than a ramp,
-up to T_low, needs for that angle: this is the moment of yield. Inertia delays it by about (2 I_a angle / T_low)^(1/2),
-viscosity Q by Q angle / T_low, whatever the ramp; the torque of that moment is too large by so much times its rate.
+up to T_low, needs for that angle: this is the moment of yield. It comes late by about (2 I angle / T_low)^(1/2), with
+I a^2 / 2 the kinetic energy of all spheres in the motion of least dissipation, and by Q angle / T_low more, with Q a^2
+what viscosity takes there; the torque of that moment is too large by so much times its rate.
 """
 
 from dataclasses import replace
@@ -50,6 +51,7 @@ class RigidTopMethod(CundallStrackMethod):
         self.limit, held = safe_angle(friction, options.stiffness), friction.lower_bound
         creep = self.limit * abs(self.rate)
         self.creep = np.divide(creep, held, out=np.zeros_like(creep), where=held > 0)
+        self.friction = friction
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
@@ -59,6 +61,14 @@ class RigidTopMethod(CundallStrackMethod):
         body = self.options.gear_order + 1 + len(BODY_NUMBERS)
         self.spec = (*spec, ("state", len(self.spin_axes)), ("first", 1), ("body", body))
         return self.spec
+
+    def _delay(self) -> np.ndarray:
+        """(R,) about how late the moment of yield comes, time."""
+        scene, motion, replicas = self.scene, self.friction, self.scene.replicas
+        inertia = self.inertia * (motion.spin.reshape(replicas, -1) ** 2).sum(axis=1)
+        viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
+        ratio = np.divide(self.limit, motion.lower_bound, out=np.zeros(replicas), where=motion.lower_bound > 0)
+        return np.sqrt(2 * inertia * ratio) + viscous * ratio
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.body_at_start = [np.zeros(scene.replicas)]
@@ -111,6 +121,7 @@ class RigidTopMethod(CundallStrackMethod):
         start = self.time_step * self._of_body("start")
         turns = self._of_body("angle") > self._of_body("limit")
         when = {"torque_at_yield": self.ramp.start + self.rate * start, "time_at_yield": start}
+        when["torque_at_yield_error"] = abs(self.rate) * self._delay()
         return super().findings() | {name: np.where(turns, value, np.nan) for name, value in when.items()}
 
     def progress(self) -> Progress:

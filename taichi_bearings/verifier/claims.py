@@ -122,7 +122,8 @@ def not_checked(run: StoredRun, judged: bool) -> list[str]:
         sure |= {"iterations"}
     sure |= {name for name in ("time", "energy_residual") if name in run.history}
     if not (samples.holds and samples.flows):
-        sure, keys = sure | {"yields", "yield_torque", "yield_torque_lower_bound", "amplitude"}, keys | {"torque"}
+        sure, keys = sure | {"yields", "yield_torque", "yield_torque_lower_bound", "amplitude"}, keys
+        keys |= set() if isinstance(settings.get("torque"), str) else {"torque"}
     if not is_dynamics:
         sure |= {"largest_balance_residual"}
     if set(run.claimed("status")) == {"certified"}:
