@@ -241,13 +241,13 @@ def _rigid_top(job: Job, ramp: Ramp) -> Any:
     from taichi_bearings.solvers.drive import uninterrupted
     from taichi_bearings.solvers.rigid_top import RigidTopMethod
 
-    unset = ("torque", "iterations", "duration", "record", "snapshots")
-    settings = replace(job.settings, method="auto", **dict.fromkeys(unset))
+    options: Any = dict.fromkeys(("torque", "iterations", "duration", "record", "snapshots"))
+    settings = replace(job.settings, method="auto", **options)
     again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
     solution = uninterrupted(again(job.scene))
-    friction, duration = by_friction(solution, again), job.settings.duration
+    friction = by_friction(solution, again)
     known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
-    return RigidTopMethod(job.method.options, ramp, duration, known, friction)
+    return RigidTopMethod(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
 
 
 def _same_of(job: Job, settings: RunSettings, scene: Scene) -> Job:
@@ -365,7 +365,7 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
         if "duration" in changes and stored.duration is not None:
             _refuse_past(path, stored.duration, checkpoint.arrays or {})
             if stored.torque is not None and Ramp.of(stored.torque).rises:
-                raise InputError(f"duration cannot change when a run is resumed with torque {stored.torque}: it says how fast that rises")
+                raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
         job = prepare(
             RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
         )

@@ -36,8 +36,9 @@ class Ramp:
         """Sign of the torque at its end."""
         return -1.0 if self.stop < 0 else 1.0
 
-    def rate(self, duration: float) -> float:
-        return (self.stop - self.start) / duration
+    def rate(self, duration: float | None) -> float:
+        """Torque over time; 0 if it does not grow."""
+        return (self.stop - self.start) / (duration or np.inf)
 
     def looks(self, duration: float) -> np.ndarray:
         """Simulated times at which the torque has grown by another step; none if it does not grow."""

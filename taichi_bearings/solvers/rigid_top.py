@@ -3,19 +3,19 @@
 I_a da/dt = T(t) - what the contacts hold, with I_a the sum over the spheres of the top of I |state|^2, integrated by
 Gear's method as all spins are. The bottom and all spheres are at rest at first.
 
-When does it start to turn? Let f be the forces that prove the safe load T_low, E = sum f^2 / (2 K) the energy of springs
-that bear them, and the torque grow up to s T_low with s < 1. The forces s f are admissible and hold it, so kinetic
-energy and sum (s f - K delta)^2 / (2 K) together are at most s^2 E at any time, as in shakedown theorems: springs and
-what drives them exchange no more, dampers and viscosity only take. Slipping takes at least (1 - s) of the friction it
-meets, so all contacts together slip by no more work of friction than s^2 E / (1 - s), and with what the springs
-stretch (that holds for springs that relax; a reset one may jump)
+When does it start to turn? Let f be the forces that prove the safe load T_low, E = sum f^2 / (2 K) the energy of
+springs that bear them, and the torque grow up to s T_low, s < 1. The forces s f hold it and are admissible. So the
+kinetic energy and sum (s f - K delta)^2 / (2 K) together never exceed s^2 E, as in shakedown theorems: what drives the
+springs does no more work, and dampers and viscosity only take (if springs relax; one that is reset may jump). Slipping
+takes at least (1 - s) of the friction it meets, so friction does no more work than s^2 E / (1 - s), and with what the
+springs stretch
 
     T_low angle <= E (4 s + s^2 / (1 - s)).
 
-A top that has turned farther than with s = SAFE is beyond s T_low. It turns since it was last no faster than a ramp,
-up to T_low, needs for that angle: this is the moment of yield. It comes late by about (2 I angle / T_low)^(1/2), with
-I a^2 / 2 the kinetic energy of all spheres in the motion of least dissipation, and by Q angle / T_low more, with Q a^2
-what viscosity takes there; the torque of that moment is too large by so much times its rate.
+A top that has turned farther than with s = SAFE is beyond s T_low. It turns since it was last no faster than a ramp
+that needs all its way up to T_low for that angle: this is the moment of yield. It comes late by about
+(2 I angle / T_low)^(1/2), with I a^2 / 2 the kinetic energy of all spheres in the motion of least dissipation, and by
+Q angle / T_low more, with Q a^2 what viscosity takes there; the torque then is too large by so much times its rate.
 """
 
 from dataclasses import replace
@@ -35,23 +35,25 @@ SAFE = 0.99  # of the safe load, at which a top is told from one that does not t
 def safe_angle(friction: Solution, stiffness: float) -> np.ndarray:
     """(R,) by which the top cannot turn below SAFE of the torque that the friction of a solution is proven to hold."""
     springs = (friction.friction.reshape(friction.scene.replicas, -1) ** 2).sum(axis=1) / (2 * stiffness)
-    most, held = springs * (4 * SAFE + SAFE**2 / (1 - SAFE)), friction.lower_bound
-    return np.divide(most, held, out=np.zeros_like(most), where=held > 0)
+    return over(springs * (4 * SAFE + SAFE**2 / (1 - SAFE)), friction.lower_bound)
+
+
+def over(value: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Their ratio; 0 without a torque."""
+    return np.divide(value, torque, out=np.zeros_like(value), where=torque > 0)
 
 
 class RigidTopMethod(CundallStrackMethod):
-    """ramp, duration : of the torque. known : the motion of strength 1, which the run answers with. friction : the same
-    with friction alone."""
+    """rate : of the torque, force length/time. known : the motion of strength 1, which the run answers with. friction :
+    the same with friction alone. softness : (R,), the angle that tells a top that turns, over the safe load."""
 
     stepping = staticmethod(rigid_top_steps)
 
-    def __init__(self, options: CundallStrack, ramp: Ramp, duration: float, known: Solution, friction: Solution) -> None:
+    def __init__(self, options: CundallStrack, rate: float, ramp: Ramp, known: Solution, friction: Solution) -> None:
         super().__init__(options)
-        self.ramp, self.rate, self.known = ramp, ramp.rate(duration), known
-        self.limit, held = safe_angle(friction, options.stiffness), friction.lower_bound
-        creep = self.limit * abs(self.rate)
-        self.creep = np.divide(creep, held, out=np.zeros_like(creep), where=held > 0)
-        self.friction = friction
+        self.ramp, self.rate, self.known, self.friction = ramp, rate, known, friction
+        self.limit = safe_angle(friction, options.stiffness)
+        self.softness = over(self.limit, friction.lower_bound)
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
@@ -67,13 +69,12 @@ class RigidTopMethod(CundallStrackMethod):
         scene, motion, replicas = self.scene, self.friction, self.scene.replicas
         inertia = self.inertia * (motion.spin.reshape(replicas, -1) ** 2).sum(axis=1)
         viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
-        ratio = np.divide(self.limit, motion.lower_bound, out=np.zeros(replicas), where=motion.lower_bound > 0)
-        return np.sqrt(2 * inertia * ratio) + viscous * ratio
+        return np.sqrt(2 * inertia * self.softness) + viscous * self.softness
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.body_at_start = [np.zeros(scene.replicas)]
         super().begin(scene, spin, fields)
-        at_start = {"limit": self.limit / self.time_step, "creep": self.creep}
+        at_start = {"limit": self.limit / self.time_step, "creep": self.softness * abs(self.rate)}
         body = [*self.body_at_start, *(at_start.get(name, np.zeros(scene.replicas)) for name in BODY_NUMBERS)]
         for name, numbers in (("first", np.ones((1, scene.replicas))), ("body", np.stack(body))):
             values = np.zeros((*numbers.shape, scene.lattice.sites))
@@ -128,6 +129,10 @@ class RigidTopMethod(CundallStrackMethod):
         """As ever, but that no bound is claimed for a motion of any strength."""
         found = super().progress()
         torque = np.full(self.scene.replicas, self.ramp.start + self.rate * self.time)
-        columns = {"torque": torque, "amplitude": self._of_body("amplitude")}
-        nothing = {"lower_bound": np.zeros(self.scene.replicas), "proof": np.zeros_like(found.force)}
-        return replace(found, **nothing, findings=self.findings(), columns=columns)
+        return replace(
+            found,
+            lower_bound=0 * torque,
+            proof=0 * found.force,
+            findings=self.findings(),
+            columns={"torque": torque, "amplitude": self._of_body("amplitude")},
+        )

@@ -50,8 +50,9 @@ class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
     name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
-    time. takes_torque : the top can be driven by a torque. cpu_only : it works in the memory of the CPU. alike_in_a_block : spheres up to which it gives a seed the same
-    bits alone and beside others, and gains by it. colour, marker : in every figure. solves : True for a law.
+    time. takes_torque : it can do with a torque on the top. cpu_only : it works in the memory of the CPU.
+    alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
+    colour, marker : in every figure. solves : True for a law.
     """
 
     name: ClassVar[str]

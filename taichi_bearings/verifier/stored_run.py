@@ -106,7 +106,9 @@ class StoredRun:
         try:
             return [*map(float, value.split(":"))][1]
         except (ValueError, IndexError):
-            raise FileError(f"the scene in {self.path} has {value!r} for 'torque'; it must be start:stop:step") from None
+            raise FileError(
+                f"the scene in {self.path} has {value!r} for 'torque'; it must be start:stop:step"
+            ) from None
 
 
 def read_stored_run(run: Path) -> StoredRun:

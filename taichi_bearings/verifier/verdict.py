@@ -307,9 +307,10 @@ def _summary(run: StoredRun, judgement: Judgement) -> Iterator[str]:
 
 
 def _under_torque(run: StoredRun, judgement: Judgement) -> Iterator[str]:
-    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous."""
+    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous and
+    a bottom that turns."""
     samples = run.samples
-    if "yields" not in run.attributes or (samples.holds and samples.flows):
+    if "yields" not in run.attributes or (samples.holds and samples.flows) or samples.spin_bottom:
         return
     torque = run.last_torque()
     for number in range(samples.count):
