@@ -34,6 +34,9 @@ class RigidTopSteps(CundallStrackSteps):
         super().__init__(spec, stencil, corrector)
         slot = first_slots(spec)
         self.body = tuple(range(slot["body"], slot["body"] + self.order + len(BODY_NUMBERS)))
+        self.moved = self.gear + self.ahead
+        # components, and the rows of the forces of the contacts along the height that feel them
+        self.below = tuple(zip(stencil.kept[stencil.height], self.force[stencil.height], strict=True))
 
     @ti.func
     def walk(
@@ -60,31 +63,20 @@ class RigidTopSteps(CundallStrackSteps):
         pull = 0.0
         for column in range(columns):
             top = origin + column * height + height - 1
-            for c, force in ti.static(self.on_top()):
+            for c, force in ti.static(self.below):
                 pull -= values[(self.slot["state"] + c) * row + top] * values[force * row + top - 1]
         before = numbers[11] + numbers[12] * steps
         torque = before + numbers[12]
         new = self.motion(old, pull + torque, 1.0, response)
-        ahead = new[self.order :]
         for column in range(columns):
             top = origin + column * height + height - 1
             for c in ti.static(range(self.stencil.components)):
                 strength = values[(self.slot["state"] + c) * row + top]
-                for n in ti.static(range(self.order)):
-                    values[(self.gear[n] + c) * row + top] = strength * new[n]
-                for n in ti.static(range(len(self.ahead))):
-                    values[(self.ahead[n] + c) * row + top] = strength * ahead[n]
+                for n in ti.static(range(len(self.moved))):
+                    values[(self.moved[n] + c) * row + top] = strength * new[n]
         turned = angle + way * (old[0] + new[0]) / 2.0
         worked = work + (before * old[0] + torque * new[0]) / 2.0
         started = ti.select(angle <= limit and way * new[0] <= creep, steps + 1.0, start)
-        counted = [steps + 1.0, turned, worked, started, limit, creep]
-        body = places(self.body, row, origin)
-        for n in ti.static(range(self.order)):
-            values[body[n]] = new[n]
-        for n in ti.static(range(len(BODY_NUMBERS))):
-            values[body[self.order + n]] = counted[n]
-
-    def on_top(self):
-        """Components, and the rows of the forces of the contacts along the height that feel them."""
-        height = self.stencil.height
-        return tuple(zip(self.stencil.kept[height], self.force[height], strict=True))
+        after = new[: self.order] + [steps + 1.0, turned, worked, started]
+        for n in ti.static(range(len(after))):
+            values[self.body[n] * row + origin] = after[n]

@@ -45,26 +45,26 @@ def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
 
 
 def _draw_turning(solution: Solution, page: Page) -> Figure:
-    """Strength of the motion of the top against a torque that grows, or else against time; with the bounds between
-    which the torque is proven to set it in motion, and the moment at which it did."""
+    """Strength of the motion of the top against a torque that grows, with the bounds between which it is proven to set
+    it in motion, or else against time; and the moment at which it begins to turn."""
     history, found = solution.history, solution.findings
+    torque, strength = history["torque"], np.abs(history["amplitude"])
+    x, name, marks = history["time"], "time", [("time_at_yield", "begins to turn", ":", GREY)]
+    if np.ptp(torque) > 0:
+        x, name, marks = torque, "torque (force · length)", [("torque_at_yield", "begins to turn", ":", GREY)]
+        marks += [("yield_torque_lower_bound", "proven to be held", "--", ORANGE)]
+        marks += [("yield_torque", "proven not to be held", "-", ORANGE)]
     width = page.inches("single")
     figure = plain_figure(width, 0.75 * width, page.dpi)
-    axes, torque, strength = figure.subplots(), history["torque"], np.abs(history["amplitude"])
-    rises = np.ptp(torque) > 0
-    x, moment = (torque, "torque_at_yield") if rises else (history["time"][:, None] + 0 * torque, "time_at_yield")
-    turning = axes.plot(x, np.where(strength > 0, strength, np.nan), color=BLUE)
-    marks = [(turning[0], "top")]
-    if rises:
-        way = -1.0 if torque[-1, 0] < 0 else 1.0
-        for name, label, dashes in (("_lower_bound", "proven to be held", "--"), ("", "proven not to be held", "-")):
-            lines = [axes.axvline(way * value, color=ORANGE, ls=dashes) for value in found[f"yield_torque{name}"]]
-            marks.append((lines[0], label))
-    turns = [axes.axvline(value, color=GREY, ls=":") for value in found[moment] if np.isfinite(value)]
-    marks += [(line, "begins to turn") for line in turns[:1]]
-    axes.legend(*zip(*marks, strict=True), frameon=True, framealpha=0.85, edgecolor="none")
-    name = "torque (force · length)" if rises else "time"
+    axes = figure.subplots()
+    axes.plot(x, np.where(strength > 0, strength, np.nan), color=BLUE)
+    for key, label, dashes, colour in marks:
+        values = np.copysign(found[key], x[-1])[np.isfinite(found[key])]
+        for n, value in enumerate(values):
+            axes.axvline(value, color=colour, ls=dashes, label="_" * n + label)
     title = f"{describe(solution.scene, None)}\n{solution.method}"
-    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion", title=title)
+    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion of the top", title=title)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=True, framealpha=0.85, edgecolor="none")
     label_in_plain_text(axes.yaxis)
     return figure

@@ -36,7 +36,7 @@ from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
-from taichi_bearings.scene.ramp import MOST_LOOKS, read_torque
+from taichi_bearings.scene.ramp import TORQUE
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions
 from taichi_bearings.words import meant
@@ -72,12 +72,6 @@ BEARING_STATE = Kind(
 )
 PERIODIC_AXES = Kind(_sides, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
 THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
-TORQUE = Kind(
-    read_torque,
-    "0 or a number of size 1e-15 to 1e15, or START:STOP:STEP as in 0:300:10, rising in size and at most "
-    f"{MOST_LOOKS:,} steps",
-    "TORQUE",
-)
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 

@@ -27,7 +27,7 @@ from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Scene], Solution]
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
-LEAST_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
+HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
 AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
 
 
@@ -92,9 +92,9 @@ def under_torque(solution: Solution, friction: Solution, torque: float, solve: S
 
 def _beside_driven(scene: Scene, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     """The same findings of a top beside a bottom that turns. yield_torque, in the direction of the torque, of either
-    sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than LEAST_TURN of the bottom's spin.
+    sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than HELD_TURN of the bottom's spin.
     """
-    step = LEAST_TURN * scene.imposed[1] / abs(scene.imposed[0])
+    step = HELD_TURN * scene.imposed[1] / abs(scene.imposed[0])
     still, moving = (solve(_scaled(scene, strength)) for strength in (0.0, step if torque >= 0 else -step))
     high = (moving.objective * SURELY - still.lower_bound) / step
     low = (moving.lower_bound - still.objective * SURELY) / step

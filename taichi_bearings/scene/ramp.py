@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.options import REAL
+from taichi_bearings.options import REAL, Kind
 
 MOST_LOOKS = 100_000  # at a ramp
 
@@ -16,25 +16,21 @@ class Ramp:
 
     start: float
     stop: float
-    step: float
+    step: float = 0.0
 
     @classmethod
     def of(cls, given: Any) -> "Ramp":
         """From a number, or from a text start:stop:step; ValueError unless the torque of that grows in size."""
-        start, stop, step = map(REAL.read, given.split(":")) if ":" in str(given) else (REAL.read(given),) * 2 + (0.0,)
-        rises = start * stop >= 0 and abs(stop) > abs(start) and 0 < step <= abs(stop - start) <= MOST_LOOKS * step
-        if not rises and (step or start != stop):
+        if ":" not in str(given):
+            return cls(REAL.read(given), REAL.read(given))
+        start, stop, step = map(REAL.read, given.split(":"))
+        if start * stop < 0 or abs(stop) <= abs(start) or not 0 < step <= abs(stop - start) <= MOST_LOOKS * step:
             raise ValueError
         return cls(start, stop, step)
 
     @property
     def rises(self) -> bool:
-        return self.start != self.stop
-
-    @property
-    def way(self) -> float:
-        """Sign of the torque at its end."""
-        return -1.0 if self.stop < 0 else 1.0
+        return self.step > 0
 
     def rate(self, duration: float | None) -> float:
         """Torque over time; 0 if it does not grow."""
@@ -44,11 +40,18 @@ class Ramp:
         """Simulated times at which the torque has grown by another step; none if it does not grow."""
         if not self.rises:
             return np.zeros(0)
-        steps = int(np.floor(abs(self.stop - self.start) / self.step * (1 + 1e-12)))
-        return np.asarray(duration * self.step / abs(self.stop - self.start) * np.arange(steps + 1))
+        size = abs(self.stop - self.start)
+        return np.asarray(duration * self.step / size * np.arange(np.floor(size / self.step * (1 + 1e-12)) + 1))
 
 
-def read_torque(given: Any) -> float | str:
-    """A torque as it is written down: a number, or start:stop:step; ValueError for anything else."""
+def _written(given: Any) -> float | str:
+    """A torque as it is kept: a number, or start:stop:step."""
     found = Ramp.of(given)
     return f"{found.start!r}:{found.stop!r}:{found.step!r}" if found.rises else found.stop
+
+
+TORQUE = Kind(
+    _written,
+    f"0 or a number of size 1e-15 to 1e15, or START:STOP:STEP as in 0:300:10, of at most {MOST_LOOKS:,} rising steps",
+    "TORQUE",
+)

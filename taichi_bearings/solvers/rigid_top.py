@@ -3,19 +3,8 @@
 I_a da/dt = T(t) - what the contacts hold, with I_a the sum over the spheres of the top of I |state|^2, integrated by
 Gear's method as all spins are. The bottom and all spheres are at rest at first.
 
-When does it start to turn? Let f be the forces that prove the safe load T_low, E = sum f^2 / (2 K) the energy of
-springs that bear them, and the torque grow up to s T_low, s < 1. The forces s f hold it and are admissible. So the
-kinetic energy and sum (s f - K delta)^2 / (2 K) together never exceed s^2 E, as in shakedown theorems: what drives the
-springs does no more work, and dampers and viscosity only take (if springs relax; one that is reset may jump). Slipping
-takes at least (1 - s) of the friction it meets, so friction does no more work than s^2 E / (1 - s), and with what the
-springs stretch
-
-    T_low angle <= E (4 s + s^2 / (1 - s)).
-
-A top that has turned farther than with s = SAFE is beyond s T_low. It turns since it was last no faster than a ramp
-that needs all its way up to T_low for that angle: this is the moment of yield. It comes late by about
-(2 I angle / T_low)^(1/2), with I a^2 / 2 the kinetic energy of all spheres in the motion of least dissipation, and by
-Q angle / T_low more, with Q a^2 what viscosity takes there; the torque then is too large by so much times its rate.
+When does it start to turn? Once it has turned farther than springs and friction let it under SAFE of the safe load,
+since it was last no faster than a ramp that needs all its way up to that load for this angle (docs/scenes.md).
 """
 
 from dataclasses import replace
@@ -33,7 +22,8 @@ SAFE = 0.99  # of the safe load, at which a top is told from one that does not t
 
 
 def safe_angle(friction: Solution, stiffness: float) -> np.ndarray:
-    """(R,) by which the top cannot turn below SAFE of the torque that the friction of a solution is proven to hold."""
+    """(R,) by which the top cannot turn below SAFE of the torque that the friction of a solution is proven to hold:
+    E (4 s + s^2 / (1 - s)) over that torque, with E the energy of springs that bear the friction."""
     springs = (friction.friction.reshape(friction.scene.replicas, -1) ** 2).sum(axis=1) / (2 * stiffness)
     return over(springs * (4 * SAFE + SAFE**2 / (1 - SAFE)), friction.lower_bound)
 
@@ -99,7 +89,7 @@ class RigidTopMethod(CundallStrackMethod):
         scene, step = self.scene, self.time_step
         height, radius = scene.lattice.shape[-1], scene.lattice.radius
         response = step * radius / self.body_inertia
-        torque = (self.ramp.start / radius, self.rate * step / radius, self.ramp.way)
+        torque = (self.ramp.start / radius, self.rate * step / radius, np.copysign(1.0, self.ramp.stop))
         return (*super().numbers(), height, scene.lattice.sites // height, response, *torque)
 
     def spins(self) -> np.ndarray:

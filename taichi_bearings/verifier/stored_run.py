@@ -98,18 +98,6 @@ class StoredRun:
             raise FileError(f"the scene in {self.path} has {value!r} for {name!r}; it must be a number")
         return float(value)
 
-    def last_torque(self) -> float:
-        """The torque on the top of the scene, of a ramp start:stop:step that at its end; not-a-number for none."""
-        value = self.settings.get("torque", np.nan)
-        if not isinstance(value, str):
-            return self.setting("torque", np.nan)
-        try:
-            return [*map(float, value.split(":"))][1]
-        except (ValueError, IndexError):
-            raise FileError(
-                f"the scene in {self.path} has {value!r} for 'torque'; it must be start:stop:step"
-            ) from None
-
 
 def read_stored_run(run: Path) -> StoredRun:
     """A run directory or its run.h5; FileError in one sentence where it cannot be read."""

@@ -58,20 +58,22 @@ def test_spheres_and_top_follow_the_exact_motion_with_the_order_of_the_scheme(dr
         found = in_time(scene, -3.0, 0.4, time_step=step, energy=True)
         errors.append(abs(found.history["amplitude"][-1] - exact_amplitude(scene, -3.0, 0.4)))
         books.append(abs(found.history["energy_residual"][-1]))
-    assert errors[-1] < 1e-5 * abs(exact_amplitude(scene, -3.0, 0.4))
-    for values in (errors, books):
-        assert np.log2(np.divide(values[:-1], values[1:])) == pytest.approx(2.0, abs=0.3)
+    assert errors[-1] < 1e-8 * abs(exact_amplitude(scene, -3.0, 0.4))
+    for values, order in ((errors, 3.0), (books, 2.0)):  # of Gear's method, and of the rule that sums work
+        assert np.log2(np.divide(values[:-1], values[1:])) == pytest.approx(order, abs=0.1)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous"])
-@pytest.mark.parametrize("shape", [(4, 5), (2, 3, 4)], ids=str)
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize(
+    ("law", "shape", "way"),
+    [("coulomb", (4, 5), 1), ("coulomb", (2, 3, 4), -1), ("coulomb-viscous", (4, 5), -1),
+     ("coulomb-viscous", (2, 3, 4), 1)],
+)  # fmt: skip
 def test_a_slow_ramp_turns_the_top_between_the_proven_bounds(shape, law, way):
     """Up to the error that is reported, and half as quickly half as far beyond."""
-    scene, beyond = Scene.random(shape, seed=20, law=law, replicas=3), []
+    scene, beyond = Scene.random(shape, seed=20, law=law, replicas=3 if law == "coulomb" else 2), []
     limits = solve(replace(scene, law="coulomb", viscosity=()))
-    for duration in (0.6, 1.2):
-        found = in_time(scene, f"0:{1.4 * way * limits.power.max()}:20", duration).findings
+    for duration in (1.0, 2.0):
+        found = in_time(scene, f"0:{1.5 * way * limits.power.max()}:20", duration).findings
         assert found["yield_torque"] == pytest.approx(limits.power, rel=1e-8)
         turns = way * found["torque_at_yield"]
         assert (turns >= SAFE * found["yield_torque_lower_bound"]).all()
@@ -83,8 +85,8 @@ def test_a_slow_ramp_turns_the_top_between_the_proven_bounds(shape, law, way):
 @pytest.mark.parametrize("driving", [{}, UNEVEN], ids=["even", "uneven"])
 def test_above_yield_the_top_reaches_the_speed_of_the_static_solve_and_below_it_rests(driving):
     scene = Scene.random((3, 3, 4), seed=3, law="coulomb-viscous", viscosity="uniform:10,100", **driving)
-    limit = solve(scene, torque=1.0).findings["yield_torque"]
-    above, below = (in_time(scene, share * limit, 3.0, energy=True) for share in (1.3, 0.9))
+    limit = solve(replace(scene, law="coulomb", viscosity=())).power
+    above, below = (in_time(scene, share * limit, 1.5, energy=True) for share in (1.3, 0.9))
     assert above.findings["yields"]
     assert above.history["amplitude"][-1] == pytest.approx(above.findings["amplitude"], rel=1e-7)
     assert not below.findings["yields"]
@@ -96,10 +98,10 @@ def test_above_yield_the_top_reaches_the_speed_of_the_static_solve_and_below_it_
 
 def test_a_ramp_is_recorded_at_its_steps_and_verified(tmp_path):
     scene = Scene.random((3, 4, 4), seed=5)
-    found = in_time(scene, "10:160:10", 0.5)
+    found = in_time(scene, "10:360:10", 0.7)
     rows = found.history
-    assert rows["torque"] == pytest.approx(np.arange(10.0, 161.0, 10.0), abs=160 / 0.5 * 1e-4)
-    assert rows["torque"] == pytest.approx(10 + 300 * rows["time"], rel=1e-12)
+    assert rows["torque"] == pytest.approx(np.arange(10.0, 361.0, 10.0), abs=500 * 1e-4)  # within a time step
+    assert rows["torque"] == pytest.approx(10 + 500 * rows["time"], rel=1e-12)
     path = found.save(tmp_path / "run")
     assert verify(path)["contradictions"] == []
     assert tb.load(path).plot("history").axes[0].get_xlabel().startswith("torque")
@@ -108,7 +110,7 @@ def test_a_ramp_is_recorded_at_its_steps_and_verified(tmp_path):
 
 def test_it_goes_on_to_the_same_bits(tmp_path):
     settings = RunSettings(shape=(3, 4), method="cundall-strack", torque="0:90:3", duration=0.2, energy=True,
-                           threads=1, figures="none", checkpoint_every=1e-3)  # fmt: skip
+                           threads=1, figures="none", checkpoint_every=60.0)  # fmt: skip
     whole = run(replace(settings, checkpoint_every=None), tmp_path / "whole").solution
     run(settings, tmp_path / "part", monitors=[lambda report: report.progress.time > 0.1])
     assert read_checkpoint(Path(tmp_path / "part")).arrays["time"] < 0.15
@@ -117,7 +119,8 @@ def test_it_goes_on_to_the_same_bits(tmp_path):
     parts = resume(tmp_path / "part").solution
     for name in set(whole.history) - {"seconds"}:
         assert np.array_equal(whole.history[name], parts.history[name]), name
-    assert {**whole.findings} == {**parts.findings}
+    for name in whole.findings:
+        assert np.array_equal(whole.findings[name], parts.findings[name], equal_nan=True), name
 
 
 @pytest.mark.parametrize(
