@@ -1,7 +1,5 @@
 """Cundall–Strack steps of a top plane that is one rigid body under a torque: it turns as a(t) times a bearing state."""
 
-from functools import lru_cache
-
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
@@ -9,12 +7,6 @@ from taichi_bearings.kernels.memory import places
 from taichi_bearings.kernels.stencil import Stencil
 
 BODY_NUMBERS = ("steps", "angle", "work", "start", "limit", "creep")
-
-
-@lru_cache
-def rigid_top_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]) -> "RigidTopSteps":
-    """One for each configuration."""
-    return RigidTopSteps(spec, stencil, corrector)
 
 
 @ti.data_oriented

@@ -173,7 +173,7 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
-    if settings.torque is not None:
+    if settings.torque is not None and row.takes_torque:
         refuse_driven(settings, row)
     if unused := settings.unused(row):
         if strict:

@@ -124,7 +124,7 @@ class RunSettings:
         None,
         TORQUE,
         "Torque on the top instead of its spin, along its state of strength 1: does it hold, and how fast does it "
-        "turn? The bottom is at rest. START:STOP:STEP: a torque that grows from START to STOP in the course of the "
+        "turn? START:STOP:STEP, of a dynamics: a torque that grows from START to STOP in the course of the "
         "duration, with a row of the history after every STEP.",
         unit="force*length",
         methods=attrgetter("takes_torque"),

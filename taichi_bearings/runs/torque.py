@@ -32,15 +32,14 @@ AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving ag
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """InputError for settings that say how fast the top turns, or that the bottom does, and for a torque in time
+    """InputError for settings that say how fast the top turns, or where the bottom may not, and for a torque in time
     without a dynamics or a dynamics without a duration or from another start than rest."""
-    rises, initial = settings.torque is not None and Ramp.of(settings.torque).rises, settings.initial
-    if rises and not method.is_dynamics:
+    if Ramp.of(settings.torque).rises and not method.is_dynamics:
         raise InputError(f"torque is {settings.torque}, which grows in time; it needs --method cundall-strack")
-    if method.takes_torque and method.is_dynamics and settings.duration is None:
+    if method.is_dynamics and settings.duration is None:
         raise InputError(f"torque is {settings.torque}, and duration is not given; a dynamics needs how long it acts")
-    if method.is_dynamics and initial not in ("linear", "zero"):
-        raise InputError(f"initial is {initial!r}, but under a torque a dynamics starts at rest; leave it out")
+    if method.is_dynamics and settings.initial not in ("linear", "zero"):
+        raise InputError(f"initial is {settings.initial!r}, but under a torque a dynamics starts at rest; leave it out")
     for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
         if key in settings.given:
             raise InputError(f"{key} is {settings.given[key]}, but a torque turns the top, along its state --top")

@@ -214,17 +214,10 @@ class _Course:
         scene, best = self.scene, self.best
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
         if isinstance(self.method, Dynamics) and (known := self.method.known):
-            return replace(
-                known,
-                method=self.method.options.name,
-                status=status,
-                iterations=last.iteration,
-                seconds=known.seconds + seconds,
-                largest_balance_residual=last.largest_balance_residual,
-                findings={**known.findings, **last.findings},
-                history=history,
-                snapshots=snapshots,
-            )
+            known = replace(known, findings={**known.findings, **last.findings}, history=history, snapshots=snapshots)
+            left, seconds, name = last.largest_balance_residual, known.seconds + seconds, self.method.options.name
+            known = replace(known, method=name, iterations=last.iteration, largest_balance_residual=left)
+            return replace(known, status=status, seconds=seconds)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):

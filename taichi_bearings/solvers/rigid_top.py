@@ -8,11 +8,12 @@ since it was last no faster than a ramp that needs all its way up to that load f
 """
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.kernels.rigid_top import BODY_NUMBERS, rigid_top_steps
+from taichi_bearings.kernels.rigid_top import BODY_NUMBERS, RigidTopSteps
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
@@ -37,7 +38,7 @@ class RigidTopMethod(CundallStrackMethod):
     """rate : of the torque, force length/time. known : the motion of strength 1, which the run answers with. friction :
     the same with friction alone. softness : (R,), the angle that tells a top that turns, over the safe load."""
 
-    stepping = staticmethod(rigid_top_steps)
+    stepping = staticmethod(lru_cache(RigidTopSteps))
 
     def __init__(self, options: CundallStrack, rate: float, ramp: Ramp, known: Solution, friction: Solution) -> None:
         super().__init__(options)
@@ -119,10 +120,6 @@ class RigidTopMethod(CundallStrackMethod):
         """As ever, but that no bound is claimed for a motion of any strength."""
         found = super().progress()
         torque = np.full(self.scene.replicas, self.ramp.start + self.rate * self.time)
-        return replace(
-            found,
-            lower_bound=0 * torque,
-            proof=0 * found.force,
-            findings=self.findings(),
-            columns={"torque": torque, "amplitude": self._of_body("amplitude")},
-        )
+        columns = {"torque": torque, "amplitude": self._of_body("amplitude")}
+        found = replace(found, findings=self.findings(), columns=columns)
+        return replace(found, lower_bound=0 * torque, proof=0 * found.force)
