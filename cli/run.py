@@ -229,6 +229,9 @@ def _under_torque(summary: dict[str, Any]) -> list[str]:
     if isinstance(summary["yields"], list):
         return [f"the torque moves {sum(summary['yields'])} of {counted(len(summary['yields']), 'sample')}"]
     low, high, amplitude = (summary[key] for key in ("yield_torque_lower_bound", "yield_torque", "amplitude"))
+    if summary["spin_bottom"]:
+        moves = "it moves" if summary["yields"] else "it is not proven to move"
+        return [f"the top begins to turn at torques of {low:.12g} to {high:.12g}, the bottom turns: {moves}"]
     between = "" if f"{low:.12g}" == f"{high:.12g}" else f"{low:.12g} to "
     holds = f"friction holds torques of up to {between}{high:.12g}" if high > 0 else "friction holds no torque"
     if not summary["yields"]:
@@ -236,7 +239,9 @@ def _under_torque(summary: dict[str, Any]) -> list[str]:
     runs_away = not LAWS[summary["law"]].flows or summary["power"] == 0
     unknown = "nothing limits the motion" if runs_away else "the strength of its motion is not known"
     motion = unknown if amplitude is None else f"the strength of its motion is {amplitude:.12g}"
-    return [f"{holds}: the top moves, and {motion}"]
+    when = summary.get("time_at_yield")
+    moves = "moves" if when is None else f"begins to turn at {summary['torque_at_yield']:.6g}, at the time {when:.6g}"
+    return [f"{holds}: the top {moves}, and {motion}"]
 
 
 def _others(undecided: int, critical: int, tied: int) -> str:

@@ -327,12 +327,12 @@ def solve(
     start : spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
         `Result.spin`.
     callback : hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
-    options : `torque` on the top instead of its spin, force*length, which adds `yields`, `yield_torque`,
-        `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most; `time_limit`, s; of a dynamics
-        `duration`, the simulated time to go on for, and the simulated times `record` of the rows of the history and
-        `snapshots` of spins that are kept, as numbers or as "log:start,stop,count"; `slip_threshold`, length/time, up
-        to which contacts count as slipless; `arch`, "cpu", "cuda", "vulkan", "metal" or "auto"; `precision`, "f64" or
-        "f32"; `threads`, 0 for all.
+    options : `torque` on the top instead of its spin, force*length, or of `CundallStrack` "start:stop:step", which adds
+        `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
+        `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the simulated times `record` of
+        the rows of the history and `snapshots` of spins that are kept, as numbers or as "log:start,stop,count";
+        `slip_threshold`, length/time, up to which contacts count as slipless; `arch`, "cpu", "cuda", "vulkan", "metal"
+        or "auto"; `precision`, "f64" or "f32"; `threads`, 0 for all.
 
     Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
     """

@@ -34,12 +34,13 @@ from taichi_bearings.runs.run_directory import (
 )
 from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
-from taichi_bearings.runs.torque import refuse_driven, under_torque
+from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients, short_name
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
+from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
@@ -179,8 +180,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
-    if settings.torque is not None:
-        refuse_driven(settings)
+    if settings.torque is not None and row.takes_torque:
+        refuse_driven(settings, row)
     if unused := settings.unused(row):
         if strict:
             raise InputError(next(iter(unused.values())))
@@ -206,7 +207,10 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     from taichi_bearings.solvers.recording import Recording, parse_times
     from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 
-    settings = job.settings
+    settings, method = job.settings, job.method
+    ramp = None if settings.torque is None else Ramp.of(settings.torque)
+    if ramp is not None and method.options.is_dynamics:
+        method = _rigid_top(job, ramp)
     if job.method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
@@ -220,16 +224,37 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     recording = Recording(
         *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
     )
-    solution = solve(job.scene, job.method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
+    if ramp is not None and settings.record is None:
+        recording = replace(recording, history=ramp.looks(stop.duration))
+    solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
         left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
         other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
         solution = _better(solution, other, settings.tolerance)
-    if settings.torque is None or solution.interrupted:
+    if ramp is None or solution.interrupted or method is not job.method:
         return solution
-    alone = replace(settings, torque=None)
-    return under_torque(solution, settings.torque, lambda scene: solve_job(_same_of(job, alone, scene)))
+    again = _solve_again(job, replace(settings, torque=None))
+    return under_torque(solution, by_friction(solution, again), ramp.stop, again)
+
+
+def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]:
+    """What solves other scenes by the same method."""
+    return lambda scene: solve_job(_same_of(job, settings, scene))
+
+
+def _rigid_top(job: Job, ramp: Ramp) -> Any:
+    """The dynamics of a top under a torque, which knows the motion of strength 1."""
+    from taichi_bearings.solvers.drive import uninterrupted
+    from taichi_bearings.solvers.rigid_top import RigidTopMethod
+
+    options: Any = dict.fromkeys(("torque", "iterations", "duration", "record", "snapshots"))
+    settings = replace(job.settings, method="auto", **options)
+    again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
+    solution = uninterrupted(again(job.scene))
+    friction = by_friction(solution, again)
+    known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
+    return RigidTopMethod(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
 
 
 def _same_of(job: Job, settings: RunSettings, scene: Scene) -> Job:
@@ -346,6 +371,8 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
             _refuse_past(path, stored.duration, checkpoint.arrays or {})
+            if stored.torque is not None and Ramp.of(stored.torque).rises:
+                raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
         job = prepare(
             RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
         )

@@ -36,6 +36,7 @@ from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import LAWS, Law
+from taichi_bearings.scene.ramp import TORQUE
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions
 from taichi_bearings.words import meant
@@ -135,13 +136,14 @@ class RunSettings:
         "Other bodies than planes make a packing (docs/packings.md).",
         not_scanned="a scan is of lattices between planes",
     )
-    torque: float | None = how(
+    torque: float | str | None = how(
         None,
-        REAL,
+        TORQUE,
         "Torque on the top instead of its spin, along its state of strength 1: does it hold, and how fast does it "
-        "turn? The bottom is at rest.",
+        "turn? START:STOP:STEP, of a dynamics: a torque that grows from START to STOP in the course of the "
+        "duration, with a row of the history after every STEP.",
         unit="force*length",
-        methods=lambda row: not row.is_dynamics,
+        methods=attrgetter("takes_torque"),
     )
     coefficients: str | None = option(
         None,

@@ -7,6 +7,9 @@ torque that keeps it up, the work for a unit of a, is P(a) / a.
   what bounds P(1) bounds the torque of yield, and the forces that prove its lower bound are a safe load.
 * Viscosity alone: P(a) = a^2 P(1), and every torque moves the plane.
 * Both: P(a) / a rises without limit from its value for friction alone, and a is found by solving again and again.
+
+A bottom that turns loosens the top. With friction the torque for the strength a is then a slope of the potential
+Phi(a), which is convex: beyond (Phi(h) - Phi(0)) / h it turns, and up to there by no more than h.
 """
 
 from collections.abc import Callable
@@ -18,35 +21,55 @@ from scipy.optimize import brentq
 from taichi_bearings.errors import InputError
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.law import COULOMB
+from taichi_bearings.scene.law import COULOMB, LAWS
+from taichi_bearings.scene.ramp import Ramp
+from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Scene], Solution]
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
+HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
 AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
 
 
-def refuse_driven(settings: RunSettings) -> None:
-    """InputError for settings that say how fast the top turns, or that the bottom does."""
-    at_rest = settings.top is not None and not any(settings.bottom or ())
-    for key in ("spin_top", "spin_bottom", *(() if at_rest else ("bottom",))):
+def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
+    """InputError for settings that say how fast the top turns, or where the bottom may not, and for a torque in time
+    without a dynamics or a dynamics without a duration or from another start than rest."""
+    if Ramp.of(settings.torque).rises and not method.is_dynamics:
+        raise InputError(f"torque is {settings.torque}, which grows in time; it needs --method cundall-strack")
+    if method.is_dynamics and settings.duration is None:
+        raise InputError(f"torque is {settings.torque}, and duration is not given; a dynamics needs how long it acts")
+    if method.is_dynamics and settings.initial not in ("linear", "zero"):
+        raise InputError(f"initial is {settings.initial!r}, but under a torque a dynamics starts at rest; leave it out")
+    for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
         if key in settings.given:
-            raise InputError(
-                f"{key} is {settings.given[key]}, but a torque turns the top, and the bottom is at rest; leave one of "
-                "the two out"
-            )
+            raise InputError(f"{key} is {settings.given[key]}, but a torque turns the top, along its state --top")
+    driven = settings.spin_bottom or (any(settings.bottom or ()) and settings.bottom)
+    if driven and (method.is_dynamics or not LAWS[settings.law].holds):
+        raise InputError(
+            f"the bottom has the spin {driven}; under a torque a dynamics, and the law viscous, need it at rest"
+        )
 
 
-def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
-    """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes.
+def by_friction(solution: Solution, solve: Solve) -> Solution:
+    """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
+    scene = solution.scene
+    both = scene.law.holds and scene.law.flows
+    return solve(replace(scene, law=COULOMB, viscosity=())) if both else solution
+
+
+def under_torque(solution: Solution, friction: Solution, torque: float, solve: Solve) -> Solution:
+    """The motion of strength 1, with what the torque does beside it. friction : the same with friction alone.
+    solve : the same for other scenes.
 
     yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
     force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
     the torque is proven to be held, NaN where nothing limits the motion or it is not known.
     """
     scene = solution.scene
+    if scene.imposed[1]:
+        return replace(solution, findings={**solution.findings, **_beside_driven(scene, torque, solve)})
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
-        friction = solve(replace(scene, law=COULOMB, viscosity=())) if scene.law.flows else solution
         low, high = friction.lower_bound, friction.power
     yields, held = np.abs(torque) > high * SURELY, np.abs(torque) <= low
     amplitude = np.where(held, 0.0, np.nan)
@@ -61,9 +84,22 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
         "yields": yields,
         "yield_torque": high,
         "yield_torque_lower_bound": low,
-        "amplitude": np.sign(torque) * amplitude if torque else amplitude,
+        "amplitude": np.sign(torque) * amplitude + 0.0 if torque else amplitude,
     }
     return replace(solution, findings={**solution.findings, **found})
+
+
+def _beside_driven(scene: Scene, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+    """The same findings of a top beside a bottom that turns. yield_torque, in the direction of the torque, of either
+    sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than HELD_TURN of the bottom's spin.
+    """
+    step = HELD_TURN * scene.imposed[1] / abs(scene.imposed[0])
+    still, moving = (solve(_scaled(scene, strength)) for strength in (0.0, step if torque >= 0 else -step))
+    high = (moving.objective * SURELY - still.lower_bound) / step
+    low = (moving.lower_bound - still.objective * SURELY) / step
+    unknown = np.full(scene.replicas, np.nan)
+    yields = abs(torque) > high
+    return {"yields": yields, "yield_torque": high, "yield_torque_lower_bound": low, "amplitude": unknown}
 
 
 def _strength(scene: Scene, torque: float, least: float, solve: Solve) -> float:

@@ -83,7 +83,7 @@ class Progress:
     slip : slip speeds (R, E) where they are more precise than those of the spins, else None.
     settled : (R,), True where the states are final. states_proven : (R,), where they are those of a minimum, proven.
     settles_more : going on would settle more contact states, whatever the gap.
-    findings : what else the method has found, by name, (R,) each.
+    findings : what else the method has found, by name, (R,) each. columns : the same of this check, for the history.
     geometric : the gap falls by like factors in like times; else roughly like a power of the time.
     settles_at : gap from which on the method settles contact states, which takes its own time, if it does.
     needed : iterations of the method in all, where that is known beforehand.
@@ -112,6 +112,7 @@ class Progress:
     states_proven: np.ndarray | None = None
     settles_more: bool = False
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     geometric: bool = False
     settles_at: float | None = None
     needed: int | None = None

@@ -34,9 +34,11 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
 
     kept = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
+    stepping = staticmethod(cundall_strack_steps)
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         super().plan(scene, spin)
+        self.held = scene.lattice.is_driven
         components, dimension = len(self.spin_axes), scene.lattice.dimension
         forces = Stencil(self.spin_axes, dimension, 1).force_components
         spec = [(f"gear_{n}", components) for n in range(self.options.gear_order + 1)]
@@ -53,7 +55,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         assert fields is not None
         self.fields, layout, options = fields, fields.layout, self.options
-        self.stability_bound = stability_bound(scene, self.spin_axes, options)
+        self.stability_bound = stability_bound(scene, self.spin_axes, options, self.held)
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
         modes = sticking_modes(scene, self.spin_axes, options, float(np.abs(spin).max()), self.stability_bound)
         self.step_error = StepError(modes, options.gear_order, self.time_step)
@@ -66,7 +68,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
             beside = layout.at_lower_sphere(scene.viscosity_beside_friction)
             fields.load("viscosity", scene.lattice.radius * beside)
         self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
-        self.steps = cundall_strack_steps(self.spec, self.stencil, GEAR_COEFFICIENTS[options.gear_order])
+        self.steps = self.stepping(self.spec, self.stencil, GEAR_COEFFICIENTS[options.gear_order])
         self.steps.compile(fields, self.team)
 
     def _load_gear(self, staggered: np.ndarray) -> None:
@@ -77,7 +79,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         for n in range(1, options.gear_order + 1):
             forces.append(self._force_derivative(derivatives) / n)
             rate = scene.lattice.radius / self.inertia * self.pulls(forces[-1])
-            rate[..., scene.lattice.is_driven] = 0.0
+            self._drive(rate, n)
             derivatives.append(self.time_step * rate)
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
@@ -89,6 +91,10 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
             self.open_books(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = self.pulls(forces[0])
+
+    def _drive(self, rate: np.ndarray, order: int) -> None:
+        """Put right what the driven spheres do, in the derivative of this order of the spins over the time step."""
+        rate[..., self.scene.lattice.is_driven] = 0.0
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
         """Derivative of the contact forces (C, R, E) at the start, scaled like the last of these of the spins, of the
@@ -137,10 +143,11 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         for name in self._changing_fields():
             self.fields.load(name, state[name])
 
-    def advance(self, steps: int) -> None:
+    def numbers(self) -> tuple[float, ...]:
+        """The constants of a step."""
         scene, options = self.scene, self.options
         radius = scene.lattice.radius
-        numbers = (
+        return (
             radius * self.time_step,
             options.stiffness,
             radius * (options.damping if scene.law.holds else 1.0),
@@ -149,7 +156,9 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
             *options.after_slip(self.time_step),
             self._response(),
         )
-        self.steps.run(self.fields, self.team, steps, numbers)
+
+    def advance(self, steps: int) -> None:
+        self.steps.run(self.fields, self.team, steps, self.numbers())
         self.iteration += steps
         self.time = self.iteration * self.time_step
 
@@ -157,8 +166,12 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         """Change of a free spin in a step by a unit of force."""
         return self.time_step * self.scene.lattice.radius / self.inertia
 
+    def spins(self) -> np.ndarray:
+        """(C, R, *N), staggered, of now."""
+        return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
+
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        staggered = self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
+        staggered = self.spins()
         force = self._contact_forces("force") if self.iteration else self._damping_force(staggered)
         return staggered, force, self._contact_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
 
@@ -208,11 +221,16 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
 
 
-def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
-    """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
+def stability_bound(
+    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, held: np.ndarray | None = None
+) -> float:
+    """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer.
+
+    held : spheres (*N) whose spins are given; the driven ones if None.
+    """
     inertia = options.inertia or default_inertia(scene, options.mass)
     over = scene.lattice.radius**2 / inertia
-    decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
+    decay = over * largest_weighted_eigenvalue(scene, spin_axes, held) if scene.law.flows else 0.0
     if not scene.law.holds:
         return largest_stable_step(options.gear_order, decay, 0.0)
     stiffest = over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)

@@ -212,6 +212,12 @@ class _Course:
     def answer(self, status: Status, last: Progress, seconds: float, threshold: float | None) -> Solution:
         """What the best state and the best forces amount to. seconds : in all."""
         scene, best = self.scene, self.best
+        history, snapshots = self.recorder.history(), self.recorder.snapshots()
+        if isinstance(self.method, Dynamics) and (known := self.method.known):
+            known = replace(known, findings={**known.findings, **last.findings}, history=history, snapshots=snapshots)
+            left, seconds, name = last.largest_balance_residual, known.seconds + seconds, self.method.options.name
+            known = replace(known, method=name, iterations=last.iteration, largest_balance_residual=left)
+            return replace(known, status=status, seconds=seconds)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):
@@ -223,7 +229,6 @@ class _Course:
         if final.state is not None and scene.law.is_rate_independent:
             found = replace(found, state=above_noise(found))
         found = with_ties_counted(found)
-        history, snapshots = self.recorder.history(), self.recorder.snapshots()
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
 
 

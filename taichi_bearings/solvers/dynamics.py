@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.fields import FieldSpec
 from taichi_bearings.proof.certificate import relative_gap
-from taichi_bearings.scene import Energy, Progress, Scene
+from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import OnLattice
 from taichi_bearings.solvers.table import Motion, Springs
@@ -120,9 +120,11 @@ class Dynamics(OnLattice, Generic[OptionsOfMotion]):
 
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
     time : simulated time. aim : the next one at which a state is wanted. halted : it cannot make another step.
+    known : the answer, where the course adds its history alone.
     """
 
     kept: ClassVar[tuple[str, ...]] = ()
+    known: Solution | None = None
 
     def __init__(self, options: OptionsOfMotion) -> None:
         self.options, self.aim = options, np.inf

@@ -110,7 +110,7 @@ class Recorder:
             for name in ("kinetic", "spring", "injected", "dissipated"):
                 row[f"{name}_energy"] = getattr(energy, name)
             row["energy_residual"] = energy.residual
-        return row
+        return {**row, **progress.columns}
 
     def history(self) -> dict[str, np.ndarray]:
         """Columns of equal length; those with one value a replica are (rows, R)."""

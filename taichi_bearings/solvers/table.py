@@ -50,13 +50,15 @@ class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
     name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
-    time. cpu_only : it works in the memory of the CPU. alike_in_a_block : spheres up to which it gives a seed the same
-    bits alone and beside others, and gains by it. colour, marker : in every figure. solves : True for a law.
+    time. takes_torque : it can do with a torque on the top. cpu_only : it works in the memory of the CPU.
+    alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
+    colour, marker : in every figure. solves : True for a law.
     """
 
     name: ClassVar[str]
     implementation: ClassVar[str]
     is_dynamics: ClassVar[bool] = False
+    takes_torque: ClassVar[bool] = True
     needs_taichi: ClassVar[bool] = True
     cpu_only: ClassVar[bool] = False
     alike_in_a_block: ClassVar[float] = 0
@@ -227,7 +229,7 @@ def _error_tolerance() -> float:
 class Motion(MethodOptions):
     """What all dynamics have."""
 
-    is_dynamics = True
+    is_dynamics, takes_torque = True, False
 
     mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass")
     inertia: float | None = option(
@@ -295,6 +297,7 @@ class CundallStrack(Springs):
 
     name = "cundall-strack"
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
+    takes_torque = True
     colour, marker = "#8C6BB1", ">"
     solves = _laws()
 

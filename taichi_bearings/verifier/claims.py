@@ -121,7 +121,7 @@ def not_checked(run: StoredRun, judged: bool) -> list[str]:
     if "iteration" in run.history:
         sure |= {"iterations"}
     sure |= {name for name in ("time", "energy_residual") if name in run.history}
-    if not (samples.holds and samples.flows):
+    if not ((samples.holds and samples.flows) or samples.spin_bottom or isinstance(settings.get("torque"), str)):
         sure, keys = sure | {"yields", "yield_torque", "yield_torque_lower_bound", "amplitude"}, keys | {"torque"}
     if not is_dynamics:
         sure |= {"largest_balance_residual"}

@@ -22,6 +22,7 @@ ARITHMETIC = (
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 EPS = np.finfo(np.float64).eps
 CLAIMS = ("lower_bound", "states_proven", "minimum_is_unique")
+OFF_IN_SINGLE = 1e-5  # relative, that motions in single precision are off
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
 DRIVEN_STATE = 3  # state of a contact between driven spheres, in the file
 LOST_SQUARE = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
@@ -306,10 +307,12 @@ def _summary(run: StoredRun, judgement: Judgement) -> Iterator[str]:
 
 
 def _under_torque(run: StoredRun, judgement: Judgement) -> Iterator[str]:
-    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous."""
-    torque, samples = run.setting("torque", np.nan), run.samples
-    if "yields" not in run.attributes or (samples.holds and samples.flows):
+    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous, a
+    torque that grows, and a bottom that turns."""
+    samples, text = run.samples, isinstance(run.settings.get("torque"), str)
+    if "yields" not in run.attributes or (samples.holds and samples.flows) or samples.spin_bottom or text:
         return
+    torque = run.setting("torque", np.nan)
     for number in range(samples.count):
         high, low = (float(v[number]) if samples.holds else 0.0 for v in (judgement.power, judgement.lower_bound))
         moves, held = abs(torque) > high * (1 + ROUNDED), abs(torque) <= low
@@ -410,8 +413,19 @@ def _history(run: StoredRun, power: np.ndarray, bound: np.ndarray) -> Iterator[s
                 yield f"{name.replace('_', ' ')}: the summary says {said!r}, the history {float(rows[-1])!r}"
         if bounds is not None and (bounds > power[number] * (1 + ROUNDED)).any():
             yield f"a lower bound of the history is above the least {least}"
-        if powers is not None and (powers < bound[number] * (1 - ROUNDED)).any():
+        least_then = bound[number] * _least_share(run, number)
+        if powers is not None and (powers < least_then * (1 - ROUNDED)).any():
             yield f"a {least} of the history is below the least {least}"
+
+
+def _least_share(run: StoredRun, number: int) -> Any:
+    """What a motion of the strength a that a torque gives the top takes at least, over that of strength 1: |a| for
+    friction, a^2 for viscosity, and the smaller one for both."""
+    strength = _row(run.history.get("amplitude"), number)
+    if strength is None:
+        return 1.0
+    powers = [1] * run.samples.holds + [2] * run.samples.flows
+    return np.min([np.abs(strength) ** power for power in powers], axis=0) * (1 - OFF_IN_SINGLE)
 
 
 def _row(column: np.ndarray | None, number: int) -> np.ndarray | None:

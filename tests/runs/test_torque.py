@@ -101,8 +101,7 @@ def test_several_samples_and_a_forged_word(tmp_path):
 
 @pytest.mark.parametrize(
     ("method", "scene"),
-    [("cundall-strack", {}), ("auto", {"spin_top": 2.0}), ("auto", {"spin_bottom": 0.1}),
-     ("auto", {"top": (1.0, 0.0, 0.0), "bottom": (0.0, 1.0, 0.0)})],
+    [("cundall-strack", {}), ("auto", {"spin_top": 2.0}), ("auto", {"bottom": (0.0, 1.0, 0.0)})],
 )  # fmt: skip
 def test_what_a_torque_cannot_go_with(method, scene):
     with pytest.raises(InputError, match="torque"):

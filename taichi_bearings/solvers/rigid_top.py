@@ -1,0 +1,125 @@
+"""Cundall–Strack dynamics of a torque on the top, which turns as one body: a(t) times its bearing state of strength 1.
+
+I_a da/dt = T(t) - what the contacts hold, with I_a the sum over the spheres of the top of I |state|^2, integrated by
+Gear's method as all spins are. The bottom and all spheres are at rest at first.
+
+When does it start to turn? Once it has turned farther than springs and friction let it under SAFE of the safe load,
+since it was last no faster than a ramp that needs all its way up to that load for this angle (docs/scenes.md).
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.kernels.rigid_top import BODY_NUMBERS, RigidTopSteps
+from taichi_bearings.scene import Energy, Progress, Scene, Solution
+from taichi_bearings.scene.ramp import Ramp
+from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
+from taichi_bearings.solvers.table import CundallStrack
+
+SAFE = 0.99  # of the safe load, at which a top is told from one that does not turn
+
+
+def safe_angle(friction: Solution, stiffness: float) -> np.ndarray:
+    """(R,) by which the top cannot turn below SAFE of the torque that the friction of a solution is proven to hold:
+    E (4 s + s^2 / (1 - s)) over that torque, with E the energy of springs that bear the friction."""
+    springs = (friction.friction.reshape(friction.scene.replicas, -1) ** 2).sum(axis=1) / (2 * stiffness)
+    return over(springs * (4 * SAFE + SAFE**2 / (1 - SAFE)), friction.lower_bound)
+
+
+def over(value: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Their ratio; 0 without a torque."""
+    return np.divide(value, torque, out=np.zeros_like(value), where=torque > 0)
+
+
+class RigidTopMethod(CundallStrackMethod):
+    """rate : of the torque, force length/time. known : the motion of strength 1, which the run answers with. friction :
+    the same with friction alone. softness : (R,), the angle that tells a top that turns, over the safe load."""
+
+    stepping = staticmethod(lru_cache(RigidTopSteps))
+
+    def __init__(self, options: CundallStrack, rate: float, ramp: Ramp, known: Solution, friction: Solution) -> None:
+        super().__init__(options)
+        self.ramp, self.rate, self.known, self.friction = ramp, rate, known, friction
+        self.limit = safe_angle(friction, options.stiffness)
+        self.softness = over(self.limit, friction.lower_bound)
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
+        self.held = lattice.is_driven & (np.arange(lattice.shape[-1]) == 0)
+        self.state_of_top = scene.top_spin(self.spin_axes)[:, None]
+        self.body_inertia = self.inertia * float((scene.top_spin(lattice.all_spin_axes) ** 2).sum())
+        body = self.options.gear_order + 1 + len(BODY_NUMBERS)
+        self.spec = (*spec, ("state", len(self.spin_axes)), ("first", 1), ("body", body))
+        return self.spec
+
+    def _delay(self) -> np.ndarray:
+        """(R,) about how late the moment of yield comes, time."""
+        scene, motion, replicas = self.scene, self.friction, self.scene.replicas
+        inertia = self.inertia * (motion.spin.reshape(replicas, -1) ** 2).sum(axis=1)
+        viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
+        return np.sqrt(2 * inertia * self.softness) + viscous * self.softness
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+        self.body_at_start = [np.zeros(scene.replicas)]
+        super().begin(scene, spin, fields)
+        at_start = {"limit": self.limit / self.time_step, "creep": self.softness * abs(self.rate)}
+        body = [*self.body_at_start, *(at_start.get(name, np.zeros(scene.replicas)) for name in BODY_NUMBERS)]
+        for name, numbers in (("first", np.ones((1, scene.replicas))), ("body", np.stack(body))):
+            values = np.zeros((*numbers.shape, scene.lattice.sites))
+            values[..., 0] = numbers
+            self.fields.load(name, values.reshape(*numbers.shape, *scene.lattice.shape))
+        state = np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
+        state[..., -1] = self.state_of_top
+        self.fields.load("state", state)
+
+    def _load_gear(self, staggered: np.ndarray) -> None:
+        super()._load_gear(np.zeros_like(staggered))
+
+    def _drive(self, rate: np.ndarray, order: int) -> None:
+        pull = self.inertia * (rate[..., -1] * self.state_of_top).sum(axis=(0, *range(2, rate.ndim - 1)))
+        torque = {1: self.ramp.start, 2: self.rate * self.time_step / 2}.get(order, 0.0)
+        body = (pull + torque) / self.body_inertia
+        super()._drive(rate, order)
+        rate[..., -1] = self.state_of_top * body.reshape(-1, *(1,) * (rate.ndim - 3))
+        self.body_at_start.append(self.time_step * body)
+
+    def numbers(self) -> tuple[float, ...]:
+        scene, step = self.scene, self.time_step
+        height, radius = scene.lattice.shape[-1], scene.lattice.radius
+        response = step * radius / self.body_inertia
+        torque = (self.ramp.start / radius, self.rate * step / radius, np.copysign(1.0, self.ramp.stop))
+        return (*super().numbers(), height, scene.lattice.sites // height, response, *torque)
+
+    def spins(self) -> np.ndarray:
+        return self.fields.read("gear_0")
+
+    def _of_body(self, name: str) -> np.ndarray:
+        """(R,) of its numbers one; `amplitude` is the first of them."""
+        number = 0 if name == "amplitude" else self.options.gear_order + 1 + BODY_NUMBERS.index(name)
+        return self.fields.read("body")[number].reshape(self.scene.replicas, -1)[:, 0]
+
+    def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
+        found = super().books(staggered, force, spring)
+        if found is None:
+            return None
+        kinetic = found.kinetic + self.body_inertia / 2 * self._of_body("amplitude") ** 2
+        work = self.scene.lattice.radius * self.time_step * self._of_body("work")
+        return replace(found, kinetic=kinetic, injected=work)
+
+    def findings(self) -> dict[str, np.ndarray]:
+        start = self.time_step * self._of_body("start")
+        turns = self._of_body("angle") > self._of_body("limit")
+        when = {"torque_at_yield": self.ramp.start + self.rate * start, "time_at_yield": start}
+        when["torque_at_yield_error"] = abs(self.rate) * self._delay()
+        return super().findings() | {name: np.where(turns, value, np.nan) for name, value in when.items()}
+
+    def progress(self) -> Progress:
+        """As ever, but that no bound is claimed for a motion of any strength."""
+        found = super().progress()
+        torque = np.full(self.scene.replicas, self.ramp.start + self.rate * self.time)
+        columns = {"torque": torque, "amplitude": self._of_body("amplitude")}
+        found = replace(found, findings=self.findings(), columns=columns)
+        return replace(found, lower_bound=0 * torque, proof=0 * found.force)
