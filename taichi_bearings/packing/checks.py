@@ -112,13 +112,19 @@ def touching(packing: "Packing") -> np.ndarray:
     """Normals (E, D) from the centres; InputError for a contact that is none."""
     first, second = packing.contact.T
     vector = packing.center[second] - packing.center[first]
-    size, reach = np.linalg.norm(vector, axis=1), packing.radius[first] + packing.radius[second]
-    apart = (size > (1 + GAP) * reach) | (size < (1 - OVERLAP) * reach)
+    return directions(packing.contact, vector, packing.radius, "; across a periodic side it needs a normal")
+
+
+def directions(contact: np.ndarray, vector: np.ndarray, radius: Any, hint: str = "") -> np.ndarray:
+    """Unit vectors along `vector` (E, D), between the centres of each contact; InputError for spheres that do not touch."""
+    first, second = contact.T
+    size, reach = np.linalg.norm(vector, axis=1), radius[first] + radius[second]
+    apart = ~((size <= (1 + GAP) * reach) & (size >= (1 - OVERLAP) * reach))
     if apart.any():
         e = int(np.argmax(apart))
         raise InputError(
             f"contact {e} does not touch: spheres {first[e]} and {second[e]} are {size[e]:.6g} apart and their radii "
-            f"add up to {reach[e]:.6g}; across a periodic side it needs a normal"
+            f"add up to {reach[e]:.6g}{hint}"
         )
     normal = vector / size[:, None]
     normal.setflags(write=False)

@@ -37,10 +37,13 @@ KINDS = {
     "fcc": Cell((2**0.5,) * 3, FACES, None),
     "diamond": Cell((4 / 3**0.5,) * 3, FACES + QUARTER, ((0, 0, 0, 0, 1, 1, 1, 1), (0, 0, 0))),
 }  # fmt: skip
-Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, set[int]]
+Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,), and bodies (N,)."""
 
 
-def built(kind: str, cells: tuple[int, ...], periodic: Any) -> Built:
+def built(
+    kind: str, cells: tuple[int, ...], periodic: Any
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, set[int]]:
     """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and the periodic axes.
 
     Spheres are in the order of their cells, contacts bond by bond, of a cubic lattice axis by axis as in scenes.

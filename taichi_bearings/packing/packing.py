@@ -15,8 +15,9 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.options import SEED
-from taichi_bearings.packing import checks
-from taichi_bearings.packing.lattices import KINDS, built, driven_bodies
+from taichi_bearings.packing import checks, random_packing, space_filling
+from taichi_bearings.packing.lammps import read_dumps
+from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.given import finite_number, own_array
@@ -144,16 +145,65 @@ class Packing:
         """
         if kind not in KINDS:
             raise InputError(f"kind is {shown(kind)}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
-        radius = finite_number("radius", others.pop("radius", 0.5))
         place, contact, normal, sign, closed = built(kind, _whole(cells), periodic)
         body = driven_bodies(place, closed, others.pop("driven", "planes"))
+        return cls._between_sides(1.0, (place, contact, normal, sign, body), 2.0, seed, others)
+
+    @classmethod
+    def random(
+        cls, spheres: int, dimension: int = 3, ratio: float = 1.4, large: float = 0.5, width: float | None = None,
+        seed: int = 0, **others: Any,
+    ) -> "Packing":  # fmt: skip
+        """Spheres of two sizes, put one by one into the lowest pocket on a floor of spheres at random; sides periodic.
+
+        Each touches D earlier ones, to rounding, so that contacts are as many as hold it in place. Driven are the floor,
+        as body 0, and the spheres at the surface, as body 1. ratio : of the radii. large : share of large spheres.
+        width : of the box in diameters of small spheres; if None about its height. seed : of places and coefficients.
+        others : as of :meth:`lattice`; `radius` is that of the small spheres.
+        """
+        seed = SEED.read(seed)
+        radius, found = random_packing.built(spheres, dimension, ratio, large, width, np.random.default_rng([seed, 3]))
+        return cls._between_sides(radius, found, 1.0, seed, others)
+
+    @classmethod
+    def space_filling(
+        cls, m: int = 0, n: int = 0, least_radius: float = 0.01, periods: int = 1, seed: int = 0, **others: Any
+    ) -> "Packing":
+        """Discs that fill a strip of height 1, the first family of Herrmann, Mantica and Bessis (1990); x is periodic.
+
+        m, n : numbers of the family. least_radius : of the discs, all others left out. No loop is odd: neighbours can
+        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper one, body 1.
+        others : `spin_top`, `spin_bottom` (surface speeds, length/time; 1 and 0), with the sign of the kind; fields.
+        """
+        radius, found = space_filling.built(m, n, least_radius, periods)
+        if "radius" in others:
+            raise InputError("radius is no part of a space-filling bearing; its height is 1")
+        return cls._between_sides(radius, found, 1.0, seed, {"radius": 1.0, "at_surface": True} | others)
+
+    @classmethod
+    def from_lammps(cls, atoms: str | Path, contacts: str | Path, pair: Any, **others: Any) -> "Packing":
+        """From a `dump custom` of atoms and a `dump local` of their contacts at the same timestep; see read_dumps.
+
+        others : of :func:`taichi_bearings.packing.lammps.read_dumps`, and fields of this class.
+        """
+        known = read_dumps.__kwdefaults__ or {}
+        given = {name: others.pop(name) for name in list(others) if name in known}
+        return cls(**{**read_dumps(Path(atoms), Path(contacts), pair, **given), **others})
+
+    @classmethod
+    def _between_sides(cls, size: Any, found: Built, unit: float, seed: int, others: dict[str, Any]) -> "Packing":
+        """Of places and sides: lengths are in `unit` radii, `size` is that of each sphere in radii."""
+        radius = finite_number("radius", others.pop("radius", 0.5))
+        place, contact, normal, sign, body = found
+        at_surface = others.pop("at_surface", False)
         state = _states(others, place.shape[1])[np.maximum(body, 0)]  # (N, 4)
-        spin = sign[:, None] * (body >= 0)[:, None] * (state[:, :3] + state[:, 3:] * 2 * radius * _in_space(place))
+        spin = sign[:, None] * (body >= 0)[:, None] * (state[:, :3] + state[:, 3:] * unit * radius * _in_space(place))
         spin = spin if place.shape[1] == 3 else spin[:, 2]
         known = {f.name for f in fields(cls) if f.init} - {"center", "contact", "driven", "spin", "normal", "radius"}
         if strange := [name for name in others if name not in known]:
             raise InputError(f"{strange[0]} is no part of a lattice{meant(strange[0], known)}")
-        return cls(2 * radius * place, contact, body, spin, radius, normal, seed=seed, **others)
+        spin = spin / size if at_surface else spin
+        return cls(unit * radius * place, contact, body, spin, radius * size, normal, seed=seed, **others)
 
     @classmethod
     def load(cls, path: str | Path, **others: Any) -> "Packing":

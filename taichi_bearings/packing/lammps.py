@@ -1,0 +1,197 @@
+"""Packings out of LAMMPS: a `dump custom` of the atoms and a `dump local` of their contacts, read as files of strangers.
+
+After the manual's pages dump and compute pair/local. Nothing is believed that a file says of its length: lines are read
+one by one, and only numbers that are there take memory.
+"""
+
+from array import array
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.packing.checks import MOST_CONTACTS, MOST_SIZE, MOST_SPHERES, directions
+from taichi_bearings.plain_files import read_lines
+from taichi_bearings.words import shown
+
+SPIN = ("omegax", "omegay", "omegaz")
+MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
+
+
+def read_dumps(
+    atoms: Path, contacts: Path, pair: tuple[str, str], *, force: str | None = None, step: int | None = None,
+    driven: Any = None, driven_types: Mapping[int, int] | None = None, spin: Mapping[int, Any] | None = None,
+    dimension: int = 3,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """Arrays of a packing by name; spheres in the order of their ids.
+
+    atoms : has columns id, x y z (or xu yu zu), radius or diameter. contacts : has the ids of both atoms of a contact in
+    the columns `pair`, such as ("c_pair[1]", "c_pair[2]"), and the normal force in the column `force`, if that is named;
+    pairs with force 0 are left out. step : timestep, the last one of `atoms` if None.
+    driven : body of driven atoms by id, or (N,) in the order of the ids, -1 for free ones; or driven_types : body of all
+    atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay, omegaz.
+    dimension : 2 for discs in the plane z = const. Normals go the shortest way around periodic sides ("pp").
+
+    Raises FileError or InputError, one sentence, with the line of the file at fault.
+    """
+    if dimension not in (2, 3):
+        raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
+    if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
+        raise InputError(f"pair is {shown(pair)}; it must be two names of columns of {contacts}")
+    frame = _Frame(atoms, "ATOMS", step, MOST_SPHERES)
+    wrapped = "x" in frame.names
+    axes = [name if wrapped else f"{name}u" for name in "xyz"[:dimension]]
+    size = "radius" if "radius" in frame.names else "diameter"
+    rates = list(SPIN if dimension == 3 else SPIN[2:]) if spin is None else []
+    kinds = ["type"] if driven_types is not None else []
+    table = frame.columns(["id", *kinds, *axes, size, *rates], whole=1 + len(kinds))
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    number = table[:, 0].astype(np.int64)
+    if (twice := number[1:] == number[:-1]).any():
+        raise FileError(f"{atoms} has atom {number[1:][twice][0]} twice at timestep {frame.step}")
+    body = _bodies(number, driven, driven_types, table[:, 1].astype(np.int64))
+    center = table[:, 1 + len(kinds) :][:, :dimension]
+    radius = table[:, 1 + len(kinds) + dimension] * (1.0 if size == "radius" else 0.5)
+    found: dict[str, Any] = {"center": center, "radius": radius, "driven": body}
+    found["spin"] = table[:, -len(rates) :] if rates else _imposed(body, spin or {}, dimension)
+    found["spin"] = found["spin"][:, 0] if dimension == 2 and found["spin"].ndim == 2 else found["spin"]
+
+    local = _Frame(contacts, "", frame.step, MOST_CONTACTS)
+    rows = local.columns([*pair, *([force] if force else [])], whole=2)
+    rows = rows[rows[:, 2] != 0] if force else rows
+    ids = rows[:, :2].astype(np.int64)
+    where = np.minimum(np.searchsorted(number, ids), len(number) - 1)
+    if (lost := number[where] != ids).any():
+        raise FileError(
+            f"{contacts} has a contact of atom {ids[lost][0]}, which {atoms} lacks at timestep {frame.step}"
+        )
+    vector = center[where[:, 1]] - center[where[:, 0]]
+    if not (np.abs(center) <= MOST_SIZE).all() or not (np.abs(radius) <= MOST_SIZE).all():
+        raise FileError(f"{atoms} has places or radii that are not finite at timestep {frame.step}")
+    for axis in range(dimension):
+        length = frame.sides[axis]
+        if not length:
+            continue
+        if len(where) and length <= 2 * (radius[where[:, 0]] + radius[where[:, 1]]).max():
+            raise InputError(
+                f"the periodic side {'xyz'[axis]} is {length:g} long; spheres that touch both ways around it"
+            )
+        vector[:, axis] -= length * np.round(vector[:, axis] / length)
+    return found | {
+        "contact": where, "normal": directions(where, vector, radius), **({"normal_force": rows[:, 2]} if force else {})
+    }  # fmt: skip
+
+
+def _bodies(number: np.ndarray, driven: Any, driven_types: Mapping[int, int] | None, kind: np.ndarray) -> np.ndarray:
+    """Body of each atom (N,), -1 for free ones."""
+    if (driven is None) == (driven_types is None):
+        raise InputError("one of driven and driven_types must say which atoms are driven")
+    if driven is not None and not isinstance(driven, Mapping):
+        return np.asarray(driven)
+    table, keys = (driven_types, kind) if driven is None else (driven, number)
+    body = np.full(len(number), -1)
+    for key, own in table.items():
+        if not (keys == key).any():
+            raise InputError(f"driven is {shown(key)}, but there is no such atom or type")
+        body[keys == key] = own
+    return body
+
+
+def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
+    values = np.zeros((len(body), 3) if dimension == 3 else len(body))
+    for own in np.unique(body[body >= 0]).tolist():
+        if own not in spin:
+            raise InputError(f"spin lacks body {own}; it must give the spin of each driven body")
+        values[body == own] = spin[own]
+    return values
+
+
+class _Frame:
+    """One timestep of a dump. names : of its columns. sides : (3,), lengths of periodic sides of the box, else 0."""
+
+    def __init__(self, path: Path, items: str, step: int | None, most: int) -> None:
+        if not path.is_file():
+            raise FileError(f"{path} does not exist or is not a file")
+        self.path, self.line = path, 0
+        self.lines: Iterator[bytes] = read_lines(path)
+        self.step, start = self._last(step)
+        self.lines, self.line = islice(read_lines(path), start, None), start
+        self._next("a timestep")
+        kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
+        if items and kind != items:
+            raise self._wrong(f"ITEM: NUMBER OF {items}")
+        self.count = self._integer(self._next("a number"), 0, most)
+        flags = self._header("BOX BOUNDS", "ITEM: BOX BOUNDS with three flags such as pp ff pp")
+        if len(flags) != 3 or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
+            raise self._wrong("ITEM: BOX BOUNDS with three flags such as pp ff pp, a box that is not triclinic")
+        bounds = [self._numbers(self._next("two bounds"), [0, 1], 2, 0) for _ in range(3)]
+        self.sides = [high - low if flag == "pp" else 0.0 for (low, high), flag in zip(bounds, flags, strict=True)]
+        if not all(0 <= side <= MOST_SIZE for side in self.sides):
+            raise self._wrong("bounds in order above")
+        self.names = self._header(kind, f"ITEM: {kind} and names of columns")
+
+    def _last(self, step: int | None) -> tuple[int, int]:
+        """The timestep, and the number of the line before it."""
+        found = None
+        for line in self.lines:
+            self.line += 1
+            if line.startswith(b"ITEM: TIMESTEP"):
+                start = self.line
+                own = self._integer(self._next("a timestep"), 0, MOST_INTEGER)
+                if step is None or own == step:
+                    found = own, start
+        if found is None:
+            raise FileError(f"{self.path} has no timestep{'' if step is None else f' {step}'}; it is no dump with that")
+        return found
+
+    def _next(self, expected: str) -> bytes:
+        line = next(self.lines, None)
+        self.line += 1
+        if line is None:
+            raise FileError(f"{self.path} ends at line {self.line}, where {expected} must follow")
+        return line
+
+    def _wrong(self, expected: str) -> FileError:
+        return FileError(f"{self.path} is damaged or no dump: line {self.line} must be {expected}")
+
+    def _header(self, begin: str, expected: str) -> list[str]:
+        words = self._next(expected).decode("latin-1").strip()
+        if not words.startswith(f"ITEM: {begin}"):
+            raise self._wrong(expected)
+        return words[len(f"ITEM: {begin}") :].split()
+
+    def _integer(self, text: bytes, least: int, most: int) -> int:
+        digits = text.strip()
+        if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
+            raise self._wrong(f"a whole number from {least} to {most}")
+        return int(digits)
+
+    def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
+        """The numbers at these places of a line of so many words, the first `whole` of them whole."""
+        words = line.split()
+        try:
+            if len(words) != width or b"_" in line:
+                raise ValueError
+            numbers = [float(words[place]) for place in places]
+            if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):
+                raise ValueError
+        except ValueError:
+            raise self._wrong(f"{width} numbers, ids and types whole") from None
+        return numbers
+
+    def columns(self, names: list[str], whole: int) -> np.ndarray:
+        """Numbers of the named columns, (count, names); the first `whole` are whole numbers."""
+        if lacking := [name for name in names if self.names.count(name) != 1]:
+            raise FileError(f"{self.path} must have one column {lacking[0]}; it has {' '.join(self.names)}")
+        places, values = [self.names.index(name) for name in names], array("d")
+        for number in range(self.count):
+            line = self._next(f"row {number + 1} of {self.count}")
+            values.extend(self._numbers(line, places, len(self.names), whole))
+        after = next(self.lines, b"ITEM: ")
+        if not after.startswith(b"ITEM: ") and after.strip():
+            self.line += 1
+            raise self._wrong(f"the next timestep after {self.count} rows")
+        return np.frombuffer(values, dtype=np.float64).reshape(self.count, len(names))

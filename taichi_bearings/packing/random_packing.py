@@ -1,0 +1,138 @@
+"""Random packings of two sizes of spheres or discs that touch exactly, deposited one by one.
+
+After Bennett, J. Appl. Phys. 43, 2727 (1972): on a floor of spheres at random places each next one, its size drawn, goes
+into the lowest pocket where it touches D others and overlaps none. So E = D (N - floor): just as many contacts as hold
+every sphere in place, the isostatic number, 2 D a sphere but for floor and surface. Nothing is loose. Sides are periodic.
+"""
+
+from heapq import heappop, heappush
+from math import pi
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.packing.lattices import Built
+from taichi_bearings.packing.space_filling import whole
+from taichi_bearings.scene.given import finite_number
+from taichi_bearings.words import shown
+
+MOST_SPHERES = 200_000
+FILLED = {2: 0.78, 3: 0.57}  # share of the box that spheres fill, for the width of one as wide as high
+NARROWEST = 4.0  # width in diameters of the large spheres: no sphere then meets another one around both sides
+FLOOR_TRIES = 60  # places tried for each sphere that the floor could hold
+FLATTEST = (
+    1e-3  # square of the height of a pocket above those that form it, over that of a radius: rounding stays small
+)
+OVERLAP = 1e-12  # over the sum of the radii, that rounding may claim
+
+
+class _Heap:
+    """Spheres placed so far, lengths in radii of the small ones, and pockets of each size by height."""
+
+    def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
+        self.place, self.radius = np.empty((count, dimension)), np.empty(count)
+        self.sides = np.append(np.full(dimension - 1, width), np.inf)
+        self.sizes = (1.0, ratio)
+        self.count, self.made = 0, 0
+        self.pockets: dict[float, list] = {size: [] for size in self.sizes}
+
+    def away(self, place: np.ndarray, since: int = 0) -> np.ndarray:
+        """Vectors from a place to the spheres put since, (n, D)."""
+        vector = self.place[since : self.count] - place
+        vector[:, :-1] -= self.sides[:-1] * np.round(vector[:, :-1] / self.sides[:-1])
+        return vector
+
+    def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
+        reach = (self.radius[since : self.count] + size) * (1 - OVERLAP)
+        return bool(((self.away(place, since) ** 2).sum(axis=1) >= reach**2).all())
+
+    def put(self, place: np.ndarray, size: float) -> None:
+        """Place a sphere, and find the pockets that it forms with others."""
+        vector = self.away(place)
+        close = (vector**2).sum(axis=1) < (size + self.radius[: self.count] + 2 * self.sizes[1]) ** 2
+        near, vector = np.flatnonzero(close), vector[close]
+        own = self.count
+        self.place[own, :-1], self.place[own, -1] = np.mod(place[:-1], self.sides[:-1]), place[-1]
+        self.radius[own], self.count = size, own + 1
+        for new, pockets in self.pockets.items():
+            reach = self.radius[near] + new
+            middle, held = _touching(vector, size + new, reach)
+            free = ((middle[:, None] - vector) ** 2).sum(axis=2) >= (reach * (1 - OVERLAP)) ** 2
+            free = free.all(axis=1) & (place[-1] + middle[:, -1] > 0)
+            for offset, others in zip(middle[free], held[free], strict=True):
+                self.made += 1
+                there = place + offset
+                heappush(pockets, (float(there[-1]), self.made, there, (own, *near[others].tolist()), self.count))
+
+    def fill(self, size: float) -> tuple[int, ...] | None:
+        """Put a sphere into the lowest pocket for its size, and return those that it touches; None if none is left."""
+        while self.pockets[size]:
+            _, _, place, held, since = heappop(self.pockets[size])
+            if self.is_free(place, size, since):
+                self.put(place, size)
+                return held
+        return None
+
+
+def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (P, D) at a distance `first` from 0 and at `reach` from 1 (of discs) or 2 others at `vector` (n, D); and the
+    others (P, D - 1)."""
+    count, dimension = vector.shape
+    others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
+    size = np.linalg.norm(vector, axis=1)
+    along = (first**2 - reach**2 + size**2) / (2 * size)
+    unit = vector / size[:, None]
+    if dimension == 2:
+        foot, left, across = along[:, None] * unit, first**2 - along**2, unit[:, ::-1] * [-1.0, 1.0]
+    else:
+        one, two = others.T
+        cosine = (unit[one] * unit[two]).sum(axis=1)
+        sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
+        sine[sine == 0] = np.inf  # in line with the first
+        side = (unit[two] - cosine[:, None] * unit[one]) / sine[:, None]
+        beside = (along[two] - cosine * along[one]) / sine
+        foot = along[one, None] * unit[one] + beside[:, None] * side
+        left, across = first**2 - along[one] ** 2 - beside**2, np.cross(unit[one], side)
+        left[np.isinf(sine) | (sine**2 < FLATTEST)] = -1.0
+    real = left > FLATTEST
+    foot, height, others = foot[real], np.sqrt(left[real])[:, None] * across[real], others[real]
+    return np.concatenate([foot + height, foot - height]), np.concatenate([others, others])
+
+
+def built(
+    spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
+) -> tuple[np.ndarray, Built]:
+    """Radii (N,) in radii of the small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of
+    spheres at the surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
+    spheres = whole("spheres", spheres, 10, MOST_SPHERES)
+    if dimension not in (2, 3):
+        raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
+    ratio, large = finite_number("ratio", ratio), finite_number("large", large)
+    if not (1 <= ratio <= 5 and 0 <= large <= 1):
+        raise InputError(f"ratio is {ratio:g} and large is {large:g}; they must be from 1 to 5 and from 0 to 1")
+    volume = spheres * (pi if dimension == 2 else 4 * pi / 3) * (1 - large + large * ratio**dimension)
+    usual = (volume / FILLED[dimension]) ** (1 / dimension)
+    side = max(usual, 2 * NARROWEST * ratio) if width is None else 2 * finite_number("width", width)
+    if side < 2 * NARROWEST * ratio or side ** (dimension - 1) > spheres * pi ** (dimension - 1):
+        allowed = f"from {NARROWEST * ratio:g}, and so that the floor takes a part of the {spheres:,} spheres"
+        raise InputError(f"width is {side / 2:g}; it must be {allowed}")
+    heap = _Heap(spheres, side, ratio, dimension)
+    sizes = np.where(rng.random(spheres) < large, ratio, 1.0)
+    for _ in range(int(FLOOR_TRIES * (side / 2) ** (dimension - 1))):
+        place = np.append(rng.random(dimension - 1) * side, 0.0)
+        if heap.count < spheres and heap.is_free(place, sizes[heap.count]):
+            heap.put(place, sizes[heap.count])
+    floor, contact = heap.count, []
+    while heap.count < spheres:
+        own, wanted = heap.count, sizes[heap.count]
+        held = heap.fill(wanted) or heap.fill(1.0 if wanted == ratio else ratio)
+        if held is None:
+            raise InputError(f"no pocket is left after {own:,} spheres; take another seed or a wider box")
+        contact += [(other, own) for other in held]
+    pairs, place = np.array(contact, dtype=np.int64).reshape(-1, 2), heap.place
+    vector = place[pairs[:, 1]] - place[pairs[:, 0]]
+    vector[:, :-1] -= side * np.round(vector[:, :-1] / side)
+    normal = vector / np.linalg.norm(vector, axis=1)[:, None]
+    top = place[:, -1] > place[:, -1].max() - 2 * ratio
+    body = np.where(np.arange(spheres) < floor, 0, np.where(top, 1, -1))
+    return heap.radius, (place, pairs, normal, np.ones(spheres), body)

@@ -1,0 +1,122 @@
+"""Space-filling bearings of discs between two lines: the first family of Herrmann, Mantica and Bessis.
+
+After Phys. Rev. Lett. 65, 3223 (1990). Between the lines y = 0 and y = 1 disc C touches the upper one at x = 0, disc D
+the lower one at x = a, and they touch each other at T. Circle I through T, about the place where their common tangent
+at T meets the upper line, is orthogonal to that line, to C and to D; and so is J about the place on the lower line.
+Reflections in x = 0, x = a, I and J move these discs and lines to all others. They do not overlap if I meets x = a at
+the angle 2 pi / (m + 3) and J meets x = 0 at 2 pi / (n + 3): then m + 3 discs, the lower line among them, touch the
+upper line and D at equal distances, and n + 3 the lower line and C. With z_m = cos^2(pi / (m + 3))
+
+    a^2 = 1 / (1 / z_m + 1 / z_n - 1),  radius of C = a^2 / (2 z_m),  radius of D = a^2 / (2 z_n),
+
+radii of I and J those of C and D over a. Every contact is an image of one of these, and reflections keep apart the
+kinds {C, lower line} and {D, upper line}: no loop is odd, and opposite kinds can turn against each other everywhere.
+"""
+
+from math import ceil, cos, pi, sqrt
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.options import plain
+from taichi_bearings.packing.lattices import Built
+from taichi_bearings.scene.given import finite_number
+from taichi_bearings.words import shown
+
+LEAST_RADIUS = 1e-4  # of the height of the strip; some 30 000 discs a period
+LARGEST_COUNT, MOST_PERIODS = 20, 1000
+SAME_DISC = 1e-3  # distance of two copies of a disc, of the least radius
+TANGENT = 1e-9  # gap of discs that touch, over the sum of their radii
+
+
+def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray, Built]:
+    """Radii (N,); places (N, 2), contacts (E, 2), normals (E, 2), signs of the two kinds (N,) and sides (N,): 0 of discs
+    on the lower line, 1 on the upper one, else -1. Heights are from 0 to 1, the x axis is periodic, large discs first."""
+    m, n = whole("m", m, 0, LARGEST_COUNT), whole("n", n, 0, LARGEST_COUNT)
+    periods = whole("periods", periods, 1, MOST_PERIODS)
+    least = finite_number("least_radius", least_radius)
+    if not LEAST_RADIUS <= least <= 0.25:
+        raise InputError(
+            f"least_radius is {least:g}; it must be from {LEAST_RADIUS:g} to 0.25, in heights of the strip"
+        )
+    discs, half = _half_period(m, n, least)
+    inside = (discs[:, 0] > SAME_DISC * least) & (discs[:, 0] < half - SAME_DISC * least)
+    discs = np.concatenate([discs, discs[inside] * [-1.0, 1.0, 1.0, 1.0] + [2 * half, 0.0, 0.0, 0.0]])
+    discs = np.concatenate([discs + [2 * half * period, 0.0, 0.0, 0.0] for period in range(periods)])
+    place, radius, sign = discs[:, :2], discs[:, 2], discs[:, 3]
+    order = np.lexsort((place[:, 1], place[:, 0], -radius.round(12)))
+    place, radius, sign = place[order], radius[order], sign[order]
+    contact, normal = _contacts(place, radius, 2 * half * periods)
+    side = np.where(place[:, 1] - radius < TANGENT, 0, np.where(place[:, 1] + radius > 1 - TANGENT, 1, -1))
+    return radius, (place, contact, normal, sign, side)
+
+
+def whole(name: str, value: object, least: int, most: int) -> int:
+    number = plain(value)
+    if not isinstance(number, int) or isinstance(number, bool) or not least <= number <= most:
+        raise InputError(f"{name} is {shown(value)}; it must be a whole number from {least:,} to {most:,}")
+    return number
+
+
+def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
+    """Discs with centres from x = 0 to a: x, y, radius and kind, +1 or -1, (N, 4); and a."""
+    share_m, share_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
+    square = 1 / (1 / share_m + 1 / share_n - 1)
+    a, c, d = sqrt(square), square / (2 * share_m), square / (2 * share_n)
+    circles = ((c / a, 1.0, c / a), (a - d / a, 0.0, d / a))  # I and J: centre and radius
+    of_lower, of_upper = c * c / square / 2, d * d / square / 2  # radii of the images of the lines in I and J
+    seed = [(0.0, 1 - c, c, 1.0), (a, d, d, -1.0)]
+    seed += [(c / a, 1 - of_lower, of_lower, 1.0), (a - d / a, of_upper, of_upper, -1.0)]
+    found, new = np.empty((0, 4)), _folded(np.array([disc for disc in seed if disc[2] >= least]).reshape(-1, 4), a)
+    while len(new):
+        new = _unlike(found, new, SAME_DISC * least)
+        found = np.concatenate([found, new])
+        new = np.concatenate([_folded(_reflected(new, *circle, a, least), a) for circle in circles])
+    return found, a
+
+
+def _folded(discs: np.ndarray, a: float) -> np.ndarray:
+    x = np.mod(discs[:, 0], 2 * a)
+    return np.column_stack([np.where(x > a, 2 * a - x, x), discs[:, 1:]])
+
+
+def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
+    """The new discs, each once, that are not among those found."""
+    once = np.ones(len(new), dtype=bool)
+    once[cKDTree(new[:, :2]).query_pairs(tolerance, output_type="ndarray")[:, 1]] = False
+    if len(found):
+        once &= cKDTree(found[:, :2]).query(new[:, :2])[0] > tolerance
+    return new[once]
+
+
+def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, least: float) -> np.ndarray:
+    """Images, not smaller than `least`, in the circle about (x, y) of all copies of the discs outside that circle.
+
+    Discs of a packing that is its own image are orthogonal to the circle, inside or outside; those inside are images of
+    larger ones, so that none is missed.
+    """
+    farthest = size * sqrt(discs[:, 2].max(initial=0.0) / least) + 1  # images of those beyond are too small
+    turns = 2 * a * np.arange(-ceil(farthest / (2 * a)) - 1, ceil(farthest / (2 * a)) + 2)
+    copies = np.concatenate([discs * [side, 1, 1, 1] + [turn, 0, 0, 0] for turn in turns for side in (1, -1)])
+    offset, radius = copies[:, :2] - [x, y], copies[:, 2]
+    power = (offset**2).sum(axis=1) - radius**2  # of the centre with respect to the disc
+    factor = size**2 / np.where(power > 0, power, np.inf)
+    kept = (factor < 1 - TANGENT) & (factor * radius >= least * (1 - TANGENT))
+    image = np.column_stack([[x, y] + factor[:, None] * offset, factor * radius, copies[:, 3]])
+    return image[kept]
+
+
+def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts (E, 2) and normals (E, 2) of discs on a strip that closes on itself after `length`."""
+    count = len(place)
+    copies = np.concatenate([place + [turn * length, 0.0] for turn in (-1, 0, 1)])
+    near = cKDTree(copies).query_ball_point(place, 2 * radius * (1 + TANGENT))  # smaller discs are no farther away
+    first, copy = np.repeat(np.arange(count), [len(own) for own in near]), np.concatenate(near).astype(np.int64)
+    second = copy % count
+    vector, reach = copies[copy] - place[first], radius[first] + radius[second]
+    size = np.linalg.norm(vector, axis=1)
+    kept = (first < second) & (np.abs(size - reach) <= TANGENT * reach)  # the first is not the smaller one
+    first, second, vector, size = first[kept], second[kept], vector[kept], size[kept]
+    order = np.lexsort((vector[:, 0], second, first))
+    return np.column_stack([first, second])[order], (vector / size[:, None])[order]

@@ -1,0 +1,184 @@
+"""Dumps of LAMMPS: numbers by hand, a packing there and back, and files of strangers."""
+
+import contextlib
+
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+
+ATOMS = """ITEM: TIMESTEP
+100
+ITEM: NUMBER OF ATOMS
+1
+ITEM: BOX BOUNDS pp ff ff
+0 4
+0 2
+0 2
+ITEM: ATOMS id type x y z diameter omegax omegay omegaz
+1 1 9 9 9 1 0 0 0
+ITEM: TIMESTEP
+200
+ITEM: NUMBER OF ATOMS
+3
+ITEM: BOX BOUNDS pp ff ff
+0.0 4.0
+0.0000000000000000e+00 2
+0 2
+ITEM: ATOMS id type x y z diameter omegax omegay omegaz
+30 2 3.5 1 1 1.0 0 0 7
+10 1 0.5 1 1 1 1 2 3
+20 1 0.5 1.75 1 0.5 0 0 0
+"""
+CONTACTS = """ITEM: TIMESTEP
+200
+ITEM: NUMBER OF ENTRIES
+3
+ITEM: BOX BOUNDS pp ff ff
+0 4
+0 2
+0 2
+ITEM: ENTRIES index c_pair[1] c_pair[2] c_fn
+1 10 20 2.5
+2 10 30 0.5
+3 30 20 0
+"""
+PAIR = ("c_pair[1]", "c_pair[2]")
+
+
+def read(folder, atoms=ATOMS, contacts=CONTACTS, **others):
+    (folder / "atoms").write_bytes(atoms if isinstance(atoms, bytes) else atoms.encode())
+    (folder / "contacts").write_bytes(contacts if isinstance(contacts, bytes) else contacts.encode())
+    return tb.Packing.from_lammps(
+        folder / "atoms", folder / "contacts", PAIR, **{"driven_types": {2: 0}, "force": "c_fn"} | others
+    )
+
+
+def test_numbers_of_a_dump_are_those_worked_out_by_hand(tmp_path):
+    found = read(tmp_path)
+    assert found.center.tolist() == [[0.5, 1, 1], [0.5, 1.75, 1], [3.5, 1, 1]]  # by id
+    assert found.radius.tolist() == [0.5, 0.25, 0.5]
+    assert found.contact.tolist() == [[0, 1], [0, 2]]  # the third one bears no force
+    assert found.normal.tolist() == [[0, 1, 0], [-1, 0, 0]]  # the second across the periodic side
+    assert found.normal_force.tolist() == [2.5, 0.5]
+    assert found.driven.tolist() == [-1, -1, 0]
+    assert found.spin[2].tolist() == [0, 0, 7]
+    named = read(
+        tmp_path, driven_types=None, driven={10: 1, 20: 0}, spin={0: (0, 0, 1), 1: (1, 0, 0)}, friction=[0.1, 0.2]
+    )
+    assert named.driven.tolist() == [1, 0, -1]
+    assert named.spin[:2].tolist() == [[1, 0, 0], [0, 0, 1]]
+    assert named.friction.tolist() == [0.1, 0.2]
+
+
+def as_dumps(packing, side, rng):
+    """Text of a packing with periodic lateral sides, atoms in any order, places as they are."""
+    flat = packing.dimension == 2
+    pad = lambda values: np.column_stack([values, np.zeros(len(values))]) if flat else values  # noqa: E731
+    center, box = pad(packing.center), [f"0 {side!r}"] * (packing.dimension - 1) + ["-1 99"] * (4 - packing.dimension)
+    flags = " ".join(["pp"] * (packing.dimension - 1) + ["ff", "pp"])[:8]
+    spin = np.column_stack([np.zeros((packing.spheres, 2)), packing.spin]) if flat else packing.spin
+    head = (
+        "ITEM: TIMESTEP\n{}\nITEM: NUMBER OF {}\n{}\n" + f"ITEM: BOX BOUNDS {flags}\n" + "\n".join(box) + "\nITEM: {}"
+    )
+    rows = [
+        " ".join(map(repr, [int(i) + 1, int(packing.driven[i]) + 2, *center[i].tolist(), float(packing.radius[i])]))
+        + " " + " ".join(map(repr, spin[i].tolist()))
+        for i in rng.permutation(packing.spheres)
+    ]  # fmt: skip
+    atoms = head.format(7, "ATOMS", len(rows), "ATOMS id type x y z radius omegax omegay omegaz\n")
+    pairs = [f"{i + 1} {j + 1} {f!r}" for (i, j), f in zip(packing.contact, packing.normal_force.tolist(), strict=True)]
+    contacts = head.format(7, "ENTRIES", len(pairs), "ENTRIES c_pair[1] c_pair[2] c_fn\n")
+    return atoms + "\n".join(rows) + "\n", contacts + "\n".join(pairs) + "\n"
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_packing_is_the_same_there_and_back(tmp_path, dimension):
+    rng = np.random.default_rng(8)
+    packing = tb.Packing.random(90, dimension, width=7.0, seed=5, spin_bottom=0.25)
+    again = read(
+        tmp_path,
+        *as_dumps(packing, 7.0, rng),
+        driven_types={2: 0, 3: 1},
+        dimension=dimension,
+        friction=packing.friction,
+    )
+    for name, values in packing.arrays().items():
+        assert np.asarray(getattr(again, name)) == pytest.approx(values, abs=1e-15, rel=1e-15), name
+    assert tb.solve(again).power == pytest.approx(tb.solve(packing).power, rel=1e-9)
+
+
+WRONG = [
+    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 15 must be ITEM: BOX BOUNDS.*not triclinic"),
+    (ATOMS.replace("ATOMS\n3", "ATOMS\n4"), CONTACTS, "ends at line 23, where row 4 of 4 must follow"),
+    (ATOMS.replace("ATOMS\n3", "ATOMS\n2"), CONTACTS, "line 22 must be the next timestep after 2 rows"),
+    (ATOMS.replace("ATOMS\n3", "ATOMS\n99999999999999"), CONTACTS, "line 14 must be a whole number"),
+    (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "line 21 must be 9 numbers"),
+    (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "line 21 must be 9 numbers"),
+    (ATOMS.replace("10 1 0.5", "10.5 1 0.5"), CONTACTS, "line 21 must be 9 numbers, ids and types whole"),
+    (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "has atom 20 twice"),
+    (ATOMS.replace("10 1 0.5", "10 1 nan"), CONTACTS, "not finite"),
+    (ATOMS.replace("diameter", "mass"), CONTACTS, "must have one column diameter"),
+    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "bounds in order"),
+    (ATOMS.replace("0.0 4.0", "0.0 2.0"), CONTACTS, "periodic side x is 2 long"),
+    (ATOMS, CONTACTS.replace("200", "100"), "contacts has no timestep 200"),
+    (ATOMS, CONTACTS.replace("2 10 30", "2 10 31"), "has a contact of atom 31"),
+    (ATOMS, CONTACTS.replace("3 30 20 0", "3 30 20 1"), "contact 2 does not touch"),
+    (ATOMS, CONTACTS.replace("3 30 20 0", "3 10 20 1"), "contacts 0 and 2 are both of spheres 0 and 1"),
+    (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have one column c_fn; it has index c_pair"),
+    ("", CONTACTS, "atoms has no timestep"),
+]
+
+
+@pytest.mark.parametrize(("atoms", "contacts", "words"), WRONG, ids=range(len(WRONG)))
+def test_what_is_no_dump_is_one_sentence_with_its_line(tmp_path, atoms, contacts, words):
+    with pytest.raises(tb.InputError, match=words) as told:
+        read(tmp_path, atoms, contacts)
+    assert "\n" not in str(told.value)
+
+
+def test_what_is_asked_for_must_be_there(tmp_path):
+    for others, words in [
+        ({"step": 100, "driven_types": {1: 0}}, "contacts has no timestep 100"),
+        ({"step": 150}, "atoms has no timestep 150"),
+        ({"driven_types": {3: 0}}, "driven is 3, but there is no such atom or type"),
+        ({"driven": {10: 0}}, "one of driven and driven_types"),
+        ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),
+        ({"dimension": 4}, "dimension is 4"),
+    ]:
+        with pytest.raises(tb.InputError, match=words):
+            read(tmp_path, **others)
+
+
+def test_damaged_dumps_are_one_sentence_or_a_right_answer(tmp_path):
+    """Bytes changed, lines lost, doubled or exchanged, ends cut off."""
+    rng, whole = np.random.default_rng(12), [ATOMS.encode(), CONTACTS.encode()]
+    answers = 0
+    for number in range(200):
+        files = [bytearray(text) for text in whole]
+        own = files[number % 2]
+        lines = bytes(own).splitlines(keepends=True)
+        i, j = rng.integers(0, len(lines), 2)
+        match number % 5:
+            case 0:
+                own[rng.integers(len(own))] = rng.integers(256)
+            case 1:
+                del own[rng.integers(len(own)) :]
+            case 2:
+                own[:] = b"".join(lines[:i] + lines[i + 1 :])
+            case 3:
+                own[:] = b"".join(lines[: i + 1] + lines[i:])
+            case 4:
+                lines[i], lines[j] = lines[j], lines[i]
+                own[:] = b"".join(lines)
+        with contextlib.suppress(tb.InputError):  # whose texts are one line
+            found = read(tmp_path, bytes(files[0]), bytes(files[1]))
+            reach = found.radius[found.contact].sum(axis=1)
+            vector = found.center[found.contact[:, 1]] - found.center[found.contact[:, 0]]
+            vector[:, 0] -= 4 * np.round(vector[:, 0] / 4)
+            assert (np.linalg.norm(vector, axis=1) < 1.02 * reach).all() or number % 5 in (
+                0,
+                4,
+            )  # where the box changed
+            answers += 1
+    assert 20 < answers < 180
