@@ -116,9 +116,7 @@ def test_a_frustrated_space_filling_bearing_is_a_minimum_cut(seed):
     second = next(i for i in largest if kind[i] != kind[first])
     driven, spin = np.full(whole.spheres, -1), np.zeros(whole.spheres)
     driven[[first, second]], spin[[first, second]] = [0, 1], 1 / whole.radius[[first, second]]
-    packing = tb.Packing(
-        whole.center, whole.contact, driven, spin, whole.radius, whole.normal, friction=whole.friction
-    )
+    packing = tb.Packing(whole.center, whole.contact, driven, spin, whole.radius, whole.normal, friction=whole.friction)
     network = networkx.Graph()
     acts = ~(packing.driven[packing.contact] >= 0).all(axis=1)
     for (i, j), weight in zip(packing.contact[acts].tolist(), packing.friction[acts] * 50.0, strict=True):

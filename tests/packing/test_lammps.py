@@ -43,15 +43,13 @@ ITEM: ENTRIES index c_pair[1] c_pair[2] c_fn
 2 10 30 0.5
 3 30 20 0
 """
-PAIR = ("c_pair[1]", "c_pair[2]")
+COLUMNS = ("c_pair[1]", "c_pair[2]", "c_fn")
 
 
 def read(folder, atoms=ATOMS, contacts=CONTACTS, **others):
     (folder / "atoms").write_bytes(atoms if isinstance(atoms, bytes) else atoms.encode())
     (folder / "contacts").write_bytes(contacts if isinstance(contacts, bytes) else contacts.encode())
-    return tb.Packing.from_lammps(
-        folder / "atoms", folder / "contacts", PAIR, **{"driven_types": {2: 0}, "force": "c_fn"} | others
-    )
+    return tb.Packing.from_lammps(folder / "atoms", folder / "contacts", COLUMNS, **{"driven_types": {2: 0}} | others)
 
 
 def test_numbers_of_a_dump_are_those_worked_out_by_hand(tmp_path):
@@ -63,7 +61,9 @@ def test_numbers_of_a_dump_are_those_worked_out_by_hand(tmp_path):
     assert found.normal_force.tolist() == [2.5, 0.5]
     assert found.driven.tolist() == [-1, -1, 0]
     assert found.spin[2].tolist() == [0, 0, 7]
-    named = read(tmp_path, driven_types=None, driven={10: 1, 20: 0}, spin={0: (0, 0, 1), 1: (1, 0, 0)}, friction=[0.1, 0.2])
+    named = read(
+        tmp_path, driven_types=None, driven={10: 1, 20: 0}, spin={0: (0, 0, 1), 1: (1, 0, 0)}, friction=[0.1, 0.2]
+    )
     assert named.driven.tolist() == [1, 0, -1]
     assert named.spin[:2].tolist() == [[1, 0, 0], [0, 0, 1]]
     assert named.friction.tolist() == [0.1, 0.2]
@@ -76,7 +76,9 @@ def as_dumps(packing, side, rng):
     center, box = pad(packing.center), [f"0 {side!r}"] * (packing.dimension - 1) + ["-1 99"] * (4 - packing.dimension)
     flags = " ".join(["pp"] * (packing.dimension - 1) + ["ff", "pp"])[:8]
     spin = np.column_stack([np.zeros((packing.spheres, 2)), packing.spin]) if flat else packing.spin
-    head = "ITEM: TIMESTEP\n{}\nITEM: NUMBER OF {}\n{}\n" + f"ITEM: BOX BOUNDS {flags}\n" + "\n".join(box) + "\nITEM: {}"
+    head = (
+        "ITEM: TIMESTEP\n{}\nITEM: NUMBER OF {}\n{}\n" + f"ITEM: BOX BOUNDS {flags}\n" + "\n".join(box) + "\nITEM: {}"
+    )
     rows = [
         " ".join(map(repr, [int(i) + 1, int(packing.driven[i]) + 2, *center[i].tolist(), float(packing.radius[i])]))
         + " " + " ".join(map(repr, spin[i].tolist()))
@@ -93,7 +95,11 @@ def test_a_packing_is_the_same_there_and_back(tmp_path, dimension):
     rng = np.random.default_rng(8)
     packing = tb.Packing.random(90, dimension, width=7.0, seed=5, spin_bottom=0.25)
     again = read(
-        tmp_path, *as_dumps(packing, 7.0, rng), driven_types={2: 0, 3: 1}, dimension=dimension, friction=packing.friction
+        tmp_path,
+        *as_dumps(packing, 7.0, rng),
+        driven_types={2: 0, 3: 1},
+        dimension=dimension,
+        friction=packing.friction,
     )
     for name, values in packing.arrays().items():
         assert np.asarray(getattr(again, name)) == pytest.approx(values, abs=1e-15, rel=1e-15), name
@@ -168,6 +174,9 @@ def test_damaged_dumps_are_one_sentence_or_a_right_answer(tmp_path):
             reach = found.radius[found.contact].sum(axis=1)
             vector = found.center[found.contact[:, 1]] - found.center[found.contact[:, 0]]
             vector[:, 0] -= 4 * np.round(vector[:, 0] / 4)
-            assert (np.linalg.norm(vector, axis=1) < 1.02 * reach).all() or number % 5 in (0, 4)  # where the box changed
+            assert (np.linalg.norm(vector, axis=1) < 1.02 * reach).all() or number % 5 in (
+                0,
+                4,
+            )  # where the box changed
             answers += 1
     assert 20 < answers < 180
