@@ -31,8 +31,8 @@ def read_dumps(
     ("c_pair[1]", "c_pair[2]", "c_force"): the ids of both atoms of a contact, and if there is a third one the normal
     force; pairs with force 0 are left out. step : timestep, the last one of `atoms` if None.
     driven : body of driven atoms by id, or (N,) in the order of the ids, -1 for free ones; or driven_types : body of
-    all atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay, omegaz.
-    dimension : 2 for discs in the plane z = const. Normals go the shortest way around periodic sides ("pp").
+    all atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay,
+    omegaz. dimension : 2 for discs in the plane z = const. Normals go the shortest way around periodic sides ("pp").
 
     Raises FileError or InputError, one sentence, with the line of the file at fault.
     """

@@ -150,8 +150,8 @@ class Packing:
     ) -> "Packing":  # fmt: skip
         """Spheres of two sizes, put one by one into the lowest pocket on a floor of spheres at random; sides periodic.
 
-        Each touches D earlier ones, to rounding, so that contacts are as many as hold it. Driven are the floor, as body 0,
-        and the spheres at the surface, as body 1. ratio : of the radii. large : share of large spheres.
+        Each touches D earlier ones, to rounding, so that contacts are as many as hold it. Driven are the floor, as body
+        0, and the spheres at the surface, as body 1. ratio : of the radii. large : share of large spheres.
         width : of the box in diameters of small spheres; if None about its height. seed : of places and coefficients.
         others : as of :meth:`lattice`; `radius` is that of the small spheres.
         """
@@ -165,8 +165,8 @@ class Packing:
     ) -> "Packing":
         """Discs that fill a strip of height 1, the first family of Herrmann, Mantica and Bessis (1990); x is periodic.
 
-        m, n : numbers of the family. least_radius : of the discs, all others left out. No loop is odd: neighbours can turn
-        against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper one, body 1.
+        m, n : numbers of the family. least_radius : of the discs, all others left out. No loop is odd: neighbours can
+        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper one, body 1.
         others : `spin_top`, `spin_bottom` (surface speeds, length/time; 1 and 0), with the sign of the kind; fields.
         """
         radius, found = space_filling.built(m, n, least_radius, periods)

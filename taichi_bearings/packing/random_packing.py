@@ -102,8 +102,8 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
 def built(
     spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, Built]:
-    """Radii (N,) of small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of spheres at the
-    surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
+    """Radii (N,) of small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of spheres at
+    the surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
     spheres = whole("spheres", spheres, 10, MOST_DEPOSITED)
     if dimension not in (2, 3):
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
