@@ -166,7 +166,7 @@ class Packing:
         """Discs that fill a strip of height 1, the first family of Herrmann, Mantica and Bessis (1990); x is periodic.
 
         m, n : numbers of the family. least_radius : of the discs, all others left out. No loop is odd: neighbours can
-        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper one, body 1.
+        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper, body 1.
         others : `spin_top`, `spin_bottom` (surface speeds, length/time; 1 and 0), with the sign of the kind; fields.
         """
         radius, found = space_filling.built(m, n, least_radius, periods)
