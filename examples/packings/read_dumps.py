@@ -11,5 +11,5 @@ import sys
 import taichi_bearings as tb
 
 atoms, contacts, file = sys.argv[1:]
-pair = ("c_pair[1]", "c_pair[2]")
-tb.Packing.from_lammps(atoms, contacts, pair, force="c_force", driven_types={2: 0, 3: 1}, seed=3).save(file)
+columns = ("c_pair[1]", "c_pair[2]", "c_force")
+tb.Packing.from_lammps(atoms, contacts, columns, driven_types={2: 0, 3: 1}, seed=3).save(file)

@@ -1,7 +1,7 @@
 """A driven shaft in a cubic block: python shaft.py RADIUS WALLS FILE, with WALLS "rest" or "across".
 
-The shaft, all spheres nearer to the axis than RADIUS spacings, turns about the axis; the four walls are at rest, or turn
-about x. Neighbours turn against each other, so every spin has the sign of its sublattice.
+The shaft, all spheres nearer to the axis than RADIUS spacings, turns about the axis; the four walls rest, or turn about
+x. Neighbours turn against each other, so every spin has the sign of its sublattice.
 """
 
 import sys

@@ -13,7 +13,8 @@ import taichi_bearings as tb
 
 width, folder = 7.0, Path(sys.argv[1])
 packing = tb.Packing.random(150, width=width, seed=7, direction=(0, 1, 0))
-head = f"ITEM: TIMESTEP\n0\nITEM: NUMBER OF {{}}\n{{}}\nITEM: BOX BOUNDS pp pp ff\n0 {width}\n0 {width}\n-1 20\nITEM: {{}}\n"
+head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF {}\n{}\nITEM: BOX BOUNDS pp pp ff\n"
+head += f"0 {width}\n0 {width}\n-1 20\nITEM: {{}}\n"
 columns = [np.arange(packing.spheres) + 1, packing.driven + 2, packing.center, packing.radius, packing.spin]
 with open(folder / "packed.atoms", "w") as file:
     file.write(head.format("ATOMS", packing.spheres, "ATOMS id type x y z radius omegax omegay omegaz"))

@@ -116,7 +116,7 @@ def touching(packing: "Packing") -> np.ndarray:
 
 
 def directions(contact: np.ndarray, vector: np.ndarray, radius: Any, hint: str = "") -> np.ndarray:
-    """Unit vectors along `vector` (E, D), between the centres of each contact; InputError for spheres that do not touch."""
+    """Unit vectors along `vector` (E, D), between the centres of contacts; InputError for spheres that do not touch."""
     first, second = contact.T
     size, reach = np.linalg.norm(vector, axis=1), radius[first] + radius[second]
     apart = ~((size <= (1 + GAP) * reach) & (size >= (1 - OVERLAP) * reach))

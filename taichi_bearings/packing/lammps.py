@@ -1,11 +1,11 @@
-"""Packings out of LAMMPS: a `dump custom` of the atoms and a `dump local` of their contacts, read as files of strangers.
+"""Packings out of LAMMPS: a `dump custom` of atoms and a `dump local` of their contacts, read as files of strangers.
 
 After the manual's pages dump and compute pair/local. Nothing is believed that a file says of its length: lines are read
 one by one, and only numbers that are there take memory.
 """
 
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,67 +22,68 @@ MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
 
 
 def read_dumps(
-    atoms: Path, contacts: Path, pair: tuple[str, str], *, force: str | None = None, step: int | None = None,
-    driven: Any = None, driven_types: Mapping[int, int] | None = None, spin: Mapping[int, Any] | None = None,
-    dimension: int = 3,
+    atoms: Path, contacts: Path, columns: Sequence[str], *, step: int | None = None, driven: Any = None,
+    driven_types: Mapping[int, int] | None = None, spin: Mapping[int, Any] | None = None, dimension: int = 3,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """Arrays of a packing by name; spheres in the order of their ids.
 
-    atoms : has columns id, x y z (or xu yu zu), radius or diameter. contacts : has the ids of both atoms of a contact in
-    the columns `pair`, such as ("c_pair[1]", "c_pair[2]"), and the normal force in the column `force`, if that is named;
-    pairs with force 0 are left out. step : timestep, the last one of `atoms` if None.
-    driven : body of driven atoms by id, or (N,) in the order of the ids, -1 for free ones; or driven_types : body of all
-    atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay, omegaz.
-    dimension : 2 for discs in the plane z = const. Normals go the shortest way around periodic sides ("pp").
+    atoms : has columns id, x y z (or xu yu zu), radius or diameter. contacts : has the columns named by `columns`, as
+    ("c_pair[1]", "c_pair[2]", "c_force"): the ids of both atoms of a contact, and if there is a third one the normal
+    force; pairs with force 0 are left out. step : timestep, the last one of `atoms` if None.
+    driven : body of driven atoms by id, or (N,) in the order of the ids, -1 for free ones; or driven_types : body of
+    all atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay,
+    omegaz. dimension : 2 for discs in the plane z = const. Normals go the shortest way around periodic sides ("pp").
 
     Raises FileError or InputError, one sentence, with the line of the file at fault.
     """
     if dimension not in (2, 3):
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
-    if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
-        raise InputError(f"pair is {shown(pair)}; it must be two names of columns of {contacts}")
+    if isinstance(columns, str) or len(columns) not in (2, 3):
+        raise InputError(f"columns is {shown(columns)}; it must be two or three names of columns of {contacts}")
     frame = _Frame(atoms, "ATOMS", step, MOST_SPHERES)
-    wrapped = "x" in frame.names
-    axes = [name if wrapped else f"{name}u" for name in "xyz"[:dimension]]
+    axes = [name if "x" in frame.names else f"{name}u" for name in "xyz"[:dimension]]
     size = "radius" if "radius" in frame.names else "diameter"
     rates = list(SPIN if dimension == 3 else SPIN[2:]) if spin is None else []
     kinds = ["type"] if driven_types is not None else []
-    table = frame.columns(["id", *kinds, *axes, size, *rates], whole=1 + len(kinds))
+    table = frame.columns(["id", *kinds, size, *axes, *rates], whole=1 + len(kinds))
     table = table[np.argsort(table[:, 0], kind="stable")]
-    number = table[:, 0].astype(np.int64)
+    number, (radius, *place) = table[:, 0].astype(np.int64), table[:, 1 + len(kinds) : 2 + len(kinds) + dimension].T
     if (twice := number[1:] == number[:-1]).any():
         raise FileError(f"{atoms} has atom {number[1:][twice][0]} twice at timestep {frame.step}")
+    if not (np.abs(table) <= max(MOST_SIZE, MOST_INTEGER)).all():
+        raise FileError(f"{atoms} has numbers that are not finite at timestep {frame.step}")
     body = _bodies(number, driven, driven_types, table[:, 1].astype(np.int64))
-    center = table[:, 1 + len(kinds) :][:, :dimension]
-    radius = table[:, 1 + len(kinds) + dimension] * (1.0 if size == "radius" else 0.5)
-    found: dict[str, Any] = {"center": center, "radius": radius, "driven": body}
-    found["spin"] = table[:, -len(rates) :] if rates else _imposed(body, spin or {}, dimension)
-    found["spin"] = found["spin"][:, 0] if dimension == 2 and found["spin"].ndim == 2 else found["spin"]
+    found: dict[str, Any] = {"center": np.column_stack(place), "driven": body}
+    found["radius"] = radius * (1.0 if size == "radius" else 0.5)
+    found["spin"] = _imposed(body, spin, dimension) if spin is not None else table[:, -len(rates) :]
+    if dimension == 2:
+        found["spin"] = found["spin"].reshape(-1)
+    return found | _contacts(contacts, columns, frame, number, found["center"], found["radius"])
 
-    local = _Frame(contacts, "", frame.step, MOST_CONTACTS)
-    rows = local.columns([*pair, *([force] if force else [])], whole=2)
-    rows = rows[rows[:, 2] != 0] if force else rows
+
+def _contacts(
+    path: Path, columns: Sequence[str], frame: "_Frame", number: np.ndarray, center: np.ndarray, radius: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Contacts, normals and, of a third column, normal forces, of atoms with these numbers (N,), at the same time."""
+    rows = _Frame(path, "", frame.step, MOST_CONTACTS).columns(list(columns), whole=2)
+    rows = rows[rows[:, 2] != 0] if len(columns) > 2 else rows
     ids = rows[:, :2].astype(np.int64)
     where = np.minimum(np.searchsorted(number, ids), len(number) - 1)
-    if (lost := number[where] != ids).any():
-        raise FileError(
-            f"{contacts} has a contact of atom {ids[lost][0]}, which {atoms} lacks at timestep {frame.step}"
-        )
+    if not len(number) or (number[where] != ids).any():
+        lost = ids[number[where] != ids] if len(number) else [0]
+        raise FileError(f"{path} has a contact of atom {lost[0]}, which {frame.path} lacks at timestep {frame.step}")
     vector = center[where[:, 1]] - center[where[:, 0]]
-    if not (np.abs(center) <= MOST_SIZE).all() or not (np.abs(radius) <= MOST_SIZE).all():
-        raise FileError(f"{atoms} has places or radii that are not finite at timestep {frame.step}")
-    for axis in range(dimension):
-        length = frame.sides[axis]
+    for axis, length in enumerate(frame.sides[: center.shape[1]]):
         if not length:
             continue
         if len(where) and length <= 2 * (radius[where[:, 0]] + radius[where[:, 1]]).max():
+            side = "xyz"[axis]
             raise InputError(
-                f"the periodic side {'xyz'[axis]} is {length:g} long; spheres that touch both ways around it"
+                f"the periodic side {side} is {length:g} long, so that spheres may touch both ways around it"
             )
         vector[:, axis] -= length * np.round(vector[:, axis] / length)
-    return found | {
-        "contact": where, "normal": directions(where, vector, radius), **({"normal_force": rows[:, 2]} if force else {})
-    }  # fmt: skip
+    found = {"contact": where, "normal": directions(where, vector, radius)}
+    return found | ({"normal_force": rows[:, 2]} if len(columns) > 2 else {})
 
 
 def _bodies(number: np.ndarray, driven: Any, driven_types: Mapping[int, int] | None, kind: np.ndarray) -> np.ndarray:
@@ -91,7 +92,7 @@ def _bodies(number: np.ndarray, driven: Any, driven_types: Mapping[int, int] | N
         raise InputError("one of driven and driven_types must say which atoms are driven")
     if driven is not None and not isinstance(driven, Mapping):
         return np.asarray(driven)
-    table, keys = (driven_types, kind) if driven is None else (driven, number)
+    table, keys = (driven_types or {}, kind) if driven is None else (driven, number)
     body = np.full(len(number), -1)
     for key, own in table.items():
         if not (keys == key).any():

@@ -156,8 +156,8 @@ class Packing:
     ) -> "Packing":  # fmt: skip
         """Spheres of two sizes, put one by one into the lowest pocket on a floor of spheres at random; sides periodic.
 
-        Each touches D earlier ones, to rounding, so that contacts are as many as hold it in place. Driven are the floor,
-        as body 0, and the spheres at the surface, as body 1. ratio : of the radii. large : share of large spheres.
+        Each touches D earlier ones, to rounding, so that contacts are as many as hold it. Driven are the floor, as body
+        0, and the spheres at the surface, as body 1. ratio : of the radii. large : share of large spheres.
         width : of the box in diameters of small spheres; if None about its height. seed : of places and coefficients.
         others : as of :meth:`lattice`; `radius` is that of the small spheres.
         """
@@ -172,7 +172,7 @@ class Packing:
         """Discs that fill a strip of height 1, the first family of Herrmann, Mantica and Bessis (1990); x is periodic.
 
         m, n : numbers of the family. least_radius : of the discs, all others left out. No loop is odd: neighbours can
-        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper one, body 1.
+        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper, body 1.
         others : `spin_top`, `spin_bottom` (surface speeds, length/time; 1 and 0), with the sign of the kind; fields.
         """
         radius, found = space_filling.built(m, n, least_radius, periods)
@@ -181,14 +181,14 @@ class Packing:
         return cls._between_sides(radius, found, 1.0, seed, {"radius": 1.0, "at_surface": True} | others)
 
     @classmethod
-    def from_lammps(cls, atoms: str | Path, contacts: str | Path, pair: Any, **others: Any) -> "Packing":
-        """From a `dump custom` of atoms and a `dump local` of their contacts at the same timestep; see read_dumps.
+    def from_lammps(cls, atoms: str | Path, contacts: str | Path, columns: Any, **others: Any) -> "Packing":
+        """From a `dump custom` of atoms and the named columns of a `dump local` of their contacts at the same timestep.
 
         others : of :func:`taichi_bearings.packing.lammps.read_dumps`, and fields of this class.
         """
         known = read_dumps.__kwdefaults__ or {}
         given = {name: others.pop(name) for name in list(others) if name in known}
-        return cls(**{**read_dumps(Path(atoms), Path(contacts), pair, **given), **others})
+        return cls(**{**read_dumps(Path(atoms), Path(contacts), columns, **given), **others})
 
     @classmethod
     def _between_sides(cls, size: Any, found: Built, unit: float, seed: int, others: dict[str, Any]) -> "Packing":

@@ -1,8 +1,9 @@
 """Random packings of two sizes of spheres or discs that touch exactly, deposited one by one.
 
-After Bennett, J. Appl. Phys. 43, 2727 (1972): on a floor of spheres at random places each next one, its size drawn, goes
-into the lowest pocket where it touches D others and overlaps none. So E = D (N - floor): just as many contacts as hold
-every sphere in place, the isostatic number, 2 D a sphere but for floor and surface. Nothing is loose. Sides are periodic.
+After Bennett, J. Appl. Phys. 43, 2727 (1972): on a floor of spheres at random places each next one, its size drawn,
+goes into the lowest pocket where it touches D others and overlaps none. So E = D (N - floor): just as many contacts as
+hold every sphere in place, the isostatic number, 2 D a sphere but for floor and surface. None is loose. Sides are
+periodic.
 """
 
 from heapq import heappop, heappush
@@ -16,14 +17,14 @@ from taichi_bearings.packing.space_filling import whole
 from taichi_bearings.scene.given import finite_number
 from taichi_bearings.words import shown
 
-MOST_SPHERES = 200_000
+MOST_DEPOSITED = 200_000
 FILLED = {2: 0.78, 3: 0.57}  # share of the box that spheres fill, for the width of one as wide as high
 NARROWEST = 4.0  # width in diameters of the large spheres: no sphere then meets another one around both sides
 FLOOR_TRIES = 60  # places tried for each sphere that the floor could hold
 FLATTEST = (
     1e-3  # square of the height of a pocket above those that form it, over that of a radius: rounding stays small
 )
-OVERLAP = 1e-12  # over the sum of the radii, that rounding may claim
+CLAIMED_OVERLAP = 1e-12  # over the sum of the radii, that rounding may claim
 
 
 class _Heap:
@@ -43,7 +44,7 @@ class _Heap:
         return vector
 
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
-        reach = (self.radius[since : self.count] + size) * (1 - OVERLAP)
+        reach = (self.radius[since : self.count] + size) * (1 - CLAIMED_OVERLAP)
         return bool(((self.away(place, since) ** 2).sum(axis=1) >= reach**2).all())
 
     def put(self, place: np.ndarray, size: float) -> None:
@@ -57,7 +58,7 @@ class _Heap:
         for new, pockets in self.pockets.items():
             reach = self.radius[near] + new
             middle, held = _touching(vector, size + new, reach)
-            free = ((middle[:, None] - vector) ** 2).sum(axis=2) >= (reach * (1 - OVERLAP)) ** 2
+            free = ((middle[:, None] - vector) ** 2).sum(axis=2) >= (reach * (1 - CLAIMED_OVERLAP)) ** 2
             free = free.all(axis=1) & (place[-1] + middle[:, -1] > 0)
             for offset, others in zip(middle[free], held[free], strict=True):
                 self.made += 1
@@ -75,8 +76,7 @@ class _Heap:
 
 
 def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places (P, D) at a distance `first` from 0 and at `reach` from 1 (of discs) or 2 others at `vector` (n, D); and the
-    others (P, D - 1)."""
+    """Places (P, D) at `first` from 0 and at `reach` from D - 1 others at `vector` (n, D); and these (P, D - 1)."""
     count, dimension = vector.shape
     others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
     size = np.linalg.norm(vector, axis=1)
@@ -102,9 +102,9 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
 def built(
     spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, Built]:
-    """Radii (N,) in radii of the small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of
-    spheres at the surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
-    spheres = whole("spheres", spheres, 10, MOST_SPHERES)
+    """Radii (N,) of small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of spheres at
+    the surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
+    spheres = whole("spheres", spheres, 10, MOST_DEPOSITED)
     if dimension not in (2, 3):
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
     ratio, large = finite_number("ratio", ratio), finite_number("large", large)
@@ -119,9 +119,9 @@ def built(
     heap = _Heap(spheres, side, ratio, dimension)
     sizes = np.where(rng.random(spheres) < large, ratio, 1.0)
     for _ in range(int(FLOOR_TRIES * (side / 2) ** (dimension - 1))):
-        place = np.append(rng.random(dimension - 1) * side, 0.0)
-        if heap.count < spheres and heap.is_free(place, sizes[heap.count]):
-            heap.put(place, sizes[heap.count])
+        spot = np.append(rng.random(dimension - 1) * side, 0.0)
+        if heap.count < spheres and heap.is_free(spot, sizes[heap.count]):
+            heap.put(spot, sizes[heap.count])
     floor, contact = heap.count, []
     while heap.count < spheres:
         own, wanted = heap.count, sizes[heap.count]

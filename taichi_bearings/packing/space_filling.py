@@ -31,8 +31,8 @@ TANGENT = 1e-9  # gap of discs that touch, over the sum of their radii
 
 
 def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray, Built]:
-    """Radii (N,); places (N, 2), contacts (E, 2), normals (E, 2), signs of the two kinds (N,) and sides (N,): 0 of discs
-    on the lower line, 1 on the upper one, else -1. Heights are from 0 to 1, the x axis is periodic, large discs first."""
+    """Radii (N,); places (N, 2), contacts (E, 2), normals (E, 2), signs of the two kinds (N,) and sides (N,): 0 of
+    discs on the lower line, 1 on the upper one, else -1. Heights are 0 to 1, x is periodic, large discs come first."""
     m, n = whole("m", m, 0, LARGEST_COUNT), whole("n", n, 0, LARGEST_COUNT)
     periods = whole("periods", periods, 1, MOST_PERIODS)
     least = finite_number("least_radius", least_radius)

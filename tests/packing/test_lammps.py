@@ -43,15 +43,13 @@ ITEM: ENTRIES index c_pair[1] c_pair[2] c_fn
 2 10 30 0.5
 3 30 20 0
 """
-PAIR = ("c_pair[1]", "c_pair[2]")
+COLUMNS = ("c_pair[1]", "c_pair[2]", "c_fn")
 
 
 def read(folder, atoms=ATOMS, contacts=CONTACTS, **others):
     (folder / "atoms").write_bytes(atoms if isinstance(atoms, bytes) else atoms.encode())
     (folder / "contacts").write_bytes(contacts if isinstance(contacts, bytes) else contacts.encode())
-    return tb.Packing.from_lammps(
-        folder / "atoms", folder / "contacts", PAIR, **{"driven_types": {2: 0}, "force": "c_fn"} | others
-    )
+    return tb.Packing.from_lammps(folder / "atoms", folder / "contacts", COLUMNS, **{"driven_types": {2: 0}} | others)
 
 
 def test_numbers_of_a_dump_are_those_worked_out_by_hand(tmp_path):
