@@ -9,7 +9,7 @@ from taichi_bearings_cli.options import Choice, out_options, replica_option, run
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
-STRUCTURE_KINDS = ("domains", "network", "plane_cuts", "bottlenecks")
+STRUCTURE_KINDS = ("domains", "network", "bottlenecks")
 PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 
@@ -25,8 +25,8 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 @click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
 @click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
 @click.option(
-    "--bars", type=Choice(["standard-error", "quartiles", "bootstrap"]), default=None,
-    help="scan: mean and standard error, median and quartiles, or mean and 95 % interval. "
+    "--bars", type=Choice(["standard-error", "bootstrap"]), default=None,
+    help="scan: mean and standard error, or mean and 95 % interval. "
     "[default: standard-error; for a ratio bootstrap]",
 )  # fmt: skip
 @click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
@@ -54,7 +54,6 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     \b
     domains      rigid domains: where they are, how large, how they turn
     network      slipless contacts, a path from bottom to top and its spins
-    plane_cuts   cuts along the planes that hold most of the path
     bottlenecks  how the paths from bottom to top crowd
 
     and, with the directory of a scan as RUN,

@@ -165,12 +165,6 @@ class SliplessNetwork:
         """Number of paths from the bottom to the top plane that share no contact, as many as there are."""
         return int(self.parting_sets[0].sum())
 
-    def spans_within_planes(self, axis: int) -> np.ndarray:
-        """For each lattice plane across `axis`: True if its slipless contacts alone join bottom and top."""
-        inside, plane = self.axis != axis, self.contact[:, axis]
-        pieces = [self.pieces(inside & (plane == index)) for index in range(self.lattice.shape[axis])]
-        return np.array([label[0] == label[-1] for label in pieces])
-
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
         """Values (E,) of the edges spread over all contacts of the lattice, 0 elsewhere."""
         spread = np.zeros(self.slipless.shape, dtype=values.dtype)

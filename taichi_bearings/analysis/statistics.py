@@ -1,5 +1,5 @@
-"""Statistics over the samples of a parameter point: means with errors, quantiles, bootstrap intervals, and the grouping
-of a table of samples by its parameters.
+"""Statistics over the samples of a parameter point: means with their intervals, and the grouping of a table of samples
+by its parameters.
 
 Samples are independent draws. Fewer than LEAST_SAMPLES have no interval. From FEW_SAMPLES to MANY_SAMPLES it is the
 bias-corrected and accelerated (BCa) bootstrap interval (B. Efron, J. Am. Stat. Assoc. 82, 171, 1987) of a mean or a
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 LEAST_SAMPLES, FEW_SAMPLES, MANY_SAMPLES = 3, 20, 10_000  # samples
@@ -29,41 +28,6 @@ class Estimate:
     value: float
     low: float
     high: float
-
-
-@dataclass(frozen=True)
-class Description:
-    """Statistics of one number over the samples of a parameter point.
-
-    number : samples that have it. missing : samples that have not (failed, or not-a-number); they are left out.
-    standard_error : of the mean, from the spread of the samples; NaN for fewer than two. quantiles : those of
-    QUANTILES, interpolated. low, high : ends of the interval of the mean.
-    """
-
-    number: int
-    missing: int
-    mean: float
-    standard_error: float
-    quantiles: np.ndarray
-    low: float
-    high: float
-
-
-def describe(values: np.ndarray) -> Description:
-    """Statistics of a number of the samples, (samples,)."""
-    values = np.asarray(values, dtype=float)
-    present = values[np.isfinite(values)]
-    number = len(present)
-    mean = mean_interval(present)
-    return Description(
-        number=number,
-        missing=len(values) - number,
-        mean=mean.value,
-        standard_error=float(present.std(ddof=1) / np.sqrt(number)) if number > 1 else np.nan,
-        quantiles=np.quantile(present, QUANTILES) if number else np.full(len(QUANTILES), np.nan),
-        low=mean.low,
-        high=mean.high,
-    )
 
 
 def mean_interval(values: np.ndarray) -> Estimate:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.census import Census
-from taichi_bearings.analysis.statistics import LEAST_SAMPLES, QUANTILES, describe, groups, independent, ratio_interval
+from taichi_bearings.analysis.statistics import LEAST_SAMPLES, groups, independent, mean_interval, ratio_interval
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
@@ -25,7 +25,6 @@ from taichi_bearings.words import meant
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
-    "quartiles": "medians with quartiles",
     "bootstrap": "means with 95 % intervals",
 }
 SIZE = "L"
@@ -217,10 +216,9 @@ def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
     if len(terms) == 2:
         ratio = ratio_interval(terms[0], terms[1])
         return {"ratio": ratio.value, "low": ratio.low, "high": ratio.high}
-    found = describe(terms[0])
-    quantiles = {f"quantile_{100 * q:g}": float(v) for q, v in zip(QUANTILES, found.quantiles, strict=True)}
-    rest = {"mean": found.mean, "standard_error": found.standard_error, "low": found.low, "high": found.high}
-    return rest | quantiles
+    values, mean = terms[0], mean_interval(terms[0])
+    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.nan
+    return {"mean": mean.value, "standard_error": error, "low": mean.low, "high": mean.high}
 
 
 def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tuple[float, float, float]:
@@ -228,12 +226,9 @@ def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tu
     bars = request.bars_shown
     if request.is_ratio and bars != "bootstrap":
         raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
-    if bars == "quartiles":
-        value, low, high = (statistics[f"quantile_{percent}"] for percent in (50, 25, 75))
-    else:
-        value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
-        if bars == "standard-error":
-            low, high = value - statistics["standard_error"], value + statistics["standard_error"]
+    value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
+    if bars == "standard-error":
+        low, high = value - statistics["standard_error"], value + statistics["standard_error"]
     return (value, low, high) if number >= LEAST_SAMPLES else (value, math.nan, math.nan)
 
 

@@ -5,6 +5,7 @@ import itertools
 import networkx
 import numpy as np
 import pytest
+from taichi_bearings_studies.paper.network import spans_within_planes
 
 from taichi_bearings.analysis.network import network_of
 from taichi_bearings.lattice import Lattice
@@ -108,12 +109,12 @@ def test_planes_that_a_path_crosses():
     path = STAIRS.shortest_path
     np.testing.assert_array_equal(path[[0, 1, -1]], [[0, 2, 0], [0, 2, 1], [2, 1, 3]])
     assert [network.path_planes for network in (STAIRS, CHAIN, EMPTY)] == [[3, 2], [1], [0, 0]]
-    assert not STAIRS.spans_within_planes(0).any()
-    assert not STAIRS.spans_within_planes(1).any()
+    assert not spans_within_planes(STAIRS, 0).any()
+    assert not spans_within_planes(STAIRS, 1).any()
     flat = drawn((2, 3, 4), [(1, 0, 0), (1, 0, 1), (1, 1, 1), (1, 1, 2), (1, 1, 3)])
-    assert flat.spans_within_planes(0).tolist() == [False, True]
-    assert flat.spans_within_planes(1).tolist() == [False] * 3
-    assert TWO_CHAINS.spans_within_planes(0).tolist() == [True, False, True]
+    assert spans_within_planes(flat, 0).tolist() == [False, True]
+    assert spans_within_planes(flat, 1).tolist() == [False] * 3
+    assert spans_within_planes(TWO_CHAINS, 0).tolist() == [True, False, True]
 
 
 def limits(network):
@@ -170,8 +171,8 @@ def test_no_path_within_a_plane_joins_the_driven_planes_at_a_minimum():
         scene = make_scene((5, 5, 5), seeds=(seed,), spin_bottom=0.1)
         solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
         network = network_of(scene.lattice, solution.state[0])
-        assert not network.spans_within_planes(0).any()
-        assert not network.spans_within_planes(1).any()
+        assert not spans_within_planes(network, 0).any()
+        assert not spans_within_planes(network, 1).any()
         if network.spans:
             spanning += 1
             assert min(network.path_planes) >= 2

@@ -70,7 +70,6 @@ FIGURES = [
     "energy",
     "domains",
     "network",
-    "plane_cuts",
     "bottlenecks",
 ]
 
