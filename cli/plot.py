@@ -9,7 +9,7 @@ from taichi_bearings_cli.options import Choice, out_options, replica_option, run
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
-STRUCTURE_KINDS = ("domains", "network", "bottlenecks")
+STRUCTURE_KINDS = ("domains", "network")
 PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 
@@ -54,7 +54,6 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     \b
     domains      rigid domains: where they are, how large, how they turn
     network      slipless contacts, a path from bottom to top and its spins
-    bottlenecks  how the paths from bottom to top crowd
 
     and, with the directory of a scan as RUN,
 

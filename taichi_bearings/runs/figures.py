@@ -6,7 +6,6 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.bottlenecks import draw_bottlenecks
 from taichi_bearings.plots.domains import draw_domains
 from taichi_bearings.plots.energy import draw_energy
 from taichi_bearings.plots.history import draw_history
@@ -21,13 +20,12 @@ from taichi_bearings.words import meant
 FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
     "domains": lambda s, page: draw_domains(s.domains, page),
     "network": lambda s, page: draw_network(s.network, s.spin, *s.scene.imposed, page),
-    "bottlenecks": lambda s, page: draw_bottlenecks(s.bottlenecks, page=page),
 }
 """How each figure of the structure of a sample is drawn."""
 
 FIGURE_KINDS = ("spins", "power", "history", "energy", *FIGURES)
 WITH_PLANES = ("spins", "power", "domains")
-WITH_VIEW = ("spins", "domains", "network", "bottlenecks")
+WITH_VIEW = ("spins", "domains", "network")
 
 
 def draw_figure(

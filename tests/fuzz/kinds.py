@@ -70,7 +70,6 @@ FIGURES = [
     "energy",
     "domains",
     "network",
-    "bottlenecks",
 ]
 
 
