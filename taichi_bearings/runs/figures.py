@@ -6,9 +6,8 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
+from taichi_bearings.plots.course import draw_energy, draw_history
 from taichi_bearings.plots.domains import draw_domains
-from taichi_bearings.plots.energy import draw_energy
-from taichi_bearings.plots.history import draw_history
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.power import draw_power

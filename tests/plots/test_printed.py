@@ -17,7 +17,7 @@ from taichi_bearings_studies.plots.sizes import THRESHOLDS, Column, draw_sizes
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.energy import draw_energy
+from taichi_bearings.plots.course import draw_energy
 from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
 from taichi_bearings.plots.network import behind, draw_network
 from taichi_bearings.plots.page import Page, View, read_dpi, read_plane, read_view, read_width
