@@ -254,7 +254,7 @@ class _Course:
 
         for finished in run_samples(units, engine, retry, failure):
             if finished:
-                self._keep(finished, work, journal, engine.workers)
+                self._keep(finished, work, journal, engine.workers or 1)
                 continue
             self._look(engine)
             if stopped.is_set():
