@@ -109,10 +109,10 @@ def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
 
 
 @pytest.mark.slow
-def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(client, plan_of, tmp_path):
+def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(plan_of, tmp_path):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2, 5]\n")
-    engine = DaskEngine(client, scan_faults.end_dask_worker)
-    report = scan(plan, tmp_path / "scan", engine=engine)
+    with cluster_of(2) as cluster, connected(cluster.scheduler_address) as client:  # which may not outlive it
+        report = scan(plan, tmp_path / "scan", engine=DaskEngine(client, scan_faults.end_dask_worker))
     assert (report["done"], report["failed"]) == (2, 1)
     assert "seed = 5" in report["failures"][0]["sample"]
     assert "Dask workers were lost" in report["failures"][0]["error"]
