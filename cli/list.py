@@ -11,7 +11,7 @@ from taichi_bearings_cli.options import FILES, json_option
 @click.argument("folder", metavar="[DIR]", type=FILES, default="outputs")
 @json_option
 def command(folder: str, as_json: bool) -> None:
-    """Runs and scans in DIR [default: outputs], newest first: what they hold, how they ended, their size and date.
+    """Runs and scans in DIR [default: outputs], newest first: what they hold, how they ended and when.
 
     It reads summaries and journals alone, so it says what these say; `bearings verify` checks it. A folder that cannot
     be read is named with the reason.
@@ -24,7 +24,7 @@ def command(folder: str, as_json: bool) -> None:
     import time
 
     from taichi_bearings.errors import BearingsError
-    from taichi_bearings.scans.listing import entries, in_bytes
+    from taichi_bearings.scans.listing import entries
     from taichi_bearings.words import counted
 
     found = entries(Path(folder))
@@ -34,9 +34,7 @@ def command(folder: str, as_json: bool) -> None:
     widest = max((len(Path(entry.path).name) for entry in found), default=0)
     for entry in found:
         when = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.modified))
-        name, size = Path(entry.path).name, in_bytes(entry.bytes)
-        line = f"{when}  {entry.kind:4}  {name:{min(widest, 40)}}  {size:>7}  {entry.words()}"
+        line = f"{when}  {entry.kind:4}  {Path(entry.path).name:{min(widest, 40)}}  {entry.words()}"
         click.echo(BearingsError(line))  # a line, whatever the names hold
     runs, scans = (sum(entry.kind == kind for entry in found) for kind in ("run", "scan"))
-    total = in_bytes(sum(entry.bytes for entry in found))
-    click.echo(f"{counted(runs, 'run')} and {counted(scans, 'scan')} in {folder}, {total}", err=True)
+    click.echo(f"{counted(runs, 'run')} and {counted(scans, 'scan')} in {folder}", err=True)

@@ -10,7 +10,7 @@ from taichi_bearings_cli.options import Choice, out_options, replica_option, run
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
-STRUCTURE_KINDS = ("domains", "network", "plane_cuts", "bottlenecks")
+STRUCTURE_KINDS = ("domains", "network")
 PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 
@@ -26,15 +26,18 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 @click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
 @click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
 @click.option(
-    "--bars", type=Choice(["standard-error", "quartiles", "bootstrap"]), default=None,
-    help="scan: mean and standard error, median and quartiles, or mean and 95 % interval. "
+    "--bars", type=Choice(["standard-error", "bootstrap"]), default=None,
+    help="scan: mean and standard error, or mean and 95 % interval. "
     "[default: standard-error; for a ratio bootstrap]",
 )  # fmt: skip
 @click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
 @click.option(
     "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
 )
-@click.option("--dpi", metavar="N", default=None, help="Dots an inch of PNG, and of pictures in others. [default: 300]")
+@click.option(
+    "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,
+    help="Dots an inch of PNG, and of pictures in others.",
+)  # fmt: skip
 @click.option("--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a cut to show, as y=5. May be repeated.")
 @click.option("--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where, in degrees, as 22,-55.")
 @out_options(
@@ -53,10 +56,8 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     and the figures of `bearings analyse`:
 
     \b
-    domains      rigid domains: where they are, how large, how they turn
+    domains      rigid domains: where they are and how they turn
     network      slipless contacts, a path from bottom to top and its spins
-    plane_cuts   cuts along the planes that hold most of the path
-    bottlenecks  how the paths from bottom to top crowd
 
     and, with the directory of a scan as RUN,
 
@@ -114,13 +115,13 @@ def _plot_run(
         click.echo(out or save_small(figure, folder / kind))
 
 
-def _page(width: str | None, dpi: str | None, planes: tuple[str, ...], view: str | None) -> "Page":
+def _page(width: str | None, dpi: int, planes: tuple[str, ...], view: str | None) -> "Page":
     """How the figure is printed, as asked for."""
-    from taichi_bearings.plots.page import PAGE, Page, read_dpi, read_plane, read_view, read_width
+    from taichi_bearings.plots.page import Page, read_plane, read_view, read_width
 
     return Page(
         None if width is None else read_width(width),
-        PAGE.dpi if dpi is None else read_dpi(dpi),
+        dpi,
         tuple(dict.fromkeys(map(read_plane, planes))),
         None if view is None else read_view(view),
     )

@@ -1,12 +1,11 @@
 """bearings scan"""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, Choice, json_option
+from taichi_bearings_cli.options import FILE_PATH, json_option
 from taichi_bearings_cli.progress import ScanDisplay, duration
 
 from taichi_bearings.errors import InputError, printable
@@ -23,14 +22,6 @@ from taichi_bearings.words import counted
 @click.option(
     "--scheduler", metavar="ADDRESS", default=None,
     help="Solve on the workers of the Dask scheduler there, such as tcp://node:8786.",
-)  # fmt: skip
-@click.option(
-    "--cluster", type=Choice(["slurm", "pbs", "sge", "lsf", "local"]), default=None,
-    help="Start Dask workers, --workers of them, as jobs in a queue or on this machine, and solve there.",
-)  # fmt: skip
-@click.option(
-    "--cluster-option", "cluster_options", multiple=True, metavar="KEY=VALUE",
-    help="Option of the jobs, as for the cluster class of dask-jobqueue: queue, walltime, memory, ... Repeatable.",
 )  # fmt: skip
 @click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
 @click.option("--merge", is_flag=True, help="Solve nothing: write scan.h5 and scan.csv of all parts in the folder.")
@@ -83,7 +74,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
       bearings scan SCAN.toml --out outputs/scan
       bearings scan outputs/scan
       bearings scan SCAN.toml --out outputs/scan --set "scan.seed={start=0, stop=2000}"
-      bearings scan SCAN.toml --cluster slurm --workers 64 --cluster-option walltime=04:00:00
+      bearings scan SCAN.toml --scheduler tcp://node:8786
       bearings scan SCAN.toml --out outputs/scan --part 3/100; bearings scan outputs/scan --merge
     """
     from taichi_bearings.runs.run_directory import default_run_path
@@ -106,8 +97,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
         report = study.merge(plan, folder)
     else:
         folder = folder or default_run_path("scan")
-        cluster = connected(asked["scheduler"], asked["cluster"], asked["workers"], asked["cluster_options"])
-        with ScanDisplay(asked["heartbeat"]) as display, cluster as client:
+        with ScanDisplay(asked["heartbeat"]) as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     click.echo(json.dumps(report) if as_json else describe(report))
     if report["interrupted"]:
@@ -116,14 +106,13 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
 
 
 def _refuse_contradictions(
-    folder: Path | None, merge: bool, part: str | None, cluster_options: Sequence[str], **asked: Any
+    folder: Path | None, merge: bool, part: str | None, scheduler: str | None, workers: int | None, **_: Any
 ) -> None:
     """InputError for options that do not go together."""
-    on_cluster = asked["scheduler"] is not None or asked["cluster"] is not None
-    if cluster_options and not on_cluster:
-        raise InputError("--cluster-option needs --cluster slurm, pbs, sge or lsf")
-    if merge and (part is not None or on_cluster):
-        raise InputError("--merge solves nothing; leave out --part, --scheduler and --cluster")
+    if scheduler is not None and workers is not None:
+        raise InputError("--scheduler has workers already; leave out --workers")
+    if merge and (part is not None or scheduler is not None):
+        raise InputError("--merge solves nothing; leave out --part and --scheduler")
     if folder is None and (merge or part is not None):
         raise InputError("--part and --merge need --out DIR, the same for all parts")
 

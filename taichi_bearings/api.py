@@ -198,8 +198,7 @@ class Result:
     ) -> "Figure":
         """A figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
 
-        kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network", "plane_cuts",
-            "cut_surface", "bottlenecks", "torque_flow", "thresholds", "load_distribution".
+        kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network".
         sample : which of several. time : of the snapshot whose spins are drawn. page : how it is printed, a
             `taichi_bearings.plots.page.Page` with width, planes and view.
         """

@@ -83,7 +83,7 @@ def saved(folder):
         (lambda _: initial_spin(SCENE, "minimum-cutt"), "minimum-cut"),
         (lambda _: tb.solve(SCENE, "planar"), "planar-cut"),
         (lambda _: tb.solve(SCENE, duraton=1), "duration"),
-        (lambda _: draw_figure("plane-cut", None), "plane_cuts"),
+        (lambda _: draw_figure("net-work", None), "network"),
         (lambda _: read_width("singel"), "single"),
         (lambda _: chosen("methods", "interior-point,rigid-limt", METHODS), "rigid-limit"),
         (lambda folder: reproduce(["fgi1"], folder, None), next(iter(FIGURES))),
@@ -110,9 +110,9 @@ def test_a_mistyped_word_of_any_kind_is_refused_with_what_was_meant(refuse, mean
     ("line", "meant"),
     [
         ("analyze x", "analyse"), ("rnu", "run"), ("lits", "list"), ("plot spin x", "spins"),
-        ("plot plane-cut x", "plane_cuts"), ("plot scan x --bars quartile", "quartiles"),
+        ("plot net-work x", "network"), ("plot scan x --bars bootstrp", "bootstrap"),
         ("benchmark acuracy", "accuracy"),
-        ("scan x --cluster slrum", "slurm"), ("histogram x --normalise men", "mean"), ("run --shpae 3,3", "--shape"),
+        ("histogram x --normalise men", "mean"), ("run --shpae 3,3", "--shape"),
         ("run --methd auto", "--method"), ("plot spins x --palne x=1", "--plane"), ("run --law coulom", "coulomb"),
     ],
 )  # fmt: skip

@@ -13,10 +13,10 @@ from taichi_bearings import runtime
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plots.network import draw_network
-from taichi_bearings.plots.plane_cuts import draw_plane_cuts, planes_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.stages import stage
 
+from ..plots.plane_cuts import draw_plane_cuts, planes_of
 from .claims import Claim, Effort, Share, judge
 from .network import PRACTICALLY_ALL, Sample, numbers_of
 from .samples import certified, measured, save_both

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
+from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.lattice import Lattice
@@ -156,8 +157,15 @@ def sample_of(structure: Structure) -> Sample:
         busiest_link_share=float(structure.bottlenecks.share.max(initial=0.0)),
         effective_links=structure.bottlenecks.effective_links,
         parting_links=int(structure.bottlenecks.parting.sum()),
-        plane_spans=any(bool(network.spans_within_planes(axis).any()) for axis in (0, 1)),
+        plane_spans=any(spans_within_planes(network, axis).any() for axis in (0, 1)),
     )
+
+
+def spans_within_planes(network: SliplessNetwork, axis: int) -> np.ndarray:
+    """For each lattice plane across `axis`: True if its slipless contacts alone join bottom and top."""
+    inside, plane = network.axis != axis, network.contact[:, axis]
+    pieces = [network.pieces(inside & (plane == index)) for index in range(network.lattice.shape[axis])]
+    return np.array([label[0] == label[-1] for label in pieces])
 
 
 def reached_by_chance(lattice: Lattice, density: float) -> float:

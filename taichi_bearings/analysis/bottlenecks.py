@@ -11,8 +11,7 @@ Theory, 1994): the *backbone* is all that lies on some path from the bottom to t
 hangs on it without leading through is a dangling end. A link of the backbone whose removal cuts it *parts* bottom from
 top: every path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). One extra link from the bottom
 body to the top body closes every path through into a cycle, so the backbone is the biconnected block that holds this
-link (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973). Where several links share the load there is the smallest set that
-parts the planes (`SliplessNetwork.parting_sets`).
+link (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973).
 
 Paths are counted by Brandes' algorithm (J. Math. Sociol. 25, 163, 2001), one level of a breadth-first search at a time
 for many sources at once. The sweep out counts paths: sigma_s(w) is the sum of sigma_s(v) over the neighbours v in the

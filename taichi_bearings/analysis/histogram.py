@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from taichi_bearings.analysis.census import Census
+from taichi_bearings.analysis.statistics import Census
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
 

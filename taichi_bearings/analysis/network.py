@@ -142,34 +142,11 @@ class SliplessNetwork:
         """Number of lattice planes across each sideways axis that this path visits."""
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
 
-    @cached_property
-    def parting_sets(self) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest sets of edges whose removal parts the planes, (E,) bool: the nearest to the bottom, and to the top.
-
-        They hold as many edges as there are paths from bottom to top that share no contact (Menger), and they are the
-        same where the set is the only one.
-        """
-        graph, last = self.graph(), self.bodies - 1
-        left_over = graph - maximum_flow(graph, 0, last).flow
-        left_over.eliminate_zeros()
-        low, high = self.body[self.ends]
-        found = []
-        for start, edges in ((0, left_over), (last, csr_array(left_over.T))):
-            side = np.zeros(self.bodies, dtype=bool)
-            side[breadth_first_order(edges, start, return_predecessors=False)] = True
-            found.append(side[low] != side[high])
-        return found[0], found[1]
-
     @property
     def disjoint_paths(self) -> int:
-        """Number of paths from the bottom to the top plane that share no contact, as many as there are."""
-        return int(self.parting_sets[0].sum())
-
-    def spans_within_planes(self, axis: int) -> np.ndarray:
-        """For each lattice plane across `axis`: True if its slipless contacts alone join bottom and top."""
-        inside, plane = self.axis != axis, self.contact[:, axis]
-        pieces = [self.pieces(inside & (plane == index)) for index in range(self.lattice.shape[axis])]
-        return np.array([label[0] == label[-1] for label in pieces])
+        """Number of paths from the bottom to the top plane that share no contact, as many as there are, and the fewest
+        contacts whose removal parts the planes (Menger)."""
+        return int(maximum_flow(self.graph(), 0, self.bodies - 1).flow_value)
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
         """Values (E,) of the edges spread over all contacts of the lattice, 0 elsewhere."""

@@ -1,5 +1,5 @@
-"""Statistics over the samples of a parameter point: means with errors, quantiles, bootstrap intervals, and the grouping
-of a table of samples by its parameters.
+"""Statistics over the samples of a parameter point: means with their intervals, and the grouping of a table of samples
+by its parameters.
 
 Samples are independent draws. Fewer than LEAST_SAMPLES have no interval. From FEW_SAMPLES to MANY_SAMPLES it is the
 bias-corrected and accelerated (BCa) bootstrap interval (B. Efron, J. Am. Stat. Assoc. 82, 171, 1987) of a mean or a
@@ -9,13 +9,13 @@ numbers: with few the bootstrap covers too little, with many the two agree. Meas
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 LEAST_SAMPLES, FEW_SAMPLES, MANY_SAMPLES = 3, 20, 10_000  # samples
@@ -32,38 +32,37 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Description:
-    """Statistics of one number over the samples of a parameter point.
+class Census:
+    """used : samples that are in. left_out : why others are not -> how many, in words that follow a number."""
 
-    number : samples that have it. missing : samples that have not (failed, or not-a-number); they are left out.
-    standard_error : of the mean, from the spread of the samples; NaN for fewer than two. quantiles : those of
-    QUANTILES, interpolated. low, high : ends of the interval of the mean.
-    """
+    used: int
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
-    number: int
-    missing: int
-    mean: float
-    standard_error: float
-    quantiles: np.ndarray
-    low: float
-    high: float
+    @staticmethod
+    def of(reasons: Iterable[str]) -> "Census":
+        """From the reason of each sample to be left out, empty if it is in."""
+        counts = Counter(reasons)
+        return Census(counts.pop("", 0), dict(sorted(counts.items(), key=lambda item: -item[1])))
 
+    @property
+    def asked(self) -> int:
+        """Samples that were asked for."""
+        return self.used + sum(self.left_out.values())
 
-def describe(values: np.ndarray) -> Description:
-    """Statistics of a number of the samples, (samples,)."""
-    values = np.asarray(values, dtype=float)
-    present = values[np.isfinite(values)]
-    number = len(present)
-    mean = mean_interval(present)
-    return Description(
-        number=number,
-        missing=len(values) - number,
-        mean=mean.value,
-        standard_error=float(present.std(ddof=1) / np.sqrt(number)) if number > 1 else np.nan,
-        quantiles=np.quantile(present, QUANTILES) if number else np.full(len(QUANTILES), np.nan),
-        low=mean.low,
-        high=mean.high,
-    )
+    @property
+    def reasons(self) -> str:
+        """``2 failed, 1 not computed yet``; empty if none is left out."""
+        return ", ".join(f"{number:,} {reason}" for reason, number in self.left_out.items())
+
+    @property
+    def share(self) -> str:
+        """``57 of 60 samples``."""
+        if not self.left_out:
+            return "1 sample" if self.used == 1 else f"all {self.used:,} samples"
+        return f"{format(self.used, ',') if self.used else 'none'} of {self.asked:,} samples"
+
+    def __str__(self) -> str:
+        return f"{self.share} ({self.reasons})" if self.left_out else self.share
 
 
 def mean_interval(values: np.ndarray) -> Estimate:

@@ -1,4 +1,4 @@
-"""Rigid domains: where they are, how large, and how they turn (the paper's intermediate bearing states).
+"""Rigid domains: where they are and how they turn (the paper's intermediate bearing states).
 
 Colours say how a domain turns between the two driven planes, in every component that the driving needs: 0 with the
 bottom, 1 with the top. With two components the values panel is the key to the colours.
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import AXES, NARROW, PAGE, VIEW, Page, columns_on, grid, middle_planes
-from taichi_bearings.plots.style import GREY, in_our_style, new_figure
+from taichi_bearings.plots.style import in_our_style, new_figure
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
 LOCK_COLOURS = {"bottom": colormaps[lattice.SPIN_COLOURS](0.0), "top": colormaps[lattice.SPIN_COLOURS](1.0)}
@@ -26,7 +26,7 @@ DOMAIN_LETTERS = "bcdefghijklmnopqrstuvwxyz"
 
 @in_our_style
 def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
-    """2D: discs by domain. 3D: the block from outside and cuts. Below: sizes of the domains, and how they turn.
+    """2D: discs by domain. 3D: the block from outside and cuts. Below: how they turn.
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
@@ -38,7 +38,7 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     columns, wide = columns_on(page, maps, NARROW), columns_on(page, 2)
     width = page.inches("double") / (columns if not flat else wide)
     rows, tall = -(-maps // columns), float(np.clip(shape[-1] / max(shape[:-1]), 0.4, 2.0))
-    heights = (rows * (0.85 * width * tall + 0.3), (2.7 if wide > 1 else 5.2))
+    heights = (rows * (0.85 * width * tall + 0.3), (2.7 if wide > 1 else 3.4))
     figure = new_figure(page.inches("double"), sum(heights), page.dpi)
     parts: Any = figure.subfigures(2, 1, height_ratios=heights)
     above, below = parts
@@ -56,11 +56,9 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
             inside = lattice.contacts_in_plane(walls, axis, index)
             _paint(axes, plane, labels, inside, domains, lattice.site_on_paper(0.85 * width, labels.shape))
             lattice.name_cut(axes, axis, index, f"({letter}) ")
-    sizes, values = below.subplots(1, 2) if wide > 1 else below.subplots(2, 1)
-    _draw_sizes(sizes, domains)
-    sizes.set_title(f"({DOMAIN_LETTERS[maps - 1]}) sizes")
+    values = below.add_subplot()
     _draw_values(values, domains, wide > 1)
-    values.set_title(f"({DOMAIN_LETTERS[maps]}) how they turn: the key to the colours")
+    values.set_title(f"({DOMAIN_LETTERS[maps - 1]}) how they turn: the key to the colours")
     return figure
 
 
@@ -83,27 +81,6 @@ def _paint(
     lattice.draw_walls(axes, walls, colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0))
     partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
     axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
-
-
-def _draw_sizes(axes: Any, domains: RigidDomains) -> None:
-    """Spheres of each domain against its rank: rigid domains, and domains of one component."""
-    if len(domains.spin_axes) > 1:
-        for component, labels, look in zip(domains.spin_axes, domains.component_domain, ("-", "--"), strict=True):
-            size = np.sort(np.bincount(labels.ravel()))[::-1]
-            name = rf"domains of $\Omega_{AXES[component]}$ alone: {len(size):,}"
-            axes.plot(1 + np.arange(len(size)), size, look, color=GREY, lw=0.9, label=name)
-    rank = 1 + np.arange(domains.number)
-    axes.plot(rank, domains.spheres, color="black", lw=1.2, label=f"rigid domains: {domains.number:,}")
-    for sphere, kind in ((0, "bottom"), (-1, "top")):
-        n = domains.domain.flat[sphere]
-        axes.plot(rank[n], domains.spheres[n], MARKS[kind], ms=6, color=LOCK_COLOURS[kind])
-    if domains.number > 10:
-        axes.set(xscale="log", yscale="log")
-    else:
-        axes.set_xticks(rank)
-        axes.set_ylim(0, 1.1 * domains.spheres[0])
-    axes.set(xlabel="rank", ylabel="spheres of the domain")
-    axes.legend()
 
 
 def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:

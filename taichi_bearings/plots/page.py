@@ -12,7 +12,6 @@ from taichi_bearings.words import meant
 JOURNAL_WIDTHS = {"single": 8.6, "double": 17.8}  # widths of a journal's columns, cm
 INCH = 2.54  # cm
 NARROWEST_PAGE, WIDEST_PAGE = 4.0, 60.0  # cm
-COARSEST_DOTS, FINEST_DOTS = 30, 2400  # dots an inch
 AXES = "xyz"
 MOST_PLANES = 12
 BROAD, NARROW = 1.9, 1.6  # inches of a panel with a long title, and of one with a short
@@ -84,14 +83,6 @@ def read_width(text: str) -> float:
             f"width is {text!r}; it must be {names} or a number of cm from {NARROWEST_PAGE:g} to {WIDEST_PAGE:g}"
             + meant(text, JOURNAL_WIDTHS)
         ) from None
-
-
-def read_dpi(text: str) -> int:
-    """Dots an inch; InputError."""
-    try:
-        return int(_within(str(int(text)), COARSEST_DOTS, FINEST_DOTS))
-    except ValueError:
-        raise InputError(f"dpi is {text!r}; it must be a whole number from {COARSEST_DOTS} to {FINEST_DOTS}") from None
 
 
 def read_plane(text: str) -> tuple[int, int]:

@@ -6,35 +6,25 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.bottlenecks import draw_bottlenecks
+from taichi_bearings.plots.course import draw_energy, draw_history
 from taichi_bearings.plots.domains import draw_domains
-from taichi_bearings.plots.energy import draw_energy
-from taichi_bearings.plots.history import draw_history
 from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.page import PAGE, Page, check_planes
-from taichi_bearings.plots.plane_cuts import draw_plane_cuts
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.runs.snapshot import draw_snapshot
 from taichi_bearings.scene import Solution
 from taichi_bearings.words import meant
 
-
-def _with_driving(draw: Callable[..., Figure]) -> Callable[[Structure, Page], Figure]:
-    return lambda s, page: draw(s.network, s.spin, *s.scene.imposed, page)
-
-
 FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
     "domains": lambda s, page: draw_domains(s.domains, page),
-    "network": _with_driving(draw_network),
-    "plane_cuts": _with_driving(draw_plane_cuts),
-    "bottlenecks": lambda s, page: draw_bottlenecks(s.bottlenecks, page=page),
+    "network": lambda s, page: draw_network(s.network, s.spin, *s.scene.imposed, page),
 }
 """How each figure of the structure of a sample is drawn."""
 
 FIGURE_KINDS = ("spins", "power", "history", "energy", *FIGURES)
-WITH_PLANES = ("spins", "power", "domains", "plane_cuts")
-WITH_VIEW = ("spins", "domains", "network", "bottlenecks")
+WITH_PLANES = ("spins", "power", "domains")
+WITH_VIEW = ("spins", "domains", "network")
 
 
 def draw_figure(

@@ -479,8 +479,8 @@ def _with_figures(found: Run, interrupted: bool) -> Run:
 
 def _draw(found: Run) -> None:
     from taichi_bearings.analysis.histogram import power_histogram
+    from taichi_bearings.plots.course import draw_history
     from taichi_bearings.plots.histogram import draw_histogram
-    from taichi_bearings.plots.history import draw_history
     from taichi_bearings.plots.style import save
 
     folder, solution = found.path, found.solution

@@ -11,12 +11,9 @@ from taichi_bearings.quantities import ANALYSED, Quantity, plain
 from taichi_bearings.runs.run_file import AXES
 
 # fmt: off
-PARTING = "fewest contacts whose removal parts the planes; of such sets the one nearest the"
 ON_CONTACTS = (
     Quantity("minimum_cut", "1", "contacts of the lightest interface of two rigid domains",
              lambda s: s.interface.contacts),
-    Quantity("parting_lowest", "1", f"{PARTING} bottom", lambda s: s.network.on_contacts(s.network.parting_sets[0])),
-    Quantity("parting_highest", "1", f"{PARTING} top", lambda s: s.network.on_contacts(s.network.parting_sets[1])),
     Quantity("betweenness", "1", "share of the shortest slipless paths, of all pairs of a bottom and a top sphere",
              lambda s: s.network.on_contacts(s.bottlenecks.share)),
     Quantity("backbone", "1", "on some path from bottom to top",

@@ -8,163 +8,56 @@ another one, and if it is lost again the scan tries it once more.
 """
 
 import contextlib
-import importlib
 import logging
 import math
 import multiprocessing
 import queue
-import shutil
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import BearingsError, InputError
-from taichi_bearings.runs.settings import parse_assignment
-from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.engine import LOOK_SECONDS, LocalEngine, Outcome, Record, Unit, Work
 from taichi_bearings.scans.plan import Sample
 from taichi_bearings.scene.initial_spins import STARTS
 
 if TYPE_CHECKING:
     from distributed import Client, Future
-    from distributed.deploy import Cluster
 
-QUEUES = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "sge": "SGECluster", "lsf": "LSFCluster"}  # of dask_jobqueue
-DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C is for the scan, which ends its workers
-JOB = {"cores": 1, "memory": "2GB"}  # of a job in a queue, where neither an option nor the settings of Dask say
 CONNECT = 5.0  # seconds to wait for a scheduler
-SETTINGS = {
-    "distributed.scheduler.allowed-failures": 1,  # moves of a unit whose worker was lost; then the scan decides
-    "distributed.worker.profile.enabled": False,  # looks at every thread a hundred times a second
-}
 UNITS_AHEAD = 2  # units at a time for each thread, so that the next one is there when one is done
 LOOK = 1.0  # seconds between two counts of the workers
-RENEW = 60.0  # seconds between two submissions of jobs in place of those that have ended
 LONELY = 10.0  # seconds without any worker after which that is said
 
 
-def connected(
-    scheduler: str | None = None, cluster: str | None = None, workers: int | None = None, options: Sequence[str] = ()
-) -> "contextlib.AbstractContextManager[Client | None]":
-    """The client of a Dask cluster: either one that is there, or one that is started for the scan and ended with it;
-    None if neither is named.
+def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Client | None]":
+    """The client of the Dask cluster whose scheduler has this address, such as ``tcp://node:8786``; None for None.
 
-    scheduler : address of one that is there, such as ``tcp://node:8786``.
-    cluster : one of QUEUES or "local" to start instead.
-    workers : Dask workers to start; default: a process for each processor (local), or one job.
-    options : ``key=value`` for the class of dask-jobqueue, values as in TOML, other words are texts.
-    Raises InputError if Dask is not installed, if nobody answers at the address, or if the options do not fit.
+    Raises InputError if Dask is not installed, or if nobody answers at the address.
     """
-    if scheduler is None and cluster is None:
+    if scheduler is None:
         return contextlib.nullcontext()
-    _need("distributed")
-    if scheduler is not None:
-        if cluster is not None or workers is not None or options:
-            raise InputError("--scheduler has workers already; --cluster, --workers and --cluster-option start some")
-        return _client_at(scheduler)
-    given = dict(_option(text) for text in options)
-    if cluster == "local" and given:
-        raise InputError(f"--cluster-option {options[0]} needs a queue, such as --cluster slurm")
-    return _client_of(partial(_local, workers) if cluster == "local" else partial(_queue, str(cluster), workers, given))
-
-
-def _need(package: str) -> None:
     try:
-        importlib.import_module(package)
+        import distributed
+        from distributed.comm import resolve_address
     except ImportError:
-        words = f"Dask clusters need the package {package.replace('_', '-')}"
-        raise InputError(f"{words}; install it with: pip install 'taichi-bearings[cluster]'") from None
-
-
-def _client_at(address: str) -> "Client":
-    import distributed
-    from distributed.comm import resolve_address
-
+        words = "Dask clusters need the package distributed; install it with: pip install 'taichi-bearings[cluster]'"
+        raise InputError(words) from None
     logger = logging.getLogger("distributed")
     level = logger.level
     logger.setLevel(logging.CRITICAL)  # what goes wrong is said below
     try:
-        resolve_address(address)  # else a client complains again when it is deleted
-        return distributed.Client(address, timeout=CONNECT, set_as_default=False)
+        resolve_address(scheduler)  # else a client complains again when it is deleted
+        return distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, distributed.TimeoutError) as error:
         reason = str(error) if isinstance(error, ValueError) else f"no answer within {CONNECT:g} s"
-        raise InputError(f"no Dask scheduler at {address!r}: {reason}") from None
+        raise InputError(f"no Dask scheduler at {scheduler!r}: {reason}") from None
     finally:
         logger.setLevel(level)
-
-
-@contextlib.contextmanager
-def _client_of(start: "Callable[[], Cluster]") -> "Iterator[Client]":
-    """The client of a cluster that lasts as long."""
-    import dask
-    import distributed
-
-    with dask.config.set(SETTINGS):
-        cluster = start()
-    with cluster, distributed.Client(cluster, set_as_default=False) as client:
-        yield client
-
-
-def _local(workers: int | None) -> "Cluster":
-    """Processes on this machine."""
-    import distributed
-
-    return distributed.LocalCluster(
-        n_workers=workers or available_threads(), threads_per_worker=1, processes=True, host="127.0.0.1",
-        dashboard_address=":0", silence_logs=logging.CRITICAL, preload=[DEAF],
-    )  # fmt: skip
-
-
-def _queue(name: str, workers: int | None, options: Mapping[str, Any]) -> "Cluster":
-    """Jobs in a queue, one a worker unless the options say otherwise."""
-    _need("dask_jobqueue")
-    import dask
-    import dask_jobqueue
-    import distributed
-
-    kind = getattr(dask_jobqueue, QUEUES[name])
-    command = kind.job_cls.submit_command
-    if shutil.which(command) is None:
-        raise InputError(f"--cluster {name} needs the command {command}, which is not there")
-    settings = dask.config.get(f"jobqueue.{name}")
-    defaults = {key: value for key, value in JOB.items() if settings.get(key) is None}
-    refusals: list[Exception] = []
-
-    class Job(kind.job_cls):  # type: ignore[name-defined]
-        """A job that says so when the queue refuses it, where Dask would wait for its worker for ever."""
-
-        async def start(self) -> None:
-            try:
-                await super().start()
-            except Exception as error:
-                refusals.append(error)
-                self.status = distributed.Status.running  # Dask insists on it here, and on the other when it closes
-
-        async def close(self) -> None:
-            if self.job_id is not None:
-                await super().close()
-            self.status = distributed.Status.closed
-
-    try:
-        cluster = kind(job_cls=Job, **(defaults | dict(options)))
-    except (TypeError, ValueError, RuntimeError, OSError) as error:
-        raise InputError(f"--cluster {name} cannot be started: {str(error).splitlines()[0]}") from None
-    cluster.scale(workers or 1)
-    cluster.sync(cluster._correct_state)  # which scale() only begins
-    if refusals:
-        cluster.close()
-        raise InputError(f"{command} refused the jobs: {str(refusals[0]).strip().splitlines()[-1]}")
-    return cluster
-
-
-def _option(text: str) -> tuple[str, Any]:
-    key, value = parse_assignment(text, "--cluster-option", "key=value")
-    return key, value if isinstance(value, (bool, int, float, list, Mapping)) else str(value)
 
 
 @dataclass
@@ -182,14 +75,8 @@ class DaskEngine:
     _submitted: "dict[str, tuple[Future, Unit]]" = field(default_factory=dict)
     _finished: "queue.SimpleQueue[Future]" = field(default_factory=queue.SimpleQueue)
     _threads: int = 0
-    _wanted: int = 0  # Dask workers
     _looked: float = -LOOK
-    _renewed: float = field(default_factory=time.monotonic)
     _seen: float = field(default_factory=time.monotonic)
-
-    def __post_init__(self) -> None:
-        if self.client.cluster is not None:
-            self._wanted = len(self.client.cluster.plan)
 
     @property
     def running(self) -> list[Unit]:
@@ -201,7 +88,7 @@ class DaskEngine:
         return len(self._submitted) < UNITS_AHEAD * self._threads
 
     def _look(self) -> None:
-        """Count the workers now and then; replace those whose jobs have ended."""
+        """Count the workers now and then."""
         now = time.monotonic()
         if now < self._looked + LOOK:
             return
@@ -214,9 +101,6 @@ class DaskEngine:
         elif now > self._seen + LONELY:
             self._seen = now + 10 * LONELY
             logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
-        if self.client.cluster is not None and now > self._renewed + RENEW:
-            self._renewed = now
-            self.client.cluster.scale(self._wanted)
 
     def submit(self, unit: Unit) -> None:
         sent = tuple(_for_any_folder(sample) for sample in unit)

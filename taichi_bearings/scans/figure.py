@@ -8,8 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.census import Census
-from taichi_bearings.analysis.statistics import LEAST_SAMPLES, QUANTILES, describe, groups, independent, ratio_interval
+from taichi_bearings.analysis.statistics import (
+    LEAST_SAMPLES,
+    Census,
+    groups,
+    independent,
+    mean_interval,
+    ratio_interval,
+)
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
@@ -18,14 +24,12 @@ from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import ENDINGS, save
 from taichi_bearings.plots.symbols import column_label
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, open_scan
-from taichi_bearings.scans.systems import disorder_of, mixture, numbered
-from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
+from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, OF_A_SPANNING_NETWORK, open_scan
+from taichi_bearings.scans.systems import disorder_of, numbered
 from taichi_bearings.words import meant
 
 BARS = {  # name -> what the title says of points and bars
     "standard-error": "means with standard errors",
-    "quartiles": "medians with quartiles",
     "bootstrap": "means with 95 % intervals",
 }
 SIZE = "L"
@@ -174,21 +178,14 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
 
 
 def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
-    """How many of how many samples are in the figure; the same of each curve that lacks some; which systems mix."""
+    """How many of how many samples are in the figure; the same of each curve that lacks some."""
     reasons = _reasons(columns, request)
     lines = [str(Census.of(reasons.tolist()))]
     for part, rows in groups(columns, request.by).items() if request.by else ():
         if (census := Census.of(reasons[rows].tolist())).left_out:
             words = ", ".join(f"{key} {value}" for key, value in zip(request.by, part, strict=True))
             lines.append(f"  {words}: {census}")
-    return [*lines, *filter(None, [_mixture(columns, request)])]
-
-
-def _mixture(columns: Mapping[str, np.ndarray], request: Request) -> str:
-    """Which different systems stand in one point, as a sentence; empty if none do."""
-    used = _reasons(columns, request) == ""
-    points = groups(columns, [*request.by, request.x]).values()
-    return mixture(columns, [rows[used[rows]] for rows in points], "a point")
+    return lines
 
 
 def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
@@ -217,10 +214,9 @@ def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
     if len(terms) == 2:
         ratio = ratio_interval(terms[0], terms[1])
         return {"ratio": ratio.value, "low": ratio.low, "high": ratio.high}
-    found = describe(terms[0])
-    quantiles = {f"quantile_{100 * q:g}": float(v) for q, v in zip(QUANTILES, found.quantiles, strict=True)}
-    rest = {"mean": found.mean, "standard_error": found.standard_error, "low": found.low, "high": found.high}
-    return rest | quantiles
+    values, mean = terms[0], mean_interval(terms[0])
+    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.nan
+    return {"mean": mean.value, "standard_error": error, "low": mean.low, "high": mean.high}
 
 
 def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tuple[float, float, float]:
@@ -228,12 +224,9 @@ def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tu
     bars = request.bars_shown
     if request.is_ratio and bars != "bootstrap":
         raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
-    if bars == "quartiles":
-        value, low, high = (statistics[f"quantile_{percent}"] for percent in (50, 25, 75))
-    else:
-        value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
-        if bars == "standard-error":
-            low, high = value - statistics["standard_error"], value + statistics["standard_error"]
+    value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
+    if bars == "standard-error":
+        low, high = value - statistics["standard_error"], value + statistics["standard_error"]
     return (value, low, high) if number >= LEAST_SAMPLES else (value, math.nan, math.nan)
 
 
@@ -271,7 +264,6 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     number = sum(point.number for point in points)
     alike = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
-    left_out += f"\n{mixed}" if (mixed := _mixture(columns, request)) else ""
     bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
     numbers = all(isinstance(point.x, (int, float)) for point in points)
     return Look(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.census import Census
 from taichi_bearings.analysis.histogram import (
     ENERGY_PER_TIME,
     PowerHistogram,
@@ -19,7 +18,7 @@ from taichi_bearings.analysis.histogram import (
     rebinned,
     together,
 )
-from taichi_bearings.analysis.statistics import groups
+from taichi_bearings.analysis.statistics import Census, groups
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.files.histogram_file import Histograms, write_arrays, write_table
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan

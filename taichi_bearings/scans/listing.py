@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import os
 import re
 import time
 from collections import Counter
@@ -31,20 +30,18 @@ FURTHER = {
     "coefficients": str,
 }  # or None
 LARGEST_NUMBER = 1e300  # of a number
-BYTE_UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 @dataclass(frozen=True)
 class Entry:
     """One folder. kind : "run" or "scan". values : by name, of a run as its summary has them, of a scan scanned keys
-    and samples. bytes : of all its files. modified : when its results were written, seconds since 1970.
-    problem : why it cannot be told what it holds.
+    and samples. modified : when its results were written, seconds since 1970. problem : why it cannot be told what it
+    holds.
     """
 
     path: str
     kind: str
     values: Mapping[str, Any]
-    bytes: int
     modified: float
     problem: str = ""
 
@@ -85,30 +82,27 @@ def _kind_of(path: Path) -> str:
 
 def _entry(path: Path) -> Entry | None:
     """None for what is neither a run nor a scan; a folder that cannot be read is said to be so."""
-    kind, values, problem, size, modified = "", {}, "", 0, 0.0
+    kind, values, problem, modified = "", {}, "", 0.0
     try:
         kind = _kind_of(path)
         if not kind:
             return None
-        size, modified = _size_and_time(path)
+        modified = _written(path)
         values = _of_scan(path) if kind == SCAN_KIND else _of_run(path)
     except BearingsError as error:
         problem = str(error)
     except OSError as error:
         problem = error.strerror or str(error)
-    return Entry(str(path), kind or "folder", values, size, modified, problem)
+    return Entry(str(path), kind or "folder", values, modified, problem)
 
 
-def _size_and_time(path: Path) -> tuple[int, float]:
-    """Bytes of all files, and when the last of those that hold results was written."""
-    found = {}
-    for root, _, names in os.walk(path):
-        for name in names:
-            with contextlib.suppress(FileNotFoundError):  # on its way when it was listed, and renamed since
-                found[Path(root, name)] = os.stat(os.path.join(root, name), follow_symlinks=False)
-    results = {path / name for name in (*OF_A_RUN, "scan.h5")} | set(journals_in(path))
-    newest = max((status.st_mtime for file, status in found.items() if file in results), default=0.0)
-    return sum(status.st_size for status in found.values()), newest or path.stat().st_mtime
+def _written(path: Path) -> float:
+    """When the last of the files that hold results was written."""
+    times = []
+    for file in (*(path / name for name in (*OF_A_RUN, "scan.h5")), *journals_in(path)):
+        with contextlib.suppress(FileNotFoundError):  # not there, or on its way to another name
+            times.append(file.stat().st_mtime)
+    return max(times, default=0.0)
 
 
 def _of_run(path: Path) -> dict[str, Any]:
@@ -200,15 +194,3 @@ def _shape(values: Mapping[str, Any]) -> str:
 
 def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
-
-
-def in_bytes(size: float) -> str:
-    """A size on disk with three digits.
-
-    >>> in_bytes(1234567)
-    '1.23 MB'
-    """
-    step = 0
-    while size >= 999.5 and step < len(BYTE_UNITS) - 1:
-        size, step = size / 1000, step + 1
-    return f"{size:.3g} {BYTE_UNITS[step]}"

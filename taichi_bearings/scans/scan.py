@@ -26,8 +26,7 @@ from taichi_bearings.scans import parts
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, run_samples
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 from taichi_bearings.scans.sample import STATES, failure, solve_samples, state_path
-from taichi_bearings.scans.stored_scans import outdated_figures
-from taichi_bearings.scans.table import attributes_of, columns_of, histograms_of
+from taichi_bearings.scans.stored_scans import attributes_of, columns_of, histograms_of, outdated_figures
 from taichi_bearings.scene import Status
 
 if TYPE_CHECKING:

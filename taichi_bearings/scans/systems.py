@@ -1,11 +1,10 @@
-"""Which samples are of one disorder in one system, and which different systems a point or a histogram mixes."""
+"""Which samples are of one disorder in one system."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.statistics import natural
 from taichi_bearings.options import Option
 from taichi_bearings.runs.settings import RunSettings, settings_table
 from taichi_bearings.scans.plan import written
@@ -13,7 +12,6 @@ from taichi_bearings.scene.law import COULOMB, LAWS
 from taichi_bearings.solvers import METHODS
 
 DRAWN = ("seed", "coefficients")  # what a disorder comes from
-MOST_NAMED = 3  # values that a sentence names
 
 
 def of_system() -> dict[str, Option]:
@@ -57,27 +55,3 @@ def numbered(names: Iterable[Any]) -> np.ndarray:
     listed = list(names)
     place = {name: number for number, name in enumerate(dict.fromkeys(listed))}
     return np.array([place[name] for name in listed], dtype=np.int64)
-
-
-def mixture(columns: Mapping[str, np.ndarray], parts: Iterable[np.ndarray], what: str) -> str:
-    """What the rows of a part have different of the systems, as a sentence; empty if every part is of one system.
-
-    parts : numbers of the rows of each. what : a part in words, as in "a point".
-    """
-    known, places = system_columns(columns), list(parts)
-    mixed: dict[str, set[Any]] = {}
-    for key, values in known.items():
-        met = ({values[row] for row in rows} - {None} for rows in places)
-        if several := set().union(*(own for own in met if len(own) > 1)):
-            mixed[key] = several
-    if not mixed:
-        return ""
-    words = " and ".join(f"{key} {_listed(values)}" for key, values in mixed.items())
-    return f"{what} mixes {words}: --by {' --by '.join(mixed)} keeps them apart"
-
-
-def _listed(values: Iterable[Any]) -> str:
-    ordered = [str(value) for value in sorted(values, key=natural)]
-    more = [f"{len(ordered) - MOST_NAMED + 1} more"] if len(ordered) > MOST_NAMED else []
-    named = [*ordered[: MOST_NAMED - bool(more)], *more]
-    return f"{', '.join(named[:-1])} and {named[-1]}"

@@ -5,6 +5,7 @@ import itertools
 import networkx
 import numpy as np
 import pytest
+from taichi_bearings_studies.paper.network import spans_within_planes
 
 from taichi_bearings.analysis.network import network_of
 from taichi_bearings.lattice import Lattice
@@ -108,27 +109,19 @@ def test_planes_that_a_path_crosses():
     path = STAIRS.shortest_path
     np.testing.assert_array_equal(path[[0, 1, -1]], [[0, 2, 0], [0, 2, 1], [2, 1, 3]])
     assert [network.path_planes for network in (STAIRS, CHAIN, EMPTY)] == [[3, 2], [1], [0, 0]]
-    assert not STAIRS.spans_within_planes(0).any()
-    assert not STAIRS.spans_within_planes(1).any()
+    assert not spans_within_planes(STAIRS, 0).any()
+    assert not spans_within_planes(STAIRS, 1).any()
     flat = drawn((2, 3, 4), [(1, 0, 0), (1, 0, 1), (1, 1, 1), (1, 1, 2), (1, 1, 3)])
-    assert flat.spans_within_planes(0).tolist() == [False, True]
-    assert flat.spans_within_planes(1).tolist() == [False] * 3
-    assert TWO_CHAINS.spans_within_planes(0).tolist() == [True, False, True]
+    assert spans_within_planes(flat, 0).tolist() == [False, True]
+    assert spans_within_planes(flat, 1).tolist() == [False] * 3
+    assert spans_within_planes(TWO_CHAINS, 0).tolist() == [True, False, True]
 
 
-def limits(network):
-    """The lower spheres of the links of both smallest sets that part the planes."""
-    return [network.contact[chosen].tolist() for chosen in network.parting_sets]
-
-
-def test_the_links_that_limit_disjoint_paths_by_hand():
-    assert (CHAIN.disjoint_paths, limits(CHAIN)) == (1, [[[1, 0]], [[1, 3]]])
-    assert (LADDER.disjoint_paths, limits(LADDER)) == (2, [[[0, 0], [1, 0]], [[0, 2], [1, 2]]])
+def test_disjoint_paths_by_hand():
     middle = drawn(  # only the link half way up limits
         (2, 5), *([(i, 0), (i, 1)] for i in (0, 1)), [(0, 1), (1, 1), (1, 2), (1, 3), (0, 3), (0, 4)], [(1, 3), (1, 4)]
     )
-    assert (middle.disjoint_paths, limits(middle)) == (1, [[[1, 1]], [[1, 2]]])
-    assert (APART.disjoint_paths, limits(APART)) == (0, [[], []])
+    assert [network.disjoint_paths for network in (CHAIN, LADDER, middle, APART)] == [1, 2, 1, 0]
 
 
 def largest_flow(graph):
@@ -142,24 +135,7 @@ def largest_flow(graph):
 
 @pytest.mark.parametrize("network", ANY)
 def test_disjoint_paths_agree_with_networkx(network):
-    graph, number = graph_of_bodies(network), network.disjoint_paths
-    if not network.spans:
-        assert [chosen.any() for chosen in network.parting_sets] == [False, False]
-        return
-    assert number == largest_flow(graph)
-    sides = []
-    for chosen in map(np.flatnonzero, network.parting_sets):
-        assert len(chosen) == number
-        rest = networkx.MultiGraph(graph)
-        rest.remove_edges_from([(a, b) for a, b, link in graph.edges(data="link") if link in chosen])
-        assert not networkx.has_path(rest, "bottom", "top")
-        sides.append(networkx.node_connected_component(rest, "bottom"))
-    assert sides[0] <= sides[1]
-    for low, high, link in graph.edges(data="link"):  # a link below the lowest set is in no smallest set
-        if low in sides[0] and high in sides[0]:
-            rest = networkx.MultiGraph(graph)
-            rest.remove_edge(low, high)
-            assert largest_flow(rest) == number, link
+    assert network.disjoint_paths == (largest_flow(graph_of_bodies(network)) if network.spans else 0)
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -170,8 +146,8 @@ def test_no_path_within_a_plane_joins_the_driven_planes_at_a_minimum():
         scene = make_scene((5, 5, 5), seeds=(seed,), spin_bottom=0.1)
         solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
         network = network_of(scene.lattice, solution.state[0])
-        assert not network.spans_within_planes(0).any()
-        assert not network.spans_within_planes(1).any()
+        assert not spans_within_planes(network, 0).any()
+        assert not spans_within_planes(network, 1).any()
         if network.spans:
             spanning += 1
             assert min(network.path_planes) >= 2

@@ -50,7 +50,7 @@ def test_the_two_contacts_of_a_ring_of_two_are_two_links():
     assert network.axis.tolist() == [0, 0, 1, 1, 1]
     assert found.share.tolist() == [0.5, 0.5, 1, 1, 1]
     assert found.parting.tolist() == [False, False, True, True, True]
-    assert [chosen.tolist() for chosen in network.parting_sets] == [[0, 0, 1, 0, 0], [0, 0, 0, 0, 1]]
+    assert network.disjoint_paths == 1
     assert self_stress(network, (2,)).tolist() == [1]
     assert network.path_steps.tolist() == [[0, 1], [1, 0], [0, 1], [0, 1]]  # by the first of the two
     along_x[0, 1] = False

@@ -243,7 +243,7 @@ def test_everything_is_shown_in_one_line_and_as_a_table(solved):
 
 def test_figures_need_no_file(needs_f64):
     found = tb.solve(tb.Scene.random((4, 4, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-3, threads=1)
-    for kind in ("spins", "power", "history", "domains", "bottlenecks"):
+    for kind in ("spins", "power", "history", "domains", "network"):
         assert found.plot(kind).axes
         assert found.plot(kind)._repr_png_().startswith(b"\x89PNG")
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.analysis.network import network_of
-from taichi_bearings.analysis.torque_flow import friction_load, self_stress, torque_flow
+from taichi_bearings.analysis.torque_flow import saturation, self_stress, torque_flow
 from taichi_bearings.lattice.grid import staggered_forces
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, InteriorPoint
 from taichi_bearings.solvers.drive import solve
@@ -27,24 +28,24 @@ def rows(scene, solution, exact):
     top = scene.top_spin(axes)
     force, state = staggered_forces(solution.friction, lattice, axes)[:, 0], exact.state[0]
     flow = torque_flow(lattice, force, state, top)
-    load = friction_load(force, scene.strength * scene.coefficient[0], state)
+    load = saturation(force, scene.strength * scene.coefficient[0], state)
     stress = int(self_stress(network_of(lattice, state), axes).sum())
-    still, moving = len(load.saturation), int(load.counted.slipping.sum())
+    still, moving = len(load), int((state == ContactState.SLIPPING).sum())
     unit = scene.strength * lattice.radius * np.prod(lattice.shape[:-1])
     found = {
         "slipless contacts, share": still / (still + moving),
         "torque of a component / (F_n R columns)": float(flow.total.mean()) / unit,
         "torques of the components, relative difference": float(np.ptp(flow.total) / flow.total.mean()),
-        "deviation of the gaps": flow.deviation,
+        "deviation of the gaps": float(np.abs(flow.through_gap - flow.total[:, None]).max() / flow.total.max()),
         "torque through slipless contacts, share": flow.slipless_share,
         "the same, least and most loaded gap": (
             float((flow.slipless.sum(axis=0) / flow.through_gap.sum(axis=0)).min()),
             float((flow.slipless.sum(axis=0) / flow.through_gap.sum(axis=0)).max()),
         ),
-        "mean saturation, slipless": load.mean,
-        **{f"saturation, quantile {share:g}": float(np.quantile(load.saturation, share)) for share in SHARES},
-        "within 1 % of slipping, share": load.within(0.01) / still,
-        "within 0.1 % of slipping, share": load.within(0.001) / still,
+        "mean saturation, slipless": float(load.mean()),
+        **{f"saturation, quantile {share:g}": float(np.quantile(load, share)) for share in SHARES},
+        "within 1 % of slipping, share": float((load >= 0.99).mean()),
+        "within 0.1 % of slipping, share": float((load >= 0.999).mean()),
         "self-stress states": stress,
         "self-stress states a slipless contact": stress / still,
     }

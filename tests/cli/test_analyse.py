@@ -55,7 +55,7 @@ def test_a_run_that_did_not_reach_the_minimum_is_said_to(replicas, tmp_path):
     assert report["status"] == ("step-limit" if replicas == 1 else ["step-limit"] * 2)
 
 
-@pytest.mark.parametrize("kind", ["domains", "network", "bottlenecks"])
+@pytest.mark.parametrize("kind", ["domains", "network"])
 def test_plot_draws_one_figure_of_the_structure(solved, kind, tmp_path):
     done = bearings("plot", kind, solved, "--out", tmp_path / "figure.pdf")
     assert done.returncode == 0, done.stderr

@@ -70,8 +70,6 @@ FIGURES = [
     "energy",
     "domains",
     "network",
-    "plane_cuts",
-    "bottlenecks",
 ]
 
 

@@ -47,8 +47,7 @@ SMALLER = {  # in commands, files of scans and Python: the same with less work, 
     r"^bearings analyse": "bearings analyse --no-figures",
 }
 NOT_RUN = {  # only read by the parser of the command line, and why
-    r"--cluster slurm|--scheduler|/shared/": "needs a queue, a scheduler or a folder that machines share",
-    r"--cluster local": "takes 10 s; tests/scans/test_scan_cluster.py runs it",
+    r"--scheduler|/shared/": "needs a queue, a scheduler or a folder that machines share",
     r"outputs/sizes": "scans.md has the same commands",
     r"bearings (reproduce|benchmark|stress)": "takes minutes; tests of the commands run small forms",
     r"--arch vulkan": "needs a GPU",

@@ -17,10 +17,10 @@ from taichi_bearings_studies.plots.sizes import THRESHOLDS, Column, draw_sizes
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.energy import draw_energy
+from taichi_bearings.plots.course import draw_energy
 from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
 from taichi_bearings.plots.network import behind, draw_network
-from taichi_bearings.plots.page import Page, View, read_dpi, read_plane, read_view, read_width
+from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
@@ -142,7 +142,7 @@ def test_planes_and_views_that_are_not_there_are_refused(kind, page, sentence, s
 @pytest.mark.parametrize(
     ("read", "text"),
     [
-        (read_width, "wide"), (read_width, "1"), (read_width, "nan"), (read_dpi, "1e9"), (read_dpi, "0.5"),
+        (read_width, "wide"), (read_width, "1"), (read_width, "nan"),
         (read_plane, "5"), (read_plane, "w=1"), (read_plane, "x=-1"), (read_view, "1"), (read_view, "91,0"),
         (read_view, "nan,0"),
     ],

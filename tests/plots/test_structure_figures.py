@@ -8,6 +8,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import to_rgba
+from taichi_bearings_studies.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
 
 from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
@@ -22,7 +23,6 @@ from taichi_bearings.plots.lattice import (
 )
 from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
 from taichi_bearings.plots.page import VIEW
-from taichi_bearings.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import GREEN, GREY
 from tests.scenes import make_scene

@@ -18,7 +18,7 @@ from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.structure_report import numbers_of
-from taichi_bearings.scans.table import OF_A_SPANNING_NETWORK
+from taichi_bearings.scans.stored_scans import OF_A_SPANNING_NETWORK
 
 PROMISED = {
     "power", "power_minimum_cut", "power_over_cut", "cut_is_unique", "slipless_fraction", "spans", "reached_fraction",

@@ -17,18 +17,29 @@ from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.scans.cluster import DaskEngine, connected
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
-from tests.cli.commands import bearings
 from tests.scans import scan_faults
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
 
+dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 psutil = pytest.importorskip("psutil")  # which distributed needs
 COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
 
 
+@contextlib.contextmanager
+def cluster_of(workers):
+    """A Dask cluster on this machine, whose scheduler moves a unit once."""
+    with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
+        cluster = distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0", silence_logs=50
+        )
+    with cluster:
+        yield cluster
+
+
 @pytest.fixture(scope="module")
 def client():
-    with connected(cluster="local", workers=2) as client:
+    with cluster_of(2) as cluster, connected(cluster.scheduler_address) as client:
         yield client
 
 
@@ -98,10 +109,10 @@ def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
 
 
 @pytest.mark.slow
-def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(client, plan_of, tmp_path):
+def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(plan_of, tmp_path):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2, 5]\n")
-    engine = DaskEngine(client, scan_faults.end_dask_worker)
-    report = scan(plan, tmp_path / "scan", engine=engine)
+    with cluster_of(2) as cluster, connected(cluster.scheduler_address) as client:  # which may not outlive it
+        report = scan(plan, tmp_path / "scan", engine=DaskEngine(client, scan_faults.end_dask_worker))
     assert (report["done"], report["failed"]) == (2, 1)
     assert "seed = 5" in report["failures"][0]["sample"]
     assert "Dask workers were lost" in report["failures"][0]["error"]
@@ -126,7 +137,7 @@ def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(plan, tmp_path):
         cluster = stack.enter_context(
             distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0", silence_logs=50)
         )
-        there = stack.enter_context(connected(scheduler=cluster.scheduler_address))
+        there = stack.enter_context(connected(cluster.scheduler_address))
         engine = DaskEngine(there, partial(scan_faults.dawdle, seconds=0.3))
 
         def leave(progress):
@@ -142,15 +153,13 @@ def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(plan, tmp_path):
     assert 0 < report["solved_now"] < 14
 
 
-def test_the_command_on_a_cluster_and_its_interruption(tmp_path):
+def test_the_command_on_a_cluster_and_its_interruption(client, tmp_path):
     (tmp_path / "scan.toml").write_text("shape = [8, 8, 8]\n[scan]\nseed = { start = 0, stop = 400 }\n")
     words = [
         *COMMAND,
         tmp_path / "scan.toml",
-        "--cluster",
-        "local",
-        "--workers",
-        "2",
+        "--scheduler",
+        client.scheduler.address,
         "--json",
         "--out",
         tmp_path / "s",
@@ -163,7 +172,7 @@ def test_the_command_on_a_cluster_and_its_interruption(tmp_path):
         assert time.monotonic() < end
         assert process.poll() is None
         time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: to the workers too
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does
     out, err = process.communicate(timeout=30)
     assert process.returncode == 130, err
     assert err == ""
@@ -172,19 +181,16 @@ def test_the_command_on_a_cluster_and_its_interruption(tmp_path):
     assert 0 < report["done"] == journal.read_bytes().count(b"\n") < 400
 
 
-def test_bad_addresses_and_options_are_one_sentence(monkeypatch):
+def test_bad_addresses_are_one_sentence(monkeypatch):
     monkeypatch.setattr("taichi_bearings.scans.cluster.CONNECT", 1.0)
     began = time.monotonic()
     for given, words in (
-        ({"scheduler": "tcp://127.0.0.1:1"}, "no Dask scheduler at 'tcp://127.0.0.1:1': no answer within 1 s"),
-        ({"scheduler": "nowhere"}, "missing port number"),
-        ({"scheduler": "foo://bar:7"}, "unknown address scheme"),
-        ({"scheduler": "tcp://127.0.0.1:1", "workers": 2}, "--scheduler has workers already"),
-        ({"cluster": "local", "options": ["queue=long"]}, "needs a queue"),
-        ({"cluster": "slurm", "options": ["queue"]}, "must be key=value"),
+        ("tcp://127.0.0.1:1", "no Dask scheduler at 'tcp://127.0.0.1:1': no answer within 1 s"),
+        ("nowhere", "missing port number"),
+        ("foo://bar:7", "unknown address scheme"),
     ):
         with pytest.raises(InputError) as caught:
-            connected(**given).__enter__()
+            connected(given).__enter__()
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
     assert time.monotonic() - began < 6
@@ -193,43 +199,8 @@ def test_bad_addresses_and_options_are_one_sentence(monkeypatch):
 def test_without_dask_the_extra_is_named(tmp_path):
     (tmp_path / "scan.toml").write_text("shape = [5, 5]\n")
     program = "import sys; sys.modules['distributed'] = None; from taichi_bearings_cli.main import main; main()"
-    words = [sys.executable, "-c", program, "scan", tmp_path / "scan.toml", "--cluster", "local"]
+    words = [sys.executable, "-c", program, "scan", tmp_path / "scan.toml", "--scheduler", "tcp://127.0.0.1:1"]
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 2
     assert "pip install 'taichi-bearings[cluster]'" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-
-
-SBATCH = """#!/bin/sh
-if [ -n "$REFUSE" ]; then echo "sbatch: error: invalid partition specified: nope" >&2; exit 1; fi
-grep -q -- "-t 00:10:00" "$1" || exit 1
-cp "$1" "$1.job"  # Dask deletes the script
-setsid sh "$1.job" > "$1.log" 2>&1 &
-echo "Submitted batch job $!"
-"""
-SCANCEL = '#!/bin/sh\nfor job in "$@"; do kill -- "-$job"; done\n'
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs setsid and the interface lo")
-def test_jobs_of_a_queue_solve_or_are_refused_in_one_sentence(tmp_path, monkeypatch):
-    pytest.importorskip("dask_jobqueue")
-    (tmp_path / "bin").mkdir()
-    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
-        (tmp_path / "bin" / name).write_text(text)
-        (tmp_path / "bin" / name).chmod(0o755)
-    (tmp_path / "scan.toml").write_text("shape = [5, 5, 5]\n[scan]\nseed = [1, 2, 3, 4]\n")
-    words = ["scan", tmp_path / "scan.toml", "--cluster", "slurm", "--workers", "2", "--cluster-option", "interface=lo",
-             "--cluster-option", "walltime=00:10:00"]  # fmt: skip
-    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
-    done = bearings(*words, "--out", tmp_path / "s")
-    assert done.returncode == 2
-    assert "needs the command sbatch" in done.stderr
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
-    assert bearings(*words, "--out", tmp_path / "s", "--json").returncode == 0
-    assert bearings("scan", tmp_path / "scan.toml", "--out", tmp_path / "local").returncode == 0
-    assert_same_but_for_the_clock(tmp_path / "s", tmp_path / "local")
-    monkeypatch.setenv("REFUSE", "1")
-    done = bearings(*words, "--out", tmp_path / "t")
-    assert done.returncode == 2
-    assert done.stderr.strip() == "bearings: sbatch refused the jobs: sbatch: error: invalid partition specified: nope"

@@ -139,7 +139,7 @@ def test_the_command(tmp_path):
         (["--part", "3/2", "--out", folder], "--part is '3/2'"),
         (["--part", "1/2"], "need --out DIR"),
         (["--merge", "--part", "1/2", "--out", folder], "--merge solves nothing"),
-        (["--cluster-option", "queue=long"], "needs --cluster"),
+        (["--scheduler", "tcp://node:1", "--workers", "2"], "has workers already"),
     ):
         done = bearings("scan", file, *words)
         assert done.returncode == 2

@@ -1,0 +1,150 @@
+"""How a run went: power and lower bound as they approached each other, and the energy of a dynamics."""
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.plots.page import PAGE, Page
+from taichi_bearings.plots.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    in_our_style,
+    label_in_plain_text,
+    new_figure,
+    plain_figure,
+)  # fmt: skip
+from taichi_bearings.plots.symbols import describe, driving, energy_unit, over, power_unit
+from taichi_bearings.scene import Solution
+
+ACCOUNTS = {
+    "injected": (BLUE, "-"),
+    "dissipated": (ORANGE, "-"),
+    "kinetic": (GREEN, "--"),
+    "spring": (GREY, (0, (4, 1, 1, 1))),
+}
+MOST_DECADES = 6  # on each side of zero
+MOST_TICKS = 9
+
+
+@in_our_style
+def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
+    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics); where a
+    torque turns the top, how fast it does."""
+    history, scene = solution.history, solution.scene
+    if "torque" in history:
+        return _draw_turning(solution, page)
+    width = page.inches("single")
+    figure = plain_figure(width, 0.85 * width + 0.4, page.dpi)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    spin, spin_symbol = driving(scene)
+    unit, symbol = power_unit(scene)
+    x, name = history["iteration"], "iteration"
+    if "time" in history:
+        x, name = history["time"] * spin, rf"time, ${spin_symbol}\,t$"
+    power, bound = history["power"], history["lower_bound"]
+    started = x > 0
+    top.plot(x[started], power[started] / unit, color=BLUE)
+    top.plot(x[started], bound[started] / unit, "--", color=ORANGE)
+    top.plot([], [], color=BLUE, label="power")
+    top.plot([], [], "--", color=ORANGE, label="proven lower bound")
+    title = f"{describe(scene, None)}\n{solution.method}"
+    top.set(ylabel=over("P", symbol, "energy / time"), title=title)
+    top.legend(frameon=True, framealpha=0.85, edgecolor="none")
+    gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
+    shown = started & (gap > 0).any(axis=1)
+    bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=GREY)
+    scale = "log" if shown.any() else "linear"
+    bottom.set(xscale=scale, yscale=scale, xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
+    if scale == "log":
+        label_in_plain_text(bottom.xaxis, bottom.yaxis)
+    figure.align_ylabels()
+    return figure
+
+
+def _draw_turning(solution: Solution, page: Page) -> Figure:
+    """Strength of the motion of the top against a torque that grows, with the bounds between which it is proven to set
+    it in motion, or else against time; and the moment at which it begins to turn."""
+    history, found = solution.history, solution.findings
+    torque, strength = history["torque"], np.abs(history["amplitude"])
+    x, name, marks = history["time"], "time", [("time_at_yield", "begins to turn", ":", GREY)]
+    if np.ptp(torque) > 0:
+        x, name, marks = torque, "torque (force · length)", [("torque_at_yield", "begins to turn", ":", GREY)]
+        marks += [("yield_torque_lower_bound", "proven to be held", "--", ORANGE)]
+        marks += [("yield_torque", "proven not to be held", "-", ORANGE)]
+    width = page.inches("single")
+    figure = plain_figure(width, 0.75 * width, page.dpi)
+    axes = figure.subplots()
+    axes.plot(x, np.where(strength > 0, strength, np.nan), color=BLUE)
+    for key, label, dashes, colour in marks:
+        values = np.copysign(found[key], x[-1])[np.isfinite(found[key])]
+        for n, value in enumerate(values):
+            axes.axvline(value, color=colour, ls=dashes, label="_" * n + label)
+    title = f"{describe(solution.scene, None)}\n{solution.method}"
+    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion of the top", title=title)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=True, framealpha=0.85, edgecolor="none")
+    label_in_plain_text(axes.yaxis)
+    return figure
+
+
+@in_our_style
+def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figure:
+    """The four accounts, and below them what they leave unexplained, against time.
+
+    An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
+    InputError if the run keeps no energy balance.
+    """
+    history, scene = solution.history, solution.scene
+    if "energy_residual" not in history:
+        raise InputError("the run keeps no energy balance; run a dynamics with --energy")
+    width = page.inches("single")
+    figure = new_figure(width, 1.0 * width + 0.2, page.dpi)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
+    unit, symbol = energy_unit(scene)
+    spin, spin_symbol = driving(scene)
+    later = history["time"] > 0
+    time = history["time"][later] * spin
+    accounts = {name: history[f"{name}_energy"][later, replica] / unit for name in ACCOUNTS}
+    for name, (colour, dashes) in ACCOUNTS.items():
+        top.plot(time, accounts[name], color=colour, ls=dashes, lw=1.2, label=name)
+    if later.any():
+        top.set_xscale("log")
+        _scale(top, np.concatenate(list(accounts.values())))
+    top.set(ylabel=over("E", symbol, "energy"))
+    top.set_title(f"{describe(scene, replica)}\n{solution.method}")
+    figure.legend(*top.get_legend_handles_labels(), ncols=4, loc="outside lower center", columnspacing=1.0)
+    missing = np.abs(history["energy_residual"][later, replica])
+    if (missing > 0).any():
+        bottom.plot(time[missing > 0], missing[missing > 0], color="black", lw=1.0)
+        bottom.set_yscale("log")
+    bottom.set(xlabel=rf"time, ${spin_symbol}\,t$", ylabel="unexplained\nshare")
+    return figure
+
+
+def _scale(axes: Any, energy: np.ndarray) -> None:
+    """Logarithmic, or if some energy is negative linear around 0 and logarithmic beyond, with ticks that have room."""
+    size = np.abs(energy[energy != 0])
+    if not len(size):
+        return
+    if (energy >= 0).all():
+        axes.set_yscale("log", nonpositive="mask")
+        return
+    most, least = math.ceil(math.log10(size.max())), math.floor(math.log10(-energy.min())) - 1
+    least = max(least, most - MOST_DECADES)
+    axes.set_yscale("symlog", linthresh=10.0**least, linscale=0.5)
+    below = range(least, math.ceil(math.log10(-energy.min())) + 1)
+    every = 1 + (most - least + len(below)) // MOST_TICKS
+    up, down = list(range(least, most + 1))[::every], list(below)[::every]
+    ticks = [*(-(10.0**k) for k in reversed(down)), 0.0, *(10.0**k for k in up)]
+    names = [*(f"$-10^{{{k}}}$" for k in reversed(down)), "0", *(f"$10^{{{k}}}$" for k in up)]
+    axes.yaxis.set_major_locator(FixedLocator(ticks))
+    axes.yaxis.set_major_formatter(FixedFormatter(names))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.axhline(0.0, color="black", lw=0.6)
+    axes.set_ylim(1.6 * energy.min(), 1.6 * energy.max())
