@@ -254,6 +254,7 @@ def test_a_text_where_a_number_belongs_is_one_sentence(folder, tmp_path, what):
         ("status", "certified (gap 1e-16)"), ("status", "stalled"), ("status", "finished"), ("status", b"certified"),
         ("power", np.inf), ("power", -np.inf), ("power", np.nan), ("lower_bound", np.inf), ("gap", ""),
         ("shape", [4.9, 3.0, 5.0]), ("shape", ["4", "3", "5"]), ("spin_top", "1.0"), ("slip_threshold", np.nan),
+        ("states_proven", np.nan), ("minimum_is_unique", np.nan),
         ("seed", 12.0), ("contacts", True), ("schema_version", 1.0), ("power", [404.0]), ("power", 1j),
         ("law", b"coulomb"),
     ],
