@@ -90,7 +90,7 @@ class StoredRun:
             found = [bool(v) if self.samples.count > 1 and v in (0.0, 1.0) else v for v in found]
         for v, given in zip(found, values, strict=True):
             is_open = v is None and not (name in NEVER_OPEN and name in self.attributes)
-            is_open &= self.samples.count > 1 or given == ""  # not-a-number stands in lists alone
+            is_open &= name not in TRUTHS or self.samples.count > 1 or given == ""  # no number alone is a truth
             if not is_open and type(v) not in kinds:
                 raise FileError(f"{self.path} has {given!r} for {name!r}; it must be {words}")
         return found
