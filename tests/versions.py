@@ -39,7 +39,7 @@ STEPS = {  # column of the table -> commands of `bearings`, each of which must e
         "analyse block",
         "plot spins plane",
         "plot spins block",
-        "plot bottlenecks plane",
+        "plot domains plane",
         "plot scan scan --y power --x seed",
         "histogram plane block scan --out histogram",
     ],
