@@ -25,7 +25,7 @@ from taichi_bearings.packing import Packing, solve_packing
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import PackingRun, is_packing_run, publish_packing, read_packing_run
+from taichi_bearings.runs.packing_run import PackingRun, is_packing_run, read_packing_run
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
@@ -270,7 +270,7 @@ class PackingResult(packings.PackingResult):
         """
         settings = RunSettings(packing="run.h5", law=str(self.packing.law))
         with run_directory(Path(path), force) as directory:
-            found = publish_packing(directory, PackingRun(settings, self, command="taichi_bearings.solve"))
+            found = runs.publish(directory, PackingRun(settings, self, command="taichi_bearings.solve"))
         assert found.path is not None
         return found.path
 

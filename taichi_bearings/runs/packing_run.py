@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,7 +17,6 @@ from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
-from taichi_bearings.files.histogram_file import write_table
 from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5, write_text
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.interrupts import awaited
@@ -26,8 +25,8 @@ from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
-from taichi_bearings.runs.run import versions
-from taichi_bearings.runs.run_directory import RunDirectory, claimed, default_run_path, run_directory, writable_folder
+from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
+from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
 from taichi_bearings.scene import Status
@@ -77,6 +76,17 @@ class PackingRun:
     path: Path | None = None
     command: str = ""
     interrupted: bool = False
+
+    def as_interrupted(self) -> "PackingRun":
+        return replace(self, interrupted=True)
+
+    def write(self, folder: Path) -> None:
+        """Write every file of the run but its figures into `folder`, which will be renamed to its path."""
+        _write(folder, self)
+
+    def draw(self) -> None:
+        """Draw the figures that every run gets into its directory."""
+        _draw(self)
 
     @property
     def status(self) -> list[Status]:
@@ -188,15 +198,11 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
     with run_directory(out or default_run_path(), force) as directory:
         with stage("solving"):
             result = _solved(settings, packing)
-        found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]))
+        stopped = result.status == Status.INTERRUPTED.value
+        found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]), stopped)
         with awaited() as heard:
-            found = publish_packing(directory, found)
-        if heard.is_set():
-            return replace(found, interrupted=True)
-        if settings.figures == "all":
-            with stage("drawing"):
-                _draw(found)
-    return found
+            found = rescued(found, partial(publish, directory, found), "the result is lost")
+        return with_figures(found, heard.is_set())
 
 
 STOPPED_BY = ("iterations", "time_limit", "duration", "record")
@@ -216,25 +222,16 @@ def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
     return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 
-def publish_packing(directory: RunDirectory, found: PackingRun) -> PackingRun:
-    """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
-    while True:
-        found = replace(found, path=directory.path)
-        with stage("writing"):
-            _write(directory.partial, found)
-        if directory.publish():
-            return found
-
-
 def _write(folder: Path, found: PackingRun) -> None:
     kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
     stored = RunSettings(**{**kept, "packing": "run.h5"})
     origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
-    write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
-    write_text(folder / "scene.toml", stored.to_toml())
-    full = found.summary | {"settings": found.settings.described, "versions": versions()}
-    write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
-    write_table(folder / "power_histogram.csv", {None: found.histogram})
+    with stage("writing"):
+        write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
+        write_text(folder / "scene.toml", stored.to_toml())
+        full = found.summary | {"settings": found.settings.described, "versions": versions()}
+        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    write_histogram(folder, found.histogram)
 
 
 def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -44,6 +44,10 @@ from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
+
+if TYPE_CHECKING:
+    from taichi_bearings.analysis.histogram import PowerHistogram
+    from taichi_bearings.runs.packing_run import PackingRun
 
 
 def build_scene(settings: RunSettings) -> Scene:
@@ -151,6 +155,17 @@ class Run:
     @property
     def interrupted(self) -> bool:
         return self.solution.interrupted
+
+    def as_interrupted(self) -> "Run":
+        return replace(self, solution=replace(self.solution, interrupted=True))
+
+    def write(self, folder: Path) -> None:
+        """Write every file of the run but its figures into `folder`, which will be renamed to its path."""
+        write_run(folder, self)
+
+    def draw(self) -> None:
+        """Draw the figures that every run gets into its directory."""
+        _draw(self)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -301,8 +316,8 @@ def run(settings: RunSettings, out: Path | None = None, force: bool = False, mon
         if settings.checkpoint_every is None:
             found = Run(settings, solve_job(job, monitors), job.spin, directory.path, _command())
             with awaited() as heard:
-                found = _rescued(found, partial(publish, directory, found), "the result is lost")
-            return _with_figures(found, heard.is_set())
+                found = rescued(found, partial(publish, directory, found), "the result is lost")
+            return with_figures(found, heard.is_set())
         stored = _self_contained(settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
@@ -316,16 +331,19 @@ def _command() -> str:
     return " ".join(["bearings", *sys.argv[1:]])
 
 
-def publish(directory: RunDirectory, found: Run) -> Run:
+Kept = TypeVar("Kept", Run, "PackingRun")
+
+
+def publish(directory: RunDirectory, found: Kept) -> Kept:
     """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
     while True:
         found = replace(found, path=directory.path)
-        write_run(directory.partial, found)
+        found.write(directory.partial)
         if directory.publish():
             return found
 
 
-def _rescued(found: Run, write: Callable[[], Run], otherwise: str) -> Run:
+def rescued(found: Kept, write: Callable[[], Kept], otherwise: str) -> Kept:
     """The run as it is written; if its path cannot be written, into a temporary folder.
 
     WriteError if not even that is possible. otherwise : what then, for people.
@@ -338,7 +356,7 @@ def _rescued(found: Run, write: Callable[[], Run], otherwise: str) -> Run:
         try:
             folder.mkdir(parents=True)
             found = replace(found, path=folder)
-            write_run(folder, found)
+            found.write(folder)
         except (WriteError, OSError):
             shutil.rmtree(folder.parent, ignore_errors=True)
             raise WriteError(f"{error}, nor can {folder.parent.parent}; {otherwise}") from None
@@ -413,12 +431,12 @@ def _solve_with_checkpoints(
 
     def complete() -> Run:
         with completed(path, _drawn()) as folder:
-            write_run(folder, found)
+            found.write(folder)
         return found
 
     with awaited() as heard:
-        found = _rescued(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
-    return _with_figures(found, heard.is_set())
+        found = rescued(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
+    return with_figures(found, heard.is_set())
 
 
 PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
@@ -440,7 +458,6 @@ def _drawn() -> list[str]:
 def write_run(folder: Path, found: Run) -> None:
     """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
     from taichi_bearings.analysis.histogram import power_histogram
-    from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):
         solution = found.solution
@@ -449,31 +466,37 @@ def write_run(folder: Path, found: Run) -> None:
         write_text(folder / "scene.toml", stored.to_toml())
         full = found.summary | {"settings": found.settings.values, "versions": versions()}
         write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    write_histogram(folder, power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold))
+
+
+def write_histogram(folder: Path, histogram: "PowerHistogram") -> None:
+    """Write the table of the powers, unless the disk is full: what was solved is written."""
+    from taichi_bearings.files.histogram_file import write_table
+
     try:
-        histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
         write_table(folder / "power_histogram.csv", {None: histogram})
-    except WriteError as error:  # a full disk: what was solved is written
-        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
-
-
-def draw_figures(found: Run) -> None:
-    """Draw the figures that every run gets into its directory, unless the disk is full."""
-    try:
-        with stage("drawing"):
-            _draw(found)
     except WriteError as error:
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
 
 
-def _with_figures(found: Run, interrupted: bool) -> Run:
+def draw_figures(found: Kept) -> None:
+    """Draw the figures that every run gets into its directory, unless the disk is full."""
+    try:
+        with stage("drawing"):
+            found.draw()
+    except WriteError as error:
+        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
+
+
+def with_figures(found: Kept, interrupted: bool) -> Kept:
     """The run with its figures; an interrupt, now or before, leaves them to `bearings plot` and `histogram`."""
     try:
-        if interrupted or found.solution.interrupted:
+        if interrupted or found.interrupted:
             raise KeyboardInterrupt
         if found.settings.figures == "all":
             draw_figures(found)
     except KeyboardInterrupt:
-        return replace(found, solution=replace(found.solution, interrupted=True))
+        return found.as_interrupted()
     return found
 
 
