@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, maximum_flow
+from scipy.sparse.csgraph import connected_components, dijkstra, maximum_flow
 
-from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow
+from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow, within_reach
 from taichi_bearings.packing import PackingResult
 from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.proof.contact_state import ContactState
@@ -189,12 +189,13 @@ class Interface:
         unit = total * 2.0**-CUT_BITS
         capacity = np.floor(weight / unit).astype(np.int64)
         size = int(node.max()) + 1
-        edges = np.append(ends, [[0], [size - 1]], axis=1)  # an edge without capacity, so that both ends are there
-        flow = largest_flow(edges, np.append(capacity, 0), int(capacity.sum()) + 1)[:-1]
-        left, least = (capacity - flow, capacity + flow), int(TIED_WEIGHTS * capacity.sum())
-        above = ~_reached(ends, *left, 0, size, len(weight))
-        nearest = _reached(ends[::-1], *left, size - 1, size, least)
-        reached = _reached(ends, *left, 0, size, least)
+        edges = np.append(ends, [[0], [size - 1]], axis=1)  # one without capacity, so that both ends are there
+        capacity = np.append(capacity, 0)
+        flow = largest_flow(edges, capacity, int(capacity.sum()) + 1)
+        left = np.stack([capacity - flow, capacity + flow])
+        tie = int(TIED_WEIGHTS * capacity.sum()) + len(weight)  # each weight is rounded by less than a unit
+        above = ~within_reach(edges, left, 0)
+        reached, nearest = within_reach(edges, left, 0, tie), within_reach(edges, left[::-1], size - 1, tie)
         cut = above[ends[0]] != above[ends[1]]
         contacts = np.zeros(packing.contacts, dtype=bool)
         contacts[np.flatnonzero(taken)[cut]] = True
@@ -220,12 +221,3 @@ def _at(place: np.ndarray, state: np.ndarray) -> np.ndarray:
     if state.shape == (2, 1):
         return np.broadcast_to(state[0], (len(place), 1))
     return state[:3] + state[3] * place
-
-
-def _reached(ends: np.ndarray, onward: np.ndarray, back: np.ndarray, start: int, size: int, least: int) -> np.ndarray:
-    """True for the nodes (size,) that `start` reaches over edges with more than `least` left in their direction."""
-    row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, np.append(onward, back) > least]
-    graph = sparse.csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(size, size))
-    reached = np.zeros(size, dtype=bool)
-    reached[breadth_first_order(graph, start, return_predecessors=False)] = True
-    return reached

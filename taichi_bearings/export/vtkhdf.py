@@ -61,9 +61,10 @@ class Geometry:
     @classmethod
     def of_packing(cls, packing: Packing) -> "Geometry":
         first, second = packing.contact.T
-        step = packing.normal * (packing.radius[first] + packing.radius[second])[:, None]
+        reach = packing.radius[first] + packing.radius[second]
+        step = packing.normal * reach[:, None]
         far = np.linalg.norm(packing.center[second] - packing.center[first] - step, axis=1)
-        return cls.of(packing.center, packing.contact, step, np.flatnonzero(far > packing.radius[first]))
+        return cls.of(packing.center, packing.contact, step, np.flatnonzero(far > reach / 2))
 
     def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
         """Columns of the spheres as point data; where there are images they say which points those are."""

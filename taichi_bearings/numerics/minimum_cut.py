@@ -185,12 +185,12 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
             capacity = np.floor(np.minimum(edges, 2 * at_most) / unit).astype(np.int64)
         flow = largest_flow(ends, capacity, int(capacity[cut].sum()))
         left_over = np.stack([capacity - flow, capacity + flow])
-        above = ~_reached(ends, left_over, 0)
+        above = ~within_reach(ends, left_over, 0)
         cut = above[ends[0]] != above[ends[1]]
         light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
     units = int(capacity[cut].sum())
     tie = int(TIED_WEIGHTS * units) + int(cut.sum())
-    from_bottom, from_top = _reached(ends, left_over, 0, tie), _reached(ends, left_over[::-1], node.max(), tie)
+    from_bottom, from_top = within_reach(ends, left_over, 0, tie), within_reach(ends, left_over[::-1], node.max(), tie)
     return _Cut(above[node], ~(from_bottom | from_top)[node], flow, float(unit), units)
 
 
@@ -198,7 +198,7 @@ def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
     """Spheres N that neither the bottom nor the top reaches through other contacts than these; one mask an axis."""
     node, ends = _network(Lattice.of(apart))
     left_over = np.tile(~_edges(apart), (2, 1))
-    return ~(_reached(ends, left_over, 0) | _reached(ends, left_over, node.max()))[node]
+    return ~(within_reach(ends, left_over, 0) | within_reach(ends, left_over, node.max()))[node]
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
@@ -226,17 +226,22 @@ def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:
     return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])
 
 
-def _reached(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
+def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
     """True for the nodes that `start` reaches along edges with more than `least` left over.
 
     ends : (2, edges) nodes. left_over : (2, edges), capacity from the lower to the upper end and back.
     """
-    nodes = int(ends.max()) + 1
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
-    graph = csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(nodes, nodes))
-    reached = np.zeros(nodes, dtype=bool)
-    reached[breadth_first_order(graph, start, return_predecessors=False)] = True
-    return reached
+    return led_to(int(ends.max()) + 1, row, column, np.array([start]))
+
+
+def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """(nodes,) True for those that any of the `starts` leads to along arcs, from `row` to `column`."""
+    rows, columns = np.concatenate([row, np.full(len(starts), nodes)]), np.concatenate([column, starts])
+    graph = csr_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(nodes + 1, nodes + 1))
+    found = np.zeros(nodes + 1, dtype=bool)
+    found[breadth_first_order(graph, nodes, return_predecessors=False)] = True
+    return found[:nodes]
 
 
 def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
@@ -298,7 +303,7 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
         left_over -= sent << shift
         if shift == 0:
             return capacity - left_over[: len(capacity)]
-        below = _reached(ends, graph - sent, 0)
+        below = within_reach(ends, graph - sent, 0)
         cut = int(left_over[below[row] & ~below[column]].sum())
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
 

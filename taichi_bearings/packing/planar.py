@@ -12,10 +12,8 @@ in whole numbers proves the least power of the rounded network, which is never a
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order
 
-from taichi_bearings.numerics.minimum_cut import largest_flow
+from taichi_bearings.numerics.minimum_cut import largest_flow, led_to
 from taichi_bearings.packing.system import System, odd_parts
 
 UNIT_BITS = 59  # of the sum of all frictions
@@ -144,16 +142,7 @@ def _source_side(
     left = np.concatenate([weight - inner, weight + inner])
     row, column = np.concatenate([ends[0], ends[1]]), np.concatenate([ends[1], ends[0]])
     start = np.flatnonzero(source > into)
-    return _reached(nodes, row[left > 0], column[left > 0], start)
-
-
-def _reached(nodes: int, row: np.ndarray, column: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """(nodes,) True for those that `start` leads to along arcs."""
-    rows, columns = np.concatenate([row, np.full(len(start), nodes)]), np.concatenate([column, start])
-    graph = sparse.csr_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(nodes + 1,) * 2)
-    found = np.zeros(nodes + 1, dtype=bool)
-    found[breadth_first_order(graph, nodes, return_predecessors=False)] = True
-    return found[:nodes]
+    return led_to(nodes, row[left > 0], column[left > 0], start)
 
 
 def _filling(cover: _Cover, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

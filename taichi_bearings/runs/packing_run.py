@@ -246,10 +246,8 @@ def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) ->
     for name, values in result.packing.arrays().items():
         put(f"packing/{name}", values, *PACKING_ARRAYS[name])
     put("spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
-    for name, row in CONTACTS.items():
-        column = getattr(result, "power_per_contact" if name == "power" else name, None)
-        if column is not None:
-            put(f"contact/{name}", column, row.unit, row.text)
+    for name, found in _of_contacts(result).items():
+        put(f"contact/{name}", found.values, found.units, found.description)
     for name, column in result.history.items():
         put(f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
     put("contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
@@ -265,8 +263,7 @@ def _draw(found: PackingRun) -> None:
 
 def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
     """What is known of the spheres (N, ...) and of the contacts (E, ...), by name, for other programs."""
-    packing, structure = result.packing, PackingStructure.of(result)
-    spin = result.spin
+    packing, spin = result.packing, result.spin
     if packing.dimension == 2:  # along z
         spin = np.column_stack([np.zeros((packing.spheres, 2)), result.spin])
     spheres = {
@@ -274,19 +271,28 @@ def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[
         "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
         "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
     }
-    contacts = {
-        name: Finding(getattr(result, "power_per_contact" if name == "power" else name), row.unit, row.text)
-        for name, row in CONTACTS.items()
-        if hasattr(result, name)
-    }
+    contacts = _of_contacts(result)
     for name in ("friction", "viscosity", "normal_force"):
         if getattr(packing, name) is not None:
             contacts["coefficient" if name == "friction" else name] = Finding(
                 getattr(packing, name), *PACKING_ARRAYS[name]
             )
-    of_spheres, of_contacts = structure.columns
-    spheres |= {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in of_spheres.items()}
-    contacts |= {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in of_contacts.items()}
+    of_spheres, of_contacts = _of_structure(PackingStructure.of(result))
+    return spheres | of_spheres, contacts | of_contacts
+
+
+def _of_contacts(result: PackingResult) -> dict[str, Finding]:
+    """The quantities of contacts that the result has."""
+    found = {name: getattr(result, "power_per_contact" if name == "power" else name) for name in CONTACTS}
+    rows = {name: (values, CONTACTS[name]) for name, values in found.items() if values is not None}
+    return {name: Finding(values, row.unit, row.text) for name, (values, row) in rows.items()}
+
+
+def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict[str, Finding]]:
+    spheres, contacts = (
+        {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in columns.items()}
+        for columns in structure.columns
+    )
     return spheres, contacts
 
 
@@ -312,15 +318,13 @@ def analyse_packing(
     with writable_folder(target.parent):
         with stage("analysing"):
             structure = PackingStructure.of(found.result, threshold)
-            parts = [
-                {name: Finding(v, "1", STRUCTURE_COLUMNS[name]) for name, v in c.items()} for c in structure.columns
-            ]
+            of_spheres, of_contacts = _of_structure(structure)
         states = "decided" if threshold is None else "threshold"
         told = ("status", "method", "law", "shape", "spheres", "contacts", "version")
         report = structure.numbers | {"threshold": threshold, "states": states}
         report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
         with stage("writing"):
-            write_analysis(target, [parts[0] | parts[1]], report, into_run=out is None)
+            write_analysis(target, [of_spheres | of_contacts], report, into_run=out is None)
         if figures:
             with stage("drawing"):
                 save(draw_packing(found.result, "network"), picture)

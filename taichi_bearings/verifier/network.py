@@ -19,13 +19,13 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined, row_sum
 from taichi_bearings.verifier.motion import length
-from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, power_of_two
+from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, power_of_two
 
 LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 
 
 @dataclass(frozen=True)
-class Network:
+class Network(OfLaw):
     """N spheres, E contacts; D = 2 or 3, and C = 1 or 3 components. Speeds and forces are in units of powers of two.
 
     law : a key of LAWS. place : (N, D). contact : (E, 2). normal : (E, D). free : (N,). speed_unit, force_unit.
@@ -84,19 +84,6 @@ class Network:
             Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
             Enclosure.exact(slope * (speed / force)) if flows else zero,
         )  # fmt: skip
-
-    @property
-    def holds(self) -> bool:
-        return LAWS[self.law][0]
-
-    @property
-    def flows(self) -> bool:
-        return LAWS[self.law][1]
-
-    @property
-    def share(self) -> float:
-        """What is least at rest over the potential: of viscous contacts their power."""
-        return 1.0 if self.holds else 2.0
 
     @property
     def power_unit(self) -> float:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.verifier.bounds import slip_bound
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
@@ -31,6 +31,7 @@ from taichi_bearings.verifier.motion import length
 from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.network_bounds import PROVEN, Bounds, Springs, slip_rows
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN
+from taichi_bearings.verifier.states import reached
 
 MOST_LEVELS = 100  # steps of imposed values that are looked at, the largest
 STILL = 1e-12  # of the fastest imposed component, below which slips may be none
@@ -157,7 +158,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> np.ndarray:
         tail, head = np.append(high[rises], low[falls]), np.append(low[rises], high[falls])
         follows = sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(2 * count,) * 2)
         together = connected_components(follows, directed=True, connection="strong")[1]
-        above, below = _reached(follows, node[number + 1 :]), _reached(follows.T.tocsr(), node[: number + 1])
+        above, below = reached(follows, node[number + 1 :]), reached(follows.T.tocsr(), node[: number + 1])
         a, b = low[: len(contacts)], high[: len(contacts)]
         alike = (together[a] == together[b]) | (above[a] & above[b]) | (below[a] & below[b])
         slips |= (above[a] & below[b]) | (below[a] & above[b])
@@ -167,17 +168,6 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> np.ndarray:
     states[network.counts & ~_feel(network, k)] = SLIPLESS
     bound[network.counts] = np.fmin(bound, whole)[network.counts]
     return states
-
-
-def _reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
-    """Mask of the nodes that can be reached from any of the starts."""
-    size = follows.shape[0]
-    whole = follows.tocoo()
-    row, column = np.append(whole.row, np.full(len(starts), size)), np.append(whole.col, starts)
-    graph = sparse.csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size + 1,) * 2)
-    reached = np.zeros(size + 1, dtype=bool)
-    reached[breadth_first_order(graph, size, return_predecessors=False)] = True
-    return reached[:-1]
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,30 @@ LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""
 
 
+class OfLaw:
+    """What follows from a law, a key of LAWS."""
+
+    law: str
+
+    @property
+    def holds(self) -> bool:
+        """True if a contact bears a force without slipping."""
+        return LAWS[self.law][0]
+
+    @property
+    def flows(self) -> bool:
+        """True if the force grows with the slip."""
+        return LAWS[self.law][1]
+
+    @property
+    def share(self) -> float:
+        """What is least at rest, the objective, over the potential of the forces: the power of viscous contacts is
+        twice theirs; beside friction it is no multiple of it, and the potential itself is least."""
+        return 1.0 if self.holds else 2.0
+
+
 @dataclass(frozen=True)
-class Samples:
+class Samples(OfLaw):
     """R samples that differ in their coefficients alone.
 
     shape : N, spheres along each axis, height last. law : a key of LAWS.
@@ -209,22 +231,6 @@ class Samples:
     def force_unit(self) -> float:
         """A power of two near the largest coefficient, times the normal force for friction."""
         return power_of_two(max(float(c.max()) for c in self.coefficient) * self._strength)
-
-    @property
-    def holds(self) -> bool:
-        """True if a contact bears a force without slipping."""
-        return LAWS[self.law][0]
-
-    @property
-    def flows(self) -> bool:
-        """True if the force grows with the slip."""
-        return LAWS[self.law][1]
-
-    @property
-    def share(self) -> float:
-        """What is least at rest, the objective, over the potential of the forces: the power of viscous contacts is
-        twice theirs; beside friction it is no multiple of it, and the potential itself is least."""
-        return 1.0 if self.holds else 2.0
 
     @property
     def _strength(self) -> float:

@@ -140,7 +140,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     follows = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size, size))
     together = connected_components(follows, directed=True, connection="strong")[1]
     bottom, top = (np.unique(place[..., end][~flat[..., end]]) for end in (0, -1))
-    is_above, is_below = _reached(follows, top), _reached(follows.T.tocsr(), bottom)
+    is_above, is_below = reached(follows, top), reached(follows.T.tocsr(), bottom)
     contradicts = np.bincount(bottom // samples.sublattice.size, is_above[bottom], samples.count) > 0
     found = []
     for axis, coefficient in enumerate(samples.coefficient):
@@ -159,7 +159,7 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
     ]
 
 
-def _reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
+def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     """Mask of the nodes that can be reached from any of the starts."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)

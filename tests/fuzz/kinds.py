@@ -318,14 +318,20 @@ def journals(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
             return _as_scan(corpus, folder, draw)
 
 
-def histogram_files(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    """power_histogram.h5, which no command reads, where a run or a scan should be."""
-    file = folder / "power_histogram.h5"
-    file.write_bytes((corpus.folder / "histogram" / "power_histogram.h5").read_bytes())
-    if draw.random() < 0.5:
+def _changed_copy(corpus: Corpus, name: str, folder: Path, draw: random.Random, content: float) -> Path:
+    """A good HDF5 file with its content changed in so many of all cases, else its bytes."""
+    file = folder / Path(name).name
+    file.write_bytes((corpus.folder / name).read_bytes())
+    if draw.random() < content:
         hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
     else:
         file.write_bytes(bytes_changed(file.read_bytes(), draw))
+    return file
+
+
+def histogram_files(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    """power_histogram.h5, which no command reads, where a run or a scan should be."""
+    file = _changed_copy(corpus, "histogram/power_histogram.h5", folder, draw, 0.5)
     return _as_run(file, folder, draw, figures=0)
 
 
@@ -344,12 +350,7 @@ def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 
 
 def packing_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = folder / "run.h5"
-    file.write_bytes((corpus.folder / "bearing" / "run.h5").read_bytes())
-    if draw.random() < 0.7:
-        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
-    else:
-        file.write_bytes(bytes_changed(file.read_bytes(), draw))
+    file = _changed_copy(corpus, "bearing/run.h5", folder, draw, 0.7)
     words = [
         ("verify", file), ("analyse", file, "--no-figures"), ("export", file), ("list", folder), ("view", file),
         ("run", file, "--out", folder / "out", "--figures", "none"),

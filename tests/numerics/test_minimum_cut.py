@@ -149,7 +149,7 @@ def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):
     np.add.at(out, ends[0], flow)
     np.add.at(out, ends[1], -flow)
     assert not out[1:-1].any()
-    below = module._reached(ends, np.stack([capacity - flow, capacity + flow]), 0)
+    below = module.within_reach(ends, np.stack([capacity - flow, capacity + flow]), 0)
     assert capacity[below[ends[0]] != below[ends[1]]].sum() == out[0] == -out[-1]
 
 

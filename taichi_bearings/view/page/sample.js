@@ -28,7 +28,7 @@ class Sample {
     this.sides = axes.map(({ side }) => side);
     for (let c = 0; c < contacts; c++) {
       const gap = [0, 1, 2].map((k) => this.place[3 * second[c] + k] - this.place[3 * first[c] + k] - this.way[3 * c + k]);
-      this.over[c] = Math.hypot(...gap) > this.size[first[c]] / 2;
+      this.over[c] = Math.hypot(...gap) > (this.size[first[c]] + this.size[second[c]]) / 4;  // half their radii
     }
     this.lines = contacts + this.over.reduce((sum, over) => sum + over, 0);
     this.bodies = [...new Set(this.body)].filter((body) => body >= 0).sort((a, b) => a - b);
