@@ -111,7 +111,7 @@ def test_replicas_together_equal_replicas_alone():
 def test_other_drivings_are_certified_by_both_methods_alike(driving, precision):
     scene = make_scene((5, 4, 6), **driving)
     start = initial_spin(scene, "random")
-    tolerance = 2e-4 if precision == "f64" else 5e-3  # what the rounding of the spins allows, see docs/methods.md
+    tolerance = 2e-4 if precision == "f64" else 5e-3  # what the rounding of the spins allows
     descent = solve(scene, GradientDescent().build(), start, StopRule(tolerance, 200_000))
     dynamics = solve(scene, CundallStrack().build(), start, StopRule(2e-3, 200_000))
     assert descent.status is dynamics.status is Status.CERTIFIED

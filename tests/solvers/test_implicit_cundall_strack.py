@@ -94,7 +94,8 @@ def test_sticking_contacts_swing_with_order_two(damping):
 @pytest.mark.parametrize(("damping", "order"), [(0.0, 2), (1e3, 1)])
 def test_the_order_where_every_contact_keeps_slipping(damping, order):
     """Undamped springs turn with the slip at a finite rate: order 2. With damping the law itself turns a force by so
-    much a step, whatever the length of the step, and so lags behind the slip by one order (docs/methods.md)."""
+    much a step, whatever the length of the step, and so lags behind the slip by one order
+    (docs/how-methods-work.md)."""
     scene = make_scene((2, 2, 3), spin_top=3.0, seeds=(11,))
     spin, duration = 4 * random_start(scene), 0.1
     options = {"inertia": 20.0, "stiffness": 300.0, "damping": damping}
@@ -119,7 +120,7 @@ def test_the_order_where_every_contact_keeps_slipping(damping, order):
 def test_small_steps_agree_with_gears_method(shape, falls, within):
     """Through all friction events of random starts; the two share the law and no step. The typical scene counts: the
     springs jump where a contact begins to slip, so one that barely does may go either way. Contacts with two
-    components follow the slip slowly (docs/methods.md), and Gear's method converges no faster there."""
+    components follow the slip slowly (docs/how-methods-work.md), and Gear's method converges no faster there."""
     duration, errors = 4e-3, []
     scene = make_scene(shape, seeds=(32, 33, 34))
     spin = random_spin(scene)
