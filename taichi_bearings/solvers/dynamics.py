@@ -1,4 +1,4 @@
-"""What the dynamics have in common: clock and aim, energy books, the watch for rest, and what a checkpoint holds."""
+"""What the dynamics have in common: clock and aim, energy balance, the watch for rest, and what a checkpoint holds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
