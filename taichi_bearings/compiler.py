@@ -1,7 +1,8 @@
 """Taichi, imported here and nowhere else, and only once it is asked for: ``from taichi_bearings.compiler import ti``.
 
-Quadrants, its maintained fork, stands in for it if the environment variable TAICHI_BEARINGS_COMPILER says so
-(docs/decisions/0008): it must be known before any kernel is read, and worker processes inherit it.
+Quadrants, its maintained fork, stands in for it where Taichi is not installed or the environment variable
+TAICHI_BEARINGS_COMPILER says so (docs/decisions/0008): it must be known before any kernel is read, and worker processes
+inherit it.
 """
 
 import atexit
@@ -36,11 +37,13 @@ QUIET = {
 
 
 def name() -> str:
-    """The package that compiles the kernels of this process; DeviceError if it is unknown or not installed."""
-    chosen = os.environ.get(VARIABLE) or "taichi"
+    """The package that compiles the kernels of this process: the one that the environment names, else the first that is
+    installed. DeviceError if it is unknown or not installed."""
+    installed = [compiler for compiler in KERNEL_CACHES if importlib.util.find_spec(compiler) is not None]
+    chosen = os.environ.get(VARIABLE) or (installed or ["taichi"])[0]
     if chosen not in KERNEL_CACHES:
         raise DeviceError(f"{VARIABLE} is {chosen!r}; allowed are {', '.join(KERNEL_CACHES)}")
-    if importlib.util.find_spec(chosen) is None:
+    if chosen not in installed:
         raise DeviceError(
             f"{chosen} is not installed here; pip install {chosen}, or set {VARIABLE} to another compiler"
         )
