@@ -27,7 +27,7 @@ class PaperFigure:
     """title, the module and the function of paper/ that return its claims, and the files that it writes.
 
     shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
-    cores.
+    cores. asked : a question beyond the paper, computed only where it is named.
     """
 
     title: str
@@ -36,6 +36,7 @@ class PaperFigure:
     shown: str
     seconds: tuple[float, float]
     function: str = "reproduce"
+    asked: bool = False
 
     def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
         module = importlib.import_module(f".{self.module}", __package__)
@@ -84,17 +85,25 @@ FIGURES = {
         "Stiffness K, damping A and normal force F_n", "parameters", _written("parameters", ".csv"),
         "The first seed; claims are about all samples.", (60, 50),
     ),
+    "exponents": PaperFigure(
+        "Minimum cuts of discs as directed polymers", "exponents", _written("exponents", ".csv"), ALL, (900, 60),
+        asked=True,
+    ),
+    "odd-loops": PaperFigure(
+        "How many odd contacts stop a bearing of discs", "odd_loops", _written("odd-loops", ".csv"), ALL, (3000, 60),
+        asked=True,
+    ),
 }  # fmt: skip
 MOST_PICTURE = 2**26  # bytes of one that the page holds
 REPORTS = ("report.html", "report.json", "report.md")
 
 
 def choose_figures(names: Sequence[str]) -> list[str]:
-    """The figures asked for, each once; all of them if none is named."""
+    """The figures asked for, each once; all of the paper and its supplement if none is named."""
     for name in names:
         if name not in FIGURES:
             raise InputError(f"figure is {name!r}; allowed are {', '.join(FIGURES)}{meant(name, FIGURES)}")
-    return list(dict.fromkeys(names)) or list(FIGURES)
+    return list(dict.fromkeys(names)) or [name for name, figure in FIGURES.items() if not figure.asked]
 
 
 def reproduce(

@@ -1,0 +1,128 @@
+"""How many odd contacts stop a bearing of discs? Square lattices to which contacts across diagonals are added.
+
+Around a loop of an odd number of discs neighbours cannot all turn in opposite ways, so there discs rest, or contacts
+slip. Without such loops, the bottom at rest, half of the discs roll with the top on average. A contact across a
+diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, and
+the interface moves out of its way. How far depends on the landscape of interfaces: the least powers of those at
+different heights differ by about L^(1/3). If that rules, n odd contacts act alike at equal n / L^(1/3), and in large
+samples a vanishing density stops the bearing. Every sample is solved exactly, by a cut of the double cover.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.files.whole_file import write_csv
+from taichi_bearings.packing import Packing
+from taichi_bearings.packing.planar import least_power
+from taichi_bearings.packing.system import System
+from taichi_bearings.stages import stage
+
+from ..plots.odd_loops import draw_odd_loops
+from .blocks import drawn
+from .claims import Claim, Effort, judge
+from .fits import collapse
+from .samples import save_both
+
+FRICTION = (0.1, 1.0)  # uniform, the paper's
+BLOCK = 10  # samples that are drawn together
+SIZES, QUICK_SIZES = {16: 1.0, 32: 1.0, 64: 0.5, 128: 0.1}, {8: 1.0, 16: 1.0}  # L -> of the samples
+NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
+BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
+TURNED = 16  # L of the samples in which the bottom turns
+RULES = {"number": 0.0, "landscape": 1 / 3, "line": 1.0, "density": 2.0}  # what might rule -> exponent a of n / L^a
+
+
+def network(size: int, odd: int, bottom: float, seed: int) -> Packing:
+    """A square lattice with `odd` contacts across diagonals at random places; the top turns with 1."""
+    rng = np.random.default_rng([seed, size, odd])
+    disc = np.arange(size**2).reshape(size, size)
+    x, y = np.divmod(rng.choice((size - 1) ** 2, odd, replace=False), size - 1)
+    rising = rng.random(odd) < 0.5
+    contact = np.concatenate([
+        np.stack([disc[:-1].ravel(), disc[1:].ravel()], axis=1),
+        np.stack([disc[:, :-1].ravel(), disc[:, 1:].ravel()], axis=1),
+        np.stack([np.where(rising, disc[x, y], disc[x, y + 1]), np.where(rising, disc[x + 1, y + 1], disc[x + 1, y])],
+                 axis=1),
+    ])  # fmt: skip
+    place = np.stack(np.divmod(np.arange(size**2), size), axis=1).astype(float)
+    step = place[contact[:, 1]] - place[contact[:, 0]]
+    driven = np.full((size, size), -1)
+    driven[:, 0], driven[:, -1] = 0, 1
+    sign = 1.0 - 2.0 * (place.sum(axis=1) % 2)
+    return Packing(
+        center=place, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None], driven=driven.ravel(),
+        spin=sign * np.where(driven.ravel() == 1, 1.0, bottom), friction=rng.uniform(*FRICTION, len(contact)),
+    )  # fmt: skip
+
+
+def draw(size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
+    """Share of the free discs that turn faster than half of the top, and of those that rest, at the exact minimum, and
+    the least power over that of all free discs at rest; an entry a sample."""
+    found: dict[str, list[float]] = {"rolling": [], "resting": [], "power": []}
+    for number in range(seed, seed + samples):
+        packing = network(size, odd, bottom, number)
+        system = System.of(packing)
+        spins = least_power(system)[0]
+        speed = np.abs(system.all_spins(spins)[packing.driven < 0, 0]) / packing.radius[packing.driven < 0]
+        found["rolling"].append(float((speed > 0.5).mean()))
+        found["resting"].append(float((speed == 0).mean()))
+        at_rest = np.abs(system.difference(np.zeros_like(spins)))
+        found["power"].append(float((system.coefficients[0] * np.abs(system.difference(spins))).sum()
+                                    / (system.coefficients[0] * at_rest).sum()))  # fmt: skip
+    return found
+
+
+def reproduce(folder: Path, effort: Effort) -> list[Claim]:
+    """Write odd-loops.png, .pdf and .csv into `folder`; returns the claims with their verdicts."""
+    sizes, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
+    turned = max(sizes) if effort.quick else TURNED
+    points = [(size, odd, 0.0) for size in sizes for odd in numbers]
+    points += [(turned, odd, bottom) for bottom in BOTTOMS[1:] for odd in numbers]
+    blocks = []
+    for size, odd, bottom in points:
+        wanted = max(BLOCK, round(effort.samples * sizes[size]))
+        blocks += [
+            (size, odd, bottom, min(BLOCK, wanted - first), effort.seed + first) for first in range(0, wanted, BLOCK)
+        ]
+    found: dict[tuple[int, int, float], dict[str, list[float]]] = {}
+    for block, given in zip(blocks, drawn(draw, blocks, folder / "odd-loops.jsonl"), strict=True):
+        kept = found.setdefault(block[:3], {"rolling": [], "resting": [], "power": []})
+        for name in kept:
+            kept[name] += given[name]
+    rows = []
+    for (size, odd, bottom), of in found.items():
+        several = [np.array(of[name]) for name in ("rolling", "resting", "power")]
+        errors = [values.std(ddof=1) / len(values) ** 0.5 for values in several]
+        rows.append([size, odd, bottom, len(several[0]), *(x for v, e in zip(several, errors, strict=True)
+                                                           for x in (v.mean(), e))])  # fmt: skip
+    names = [f"{name}{ending}" for name in ("rolling", "resting", "power_over_rest") for ending in ("", "_error")]
+    write_csv(folder / "odd-loops.csv", ["size", "odd", "omega_bottom", "samples", *names], rows)
+    rolling = {size: {odd: np.array(found[size, odd, 0.0]["rolling"]) for odd in numbers if odd} for size in sizes}
+    none = {size: np.array(found[size, 0, 0.0]["rolling"]) for size in sizes}
+    few = min(odd for odd in numbers if odd >= 8)
+    stopped = {size: np.array(found[size, few, 0.0]["rolling"]) for size in sizes}
+    ruled = collapse(rolling)
+    nearest = min(RULES, key=lambda name: abs(RULES[name] - ruled.value))
+    resting = {bottom: np.array(found[turned, max(numbers), bottom]["resting"]) for bottom in BOTTOMS}
+    with stage("drawing"):
+        save_both(draw_odd_loops(rolling, none, ruled, resting), folder, "odd-loops")
+    count = sum(len(of["rolling"]) for of in found.values())
+    return [
+        judge("odd-loops.few", {"without": means(none), "stopped": means(stopped)}, few=few,
+              bare={f"L = {L}": {"share": values} for L, values in none.items()},
+              after={f"L = {L}": {"share": values} for L, values in stopped.items()},
+              least=min(means(none).values()), most=max(means(stopped).values()),
+              samples=min(map(len, none.values()))),
+        judge("odd-loops.rule", {"exponent": ruled.value, "error": ruled.error, "others": RULES}, nearest=nearest,
+              misfit=ruled.misfit, landscape=RULES["landscape"], density=RULES["density"], samples=count),
+        judge("odd-loops.equal", {"resting": means(resting)}, odd=max(numbers), size=turned,
+              rest={f"omega_B / omega_T = {bottom:g}": {"share": values} for bottom, values in resting.items()},
+              equal=float(resting[1.0].mean()), samples=len(resting[1.0])),
+    ]  # fmt: skip
+
+
+def means(found: Mapping[Any, np.ndarray]) -> dict[str, float]:
+    return {str(name): float(values.mean()) for name, values in found.items()}
