@@ -31,7 +31,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Figures of the paper and a verdict for each of its claims about them. FIGURE is one of these; without
-    one, all of them.
+    one, all but the last two.
 
     \b
     fig1  stationary states of 10x10 discs, viscous and Coulomb, and how often the interface of the two bearing states
@@ -48,6 +48,8 @@ def command(
           domains, what slip thresholds make of them
     distributions, drivings, parameters
           other distributions of the friction coefficients, other imposed bearing states, other K, A and F_n
+    exponents, odd-loops
+          questions beyond the paper: how interfaces of discs fluctuate, and how many odd contacts stop a bearing
 
     Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, and the report as report.html (one file, figures inside), report.json and
     report.md, anew after each figure. The same command with the same --out goes on with the figures that are missing,

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 RESAMPLES = 400
-EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 301, 100  # of collapses: looked at, how finely, and resampled how often
+EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
 LEAST_SIZES = 3  # that a fit takes
 LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that counts
 Statistic = Callable[[np.ndarray], float]
