@@ -236,7 +236,7 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
 
 def _command(names: Sequence[str], effort: Effort) -> str:
     """The command that gives the same numbers again."""
-    asked = [] if set(names) == set(FIGURES) else [name for name in FIGURES if name in names]
+    asked = [] if set(names) == set(choose_figures(())) else [name for name in FIGURES if name in names]
     quick = ["--quick"] if effort.quick else []
     return " ".join(
         ["bearings", "reproduce", *asked, *quick, "--seed", str(effort.seed), "--samples", str(effort.samples)]
