@@ -29,6 +29,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed and accuracy, beside the machine and other programs.",
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
+    "cite": "How to cite the program and its paper.",
     "info": "Versions, devices, precision and cache.",
 }
 INTERRUPTED = "bearings: interrupted; nothing is kept but what was complete"
