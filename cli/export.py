@@ -16,14 +16,10 @@ from taichi_bearings_cli.progress import Display
              "Replace an existing file.")  # fmt: skip
 @json_option
 def command(run: Path, replica: int, form: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later; or its problem for solvers.
+    """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later; or its least power as a problem
+    for solvers, in the conic benchmark format (cbf) or as the frictional contact library has it (fclib). VTKHDF has
 
     \b
-    cbf     the least power as a second-order cone programme, in the conic benchmark format
-    fclib   contacts with Coulomb friction, as the frictional contact library stores them in HDF5
-
-    \b
-    What a VTKHDF file has:
     points  the spheres: spin, rigid domain and what that is locked to, piece of the slipless network,
             betweenness, side of the minimum cut; with periodic sides also images of the first ones behind the last
     lines   the contacts: slip, power, force, state, proven or not, coefficient, betweenness,

@@ -24,18 +24,14 @@ def bibtex(text: str) -> str:
 
 def _entry(block: str, key: str, kind: str) -> str:
     known = dict(re.findall(r"^([a-z-]+): (\S.*)$", block, re.MULTILINE))
-    people = re.findall(r"^ *- ((?:family-)?name.*\n(?: +[a-z-]+: .*\n?)*)", block, re.MULTILINE)
+    people = re.findall(r"^ *- (?:family-)?name.*\n(?: +[a-z-]+: .*\n?)*", block, re.MULTILINE)
     names = [dict(re.findall(r"([a-z-]+): (.+)", person)) for person in people]
-    fields = {"author": " and ".join(map(_name, names))}
+    order = ("name", "family-names", "name-suffix", "given-names")
+    words = [", ".join(name[part] for part in order if part in name) for name in names]
+    fields = {"author": " and ".join(f"{{{word}}}" if "," not in word else word for word in words)}
     fields |= {BIBTEX[word]: value for word, value in known.items() if word in BIBTEX}
     escaped = {
         name: value if "://" in value else re.sub(r"([_&%#$])", r"\\\1", value) for name, value in fields.items()
     }
     lines = "".join(f"  {name} = {{{value}}},\n" for name, value in escaped.items())
     return f"@{'article' if 'journal' in known else kind}{{{key},\n{lines}}}\n"
-
-
-def _name(person: dict[str, str]) -> str:
-    if "name" in person:
-        return f"{{{person['name']}}}"
-    return ", ".join(person[part] for part in ("family-names", "name-suffix", "given-names") if part in person)

@@ -5,14 +5,10 @@ Lattices are read as packings. With u = R omega of the free spheres, K u + b the
 
     minimise  share * sum_e (F t + eta s / 2)   with   t >= |K u + b|,  s >= |K u + b|^2,
 
-share 2 with viscosity alone, whose power is twice its potential. cbf, the conic benchmark format
-(https://docs.mosek.com/latest/cmdtools/cbf-format.html), says that in cones. fclib, the frictional contact library
-(https://frictionalcontactlibrary.github.io, src/fclib.h), has friction alone, as a mixed local problem:
-
-    V^T r + s = 0,  velocity = V lambda + q,  W = R = 0,  r in the cone of friction, against the velocity
-
-where lambda is u, and then for each contact a velocity along its normal. Only a given force balances that one, so the
-normal force is the given one, and as it is not 0 that velocity is.
+share 2 with viscosity alone. cbf, the conic benchmark format (https://docs.mosek.com/latest/cmdtools/cbf-format.html),
+says that in cones. fclib (https://frictionalcontactlibrary.github.io, src/fclib.h) has friction alone, as a mixed local
+problem: V^T r + s = 0, velocity = V lambda + q, W = R = 0, r in its cone against the velocity. There lambda is u, then
+for each contact a velocity along its normal: only a given normal force balances it, so that is the normal force.
 """
 
 from pathlib import Path
@@ -82,8 +78,7 @@ def write_problem(packing: Packing, form: str, path: Path) -> dict[str, Any]:
             write_hdf5(path, lambda file: write_fclib(file, system))
         else:
             raise InputError(f"law is {packing.law}; fclib has friction alone, and cbf all laws")
-    told = {"unknowns": system.unknowns, "contacts": len(system.contact)}
-    return {"file": str(path), "bytes": path.stat().st_size, **told}
+    return {"file": str(path), "unknowns": system.unknowns, "contacts": len(system.contact)}
 
 
 def cbf(system: System) -> str:
@@ -93,8 +88,8 @@ def cbf(system: System) -> str:
     """
     law, (d, count), unknowns = system.packing.kind, system.offset.shape, system.unknowns
     live = (np.diff(system.matrix.indptr) > 0).reshape(d, count) | (system.offset != 0)
-    parts = (law.holding_force(system.coefficients), law.viscosity(system.coefficients))
-    held, viscosity = (np.zeros(count) if part is None else np.where(live.any(axis=0), part, 0.0) for part in parts)
+    forces = (law.holding_force(system.coefficients), law.viscosity(system.coefficients))
+    held, viscosity = (np.zeros(count) if some is None else np.where(live.any(axis=0), some, 0.0) for some in forces)
     cost = law.share * np.concatenate([np.zeros(unknowns), held, viscosity / 2])
     rows = sparse.block_diag([system.matrix, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
     constant = np.concatenate([system.offset.ravel(), np.zeros(2 * count), np.full(count, 0.5)])
@@ -108,22 +103,14 @@ def cbf(system: System) -> str:
         cones += [f"{kind} {len(heads) + size}" for size in live[:, acts].sum(axis=0)]
     used = (np.arange(len(cost)) < unknowns) | (cost > 0)
     matrix, constant, cost = rows[np.concatenate(order)][:, used].tocoo(), constant[np.concatenate(order)], cost[used]
-    items = {
-        "VER": ["1"],
-        "OBJSENSE": ["MIN"],
-        "VAR": [f"{len(cost)} 1", f"F {len(cost)}"],
-        "CON": [f"{len(constant)} {len(cones)}", *cones],
-        "OBJACOORD": _listed(np.flatnonzero(cost), values=cost[cost != 0]),
-        "ACOORD": _listed(matrix.row, matrix.col, values=matrix.data),
-        "BCOORD": _listed(np.flatnonzero(constant), values=constant[constant != 0]),
-    }
+    items: dict[str, list[Any]] = {"VER": [1], "OBJSENSE": ["MIN"], "VAR": [f"{len(cost)} 1", f"F {len(cost)}"]}
+    items["CON"] = [f"{len(constant)} {len(cones)}", *cones]
+    for name, parts in (("OBJACOORD", cost), ("ACOORD", (matrix.row, matrix.col, matrix.data)), ("BCOORD", constant)):
+        columns = parts if isinstance(parts, tuple) else (np.flatnonzero(parts), parts[parts != 0])
+        lines = zip(*(column.tolist() for column in columns), strict=True)
+        items[name] = [len(columns[0]), *(" ".join(map(repr, line)) for line in lines)]
     notes = f"# taichi_bearings {VERSION}: {system.packing!r}\n# the optimum is the least {law.minimises}\n"
-    return notes + "".join(f"\n{name}\n" + "\n".join(lines) + "\n" for name, lines in items.items())
-
-
-def _listed(*places: np.ndarray, values: np.ndarray) -> list[str]:
-    lines = zip(*(place.tolist() for place in places), values.tolist(), strict=True)
-    return [str(len(values)), *(" ".join(map(repr, line)) for line in lines)]
+    return notes + "".join("\n".join(["", name, *map(str, lines), ""]) for name, lines in items.items())
 
 
 def write_fclib(file: h5py.File, system: System) -> None:
