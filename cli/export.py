@@ -4,17 +4,20 @@ import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import Choice, json_option, out_options, replica_option, run_argument
 from taichi_bearings_cli.progress import Display
 
 
 @click.command()
 @run_argument
 @replica_option
-@out_options("The file. [default: run.vtkhdf in the run directory]", "FILE", "Replace an existing file.")
+@click.option("--format", "form", type=Choice(["vtkhdf", "cbf", "fclib"]), default="vtkhdf", help="[default: vtkhdf]")
+@out_options("The file. [default: run.vtkhdf, problem.cbf or problem.hdf5 in the run directory]", "FILE",
+             "Replace an existing file.")  # fmt: skip
 @json_option
-def command(run: Path, replica: int, out: Path | None, force: bool, as_json: bool) -> None:
-    """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later.
+def command(run: Path, replica: int, form: str, out: Path | None, force: bool, as_json: bool) -> None:
+    """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later; or its least power as a problem
+    for solvers, in the conic benchmark format (cbf) or as the frictional contact library has it (fclib). VTKHDF has
 
     \b
     points  the spheres: spin, rigid domain and what that is locked to, piece of the slipless network,
@@ -26,15 +29,22 @@ def command(run: Path, replica: int, out: Path | None, force: bool, as_json: boo
     The structure is that of `bearings analyse`, if that was run, else it is computed. docs/pictures.md says more.
 
     \b
-    Example:
+    Examples:
       bearings export outputs/my-run --out my-run.vtkhdf
+      bearings export outputs/my-run --format cbf
     """
+    from taichi_bearings.export.problems import export_problem
     from taichi_bearings.export.vtkhdf import export
 
     with Display():
-        report = export(run, out, force, replica)
+        report = (
+            export(run, out, force, replica) if form == "vtkhdf" else export_problem(run, form, out, force, replica)
+        )
     if as_json:
         click.echo(json.dumps(report))
+        return
+    if form != "vtkhdf":
+        click.echo(f"{report['file']}: {report['unknowns']:,} unknown spins, {report['contacts']:,} contacts")
         return
     steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
     size = f"{report['bytes'] / 1e6:.1f} MB"

@@ -24,11 +24,12 @@ COMMANDS = {  # name -> (module, one line for --help)
     "plot": "One figure from a run or a scan.",
     "list": "Runs and scans in a folder, with what they hold.",
     "view": "An interactive 3D page of a run, in one HTML file.",
-    "export": "A file of a run for ParaView.",
+    "export": "A file of a run for ParaView, or of its problem for other solvers.",
     "movie": "A film of the snapshots of a dynamics.",
     "reproduce": "Figures of the paper, with a verdict for each of its claims.",
     "benchmark": "Measure speed and accuracy, beside the machine and other programs.",
     "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
+    "cite": "How to cite the program and its paper.",
     "info": "Versions, devices, precision and cache.",
 }
 INTERRUPTED = "bearings: interrupted; nothing is kept but what was complete"

@@ -1,0 +1,19 @@
+"""bearings cite"""
+
+import click
+from taichi_bearings_cli.options import Choice
+
+
+@click.command()
+@click.option("--format", "form", type=Choice(["bibtex", "cff"]), default="bibtex", help="[default: bibtex]")
+def command(form: str) -> None:
+    """How to cite the program, and the paper whose systems it solves.
+
+    \b
+    Examples:
+      bearings cite >> my-thesis.bib
+      bearings cite --format cff
+    """
+    from taichi_bearings.citation import bibtex, cff
+
+    click.echo(cff() if form == "cff" else bibtex(cff()), nl=False)

@@ -1,0 +1,37 @@
+"""How to cite the program and the paper whose systems it solves: CITATION.cff, as it stands or as BibTeX."""
+
+import re
+from pathlib import Path
+from textwrap import dedent
+
+CITATION_FILE = Path(__file__).with_name("CITATION.cff")  # equal to the one at the root, which sites look for
+BIBTEX = {  # a key of the file -> a field of BibTeX
+    "title": "title", "journal": "journal", "volume": "volume", "issue": "number", "start": "pages", "year": "year",
+    "version": "version", "doi": "doi", "repository-code": "url", "license": "license",
+}  # fmt: skip
+
+
+def cff() -> str:
+    """The file."""
+    return CITATION_FILE.read_text(encoding="utf-8")
+
+
+def bibtex(text: str) -> str:
+    """Its two entries: the program and the paper. text : a CITATION.cff, one line a value, names without quotes."""
+    program, _, paper = text.partition("\npreferred-citation:\n")
+    return _entry(program, "taichi_bearings", "software") + "\n" + _entry(dedent(paper), "frustrated_bearings", "misc")
+
+
+def _entry(block: str, key: str, kind: str) -> str:
+    known = dict(re.findall(r"^([a-z-]+): (\S.*)$", block, re.MULTILINE))
+    people = re.findall(r"^ *- (?:family-)?name.*\n(?: +[a-z-]+: .*\n?)*", block, re.MULTILINE)
+    names = [dict(re.findall(r"([a-z-]+): (.+)", person)) for person in people]
+    order = ("name", "family-names", "name-suffix", "given-names")
+    words = [", ".join(name[part] for part in order if part in name) for name in names]
+    fields = {"author": " and ".join(f"{{{word}}}" if "," not in word else word for word in words)}
+    fields |= {BIBTEX[word]: value for word, value in known.items() if word in BIBTEX}
+    escaped = {
+        name: value if "://" in value else re.sub(r"([_&%#$])", r"\\\1", value) for name, value in fields.items()
+    }
+    lines = "".join(f"  {name} = {{{value}}},\n" for name, value in escaped.items())
+    return f"@{'article' if 'journal' in known else kind}{{{key},\n{lines}}}\n"

@@ -1,0 +1,132 @@
+"""The least power of a run as a problem for other solvers: `bearings export --format cbf` and `fclib`.
+
+Lattices are read as packings. With u = R omega of the free spheres, K u + b the slip of a contact along its tangents
+(packing/system.py), F the force that friction bears and eta the viscosity of a contact, the problem is to
+
+    minimise  share * sum_e (F t + eta s / 2)   with   t >= |K u + b|,  s >= |K u + b|^2,
+
+share 2 with viscosity alone. cbf, the conic benchmark format (https://docs.mosek.com/latest/cmdtools/cbf-format.html),
+says that in cones. fclib (https://frictionalcontactlibrary.github.io, src/fclib.h) has friction alone, as a mixed local
+problem: V^T r + s = 0, velocity = V lambda + q, W = R = 0, r in its cone against the velocity. There lambda is u, then
+for each contact a velocity along its normal: only a given normal force balances it, so that is the normal force.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.files.whole_file import write_hdf5, write_text
+from taichi_bearings.packing import Packing
+from taichi_bearings.packing.system import System
+from taichi_bearings.runs.packing_run import is_packing_run, packing_to_draw
+from taichi_bearings.runs.points_and_lines import opened_to_draw
+from taichi_bearings.runs.run import settings_of
+from taichi_bearings.scene import Scene
+from taichi_bearings.stages import stage
+from taichi_bearings.version import VERSION
+
+PROBLEM_NAMES = {"cbf": "problem.cbf", "fclib": "problem.hdf5"}
+
+
+def export_problem(run: Path, form: str, out: Path | None, force: bool = False, replica: int = 0) -> dict[str, Any]:
+    """Write the problem of one sample of a run, and say what the file holds; arguments as of vtkhdf.export.
+
+    form : "cbf" or "fclib". Raises InputError for a problem that the format cannot say.
+    """
+    if is_packing_run(run):
+        with packing_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (found, path):
+            return write_problem(found.result.packing, form, path)
+    with opened_to_draw(run, out, PROBLEM_NAMES[form], force) as (stored, path):
+        scene, torque = stored.solution.scene, settings_of(stored).torque
+        if not 0 <= replica < scene.replicas:
+            raise InputError(f"replica is {replica}; the run has {scene.replicas}, counted from 0")
+        if torque is not None:
+            raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
+        return write_problem(lattice_as_packing(scene.sample(replica)), form, path)
+
+
+def lattice_as_packing(scene: Scene) -> Packing:
+    """One sample, measured from its bottom: driven are body 0, the bottom, at rest, and body 1, the top."""
+    lattice, axes = scene.lattice, list(scene.minimum_spin_axes)
+    body, spin = np.full(lattice.shape, -1), np.zeros((*lattice.shape, 3))
+    body[..., 0], body[..., -1] = 0, 1
+    spin[..., -1, axes] = lattice.parity[..., -1, None] * np.moveaxis(scene.top_spin(tuple(axes)), 0, -1)
+    of = [values[0] for values in scene.named_coefficients.values()]
+    return Packing(
+        center=2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool)),
+        contact=lattice.ends.T, driven=body.ravel(),
+        spin=spin.reshape(-1, 3) if lattice.dimension == 3 else spin[..., 2].ravel(),
+        radius=lattice.radius, normal=np.eye(lattice.dimension)[lattice.axis], friction=of[0],
+        viscosity=of[1] if len(of) > 1 else None, normal_force=scene.normal_force, law=scene.law,
+    )  # fmt: skip
+
+
+def write_problem(packing: Packing, form: str, path: Path) -> dict[str, Any]:
+    """Into a file, replacing it; returns what it holds."""
+    with stage("writing"):
+        system = System.of(packing)
+        system.matrix.eliminate_zeros()
+        if not len(system.contact):
+            raise InputError(f"{packing!r} has no contact of a free sphere that can slip; there is nothing to minimise")
+        if form == "cbf":
+            write_text(path, cbf(system))
+        elif packing.kind.is_rate_independent:
+            write_hdf5(path, lambda file: write_fclib(file, system))
+        else:
+            raise InputError(f"law is {packing.law}; fclib has friction alone, and cbf all laws")
+    return {"file": str(path), "unknowns": system.unknowns, "contacts": len(system.contact)}
+
+
+def cbf(system: System) -> str:
+    """The programme: unknowns u, t, s; cones (t, slip), and rotated ones (s, 1/2, slip), contact by contact.
+
+    Components of a slip that are 0 whatever the spins are left out, and contacts that have no others.
+    """
+    law, (d, count), unknowns = system.packing.kind, system.offset.shape, system.unknowns
+    live = (np.diff(system.matrix.indptr) > 0).reshape(d, count) | (system.offset != 0)
+    forces = (law.holding_force(system.coefficients), law.viscosity(system.coefficients))
+    held, viscosity = (np.zeros(count) if some is None else np.where(live.any(axis=0), some, 0.0) for some in forces)
+    cost = law.share * np.concatenate([np.zeros(unknowns), held, viscosity / 2])
+    rows = sparse.block_diag([system.matrix, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
+    constant = np.concatenate([system.offset.ravel(), np.zeros(2 * count), np.full(count, 0.5)])
+    order, cones = [], list[str]()
+    for force, heads, kind in ((held, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # rows of t; of s and of 1/2
+        acts = np.flatnonzero(force)
+        contact, tangent = np.nonzero(live[:, acts].T)
+        within = np.concatenate([np.tile(np.arange(len(acts)), len(heads)), contact])
+        part = np.concatenate([np.repeat(heads, len(acts)), tangent])
+        order.append((part * count + acts[within])[np.argsort(within, kind="stable")])
+        cones += [f"{kind} {len(heads) + size}" for size in live[:, acts].sum(axis=0)]
+    used = (np.arange(len(cost)) < unknowns) | (cost > 0)
+    matrix, constant, cost = rows[np.concatenate(order)][:, used].tocoo(), constant[np.concatenate(order)], cost[used]
+    items: dict[str, list[Any]] = {"VER": [1], "OBJSENSE": ["MIN"], "VAR": [f"{len(cost)} 1", f"F {len(cost)}"]}
+    items["CON"] = [f"{len(constant)} {len(cones)}", *cones]
+    for name, parts in (("OBJACOORD", cost), ("ACOORD", (matrix.row, matrix.col, matrix.data)), ("BCOORD", constant)):
+        columns = parts if isinstance(parts, tuple) else (np.flatnonzero(parts), parts[parts != 0])
+        lines = zip(*(column.tolist() for column in columns), strict=True)
+        items[name] = [len(columns[0]), *(" ".join(map(repr, line)) for line in lines)]
+    notes = f"# taichi_bearings {VERSION}: {system.packing!r}\n# the optimum is the least {law.minimises}\n"
+    return notes + "".join("\n".join(["", name, *map(str, lines), ""]) for name, lines in items.items())
+
+
+def write_fclib(file: h5py.File, system: System) -> None:
+    """The problem, in the layout of fclib_write_local; local frames are the normal and then the tangents."""
+    d, count = system.offset.shape
+    turn = np.arange((d + 1) * count).reshape(d + 1, count).T.ravel()
+    slips = sparse.block_array([[None, sparse.eye_array(count)], [system.matrix, None]], format="csr")[turn]
+    file["fclib_local/spacedim"] = np.array([d + 1], dtype=np.int32)
+    nothing = {name: sparse.csc_array((size, size)) for name, size in zip("WR", slips.shape, strict=True)}
+    for name, matrix in {"V": slips.tocsc(), **nothing}.items():
+        sizes = {"nzmax": [matrix.nnz], "m": matrix.shape[:1], "n": matrix.shape[1:], "nz": [-1]}  # -1: by columns
+        for key, values in {**sizes, "p": matrix.indptr, "i": matrix.indices}.items():
+            file[f"fclib_local/{name}/{key}"] = np.asarray(values, dtype=np.int32)
+        file[f"fclib_local/{name}/x"] = matrix.data
+    normal_force = np.broadcast_to(system.packing.normal_force, system.packing.contacts)[system.contact]
+    file["fclib_local/vectors/q"] = np.concatenate([np.zeros(count), system.offset.ravel()])[turn]
+    file["fclib_local/vectors/s"] = np.concatenate([np.zeros(system.unknowns), -normal_force])
+    file["fclib_local/vectors/mu"] = system.coefficients[0] / normal_force
+    file["fclib_local/info/title"] = np.bytes_(f"taichi_bearings {VERSION}: {system.packing!r}")
