@@ -78,7 +78,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
         rows.append(["free", FREE, height, len(values), values.mean(), values.std(), at.std(), *free[height]])
     names = ["ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error"]
     write_csv(folder / "exponents.csv", names, rows)
-    theta, zeta = exponent(weight, np.std), exponent(middle, np.std)
+    theta, zeta = exponent(weight), exponent(middle)
     with stage("drawing"):
         save_both(draw_exponents(weight, middle, theta, zeta, own, free, FREE), folder, "exponents")
     count = sum(map(len, weight.values()))
@@ -113,5 +113,5 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
 
 def told(found: Any) -> dict[str, Any]:
     """Of an Exponent, for programs and sentences."""
-    names = ("value", "error", "systematic", "total", "smallest", "goodness")
+    names = ("value", "error", "systematic", "total", "smallest", "goodness", "offset")
     return {name: getattr(found, name) for name in names} | {"fits": list(found.fits.values())}

@@ -1,24 +1,26 @@
-"""Exponents with their errors: power laws fitted from each smallest size on, resampled over the disorder."""
+"""Exponents with their errors: laws fitted from each smallest size on, resampled over the disorder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 RESAMPLES = 400
 EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
-LEAST_SIZES = 3  # that a fit takes
+LEAST_SIZES = 5  # that a fit takes
+POSSIBLE = 0.05, 1.5  # exponents of standard deviations
 LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that counts
-Statistic = Callable[[np.ndarray], float]
 
 
 @dataclass(frozen=True)
 class Exponent:
-    """value, with its error from the disorder and the systematic one: how much it changes where the next size, or the
-    next two, are left out.
+    """Of a standard deviation that grows with the size L: sd^2 = A L^(2 value) + B, B what single contacts add.
 
-    smallest : size from which on it is fitted. goodness : probability of such a misfit. fits : smallest size -> value.
+    value, with its error from the disorder and the systematic one: how much it changes where the next size, or the next
+    two, are left out. smallest : size from which on it is fitted. goodness : probability of such a misfit. amplitude,
+    offset : A and B. fits : smallest size -> value.
     """
 
     value: float
@@ -26,6 +28,8 @@ class Exponent:
     systematic: float
     smallest: int
     goodness: float
+    amplitude: float
+    offset: float
     fits: dict[int, float]
 
     @property
@@ -33,34 +37,36 @@ class Exponent:
         return float(np.hypot(self.error, self.systematic))
 
 
-def exponent(samples: dict[int, np.ndarray], statistic: Statistic, seed: int = 0) -> Exponent:
-    """Of `statistic` of the samples against their size: from the smallest size on from which a power law fits.
-
-    samples : size -> (samples,). The statistic takes the samples of one size.
-    """
-    rng, sizes = np.random.default_rng(seed), sorted(samples)
-    value = np.log([statistic(samples[size]) for size in sizes])
-    again = np.log([[statistic(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
-    spread, log = again.std(axis=1, ddof=1), np.log(sizes)
-    fits: list[tuple[int, float, float, float]] = []
-    for first in range(len(sizes) - LEAST_SIZES + 1):
-        part = slice(first, None)
-        weight = spread[part] ** -2.0
-        slope, rest = _line(log[part], value[part], weight)
-        several = [_line(log[part], column, weight)[0] for column in again[part].T]
-        goodness = float(chi2.sf((weight * rest**2).sum(), len(weight) - 2))
-        fits.append((sizes[first], slope, float(np.std(several, ddof=1)), goodness))
+def exponent(samples: dict[int, np.ndarray]) -> Exponent:
+    """Of the deviation of samples, size -> (samples,), from the smallest size on from which such a law fits."""
+    rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
+    variance = np.array([samples[L].var() for L in sizes])
+    again = np.array([[rng.choice(samples[L], len(samples[L])).var() for _ in range(RESAMPLES)] for L in sizes])
+    spread, fits = again.std(axis=1, ddof=1), []
+    for first in range(max(1, len(sizes) - LEAST_SIZES + 1)):
+        of = sizes[first:], spread[first:]
+        found, misfit = _grown(*of, variance[first:])
+        several = [_grown(*of, column)[0][2] for column in again[first:].T]
+        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - len(found))))
+        fits.append((int(sizes[first]), found, float(np.std(several, ddof=1)), goodness))
     chosen = next((number for number, fit in enumerate(fits) if fit[-1] >= LEAST_GOODNESS), len(fits) - 1)
-    smallest, slope, error, goodness = fits[chosen]
-    beyond = [abs(fit[1] - slope) for fit in fits[chosen : chosen + 3]]
-    return Exponent(slope, error, max(beyond), smallest, goodness, {fit[0]: fit[1] for fit in fits})
+    smallest, (amplitude, offset, value), error, goodness = fits[chosen]
+    beyond = max(abs(fit[1][2] - value) for fit in fits[chosen : chosen + 3])
+    told = {fit[0]: float(fit[1][2]) for fit in fits}
+    return Exponent(float(value), error, float(beyond), smallest, goodness, float(amplitude), float(offset), told)
 
 
-def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray]:
-    """Slope of the weighted least-squares line, and what is left of y."""
-    x0, y0 = np.average(x, weights=weight), np.average(y, weights=weight)
-    slope = float((weight * (x - x0) * (y - y0)).sum() / (weight * (x - x0) ** 2).sum())
-    return slope, y - y0 - slope * (x - x0)
+def _grown(sizes: np.ndarray, spread: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, float]:
+    """A, B and the exponent of least squares, and their sum: for each exponent a line in L^(2 value)."""
+
+    def line(value: float) -> tuple[np.ndarray, float]:
+        rows = np.stack([sizes ** (2 * value), np.ones(len(sizes))], axis=1) / spread[:, None]
+        found = np.linalg.lstsq(rows, variance / spread, rcond=None)[0]
+        return found, float(((rows @ found - variance / spread) ** 2).sum())
+
+    best = minimize_scalar(lambda value: line(value)[1], bounds=POSSIBLE, method="bounded").x
+    found, misfit = line(best)
+    return np.append(found, best), misfit
 
 
 @dataclass(frozen=True)

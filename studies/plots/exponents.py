@@ -20,7 +20,7 @@ def draw_exponents(
     length: int,
 ) -> Figure:
     """(a) standard deviations of the weight and of the height in the middle of held cuts against their length, with the
-    fitted power laws; (b) skewness of the weight, held ends against the length and free ends against the height.
+    fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height.
 
     weight, middle : length -> (samples,). theta, zeta : Exponent. held, free : skewness and its error, by length and by
     height. length : of the free cuts.
@@ -36,9 +36,8 @@ def draw_exponents(
         error = spread / np.sqrt([2 * len(found[L]) for L in sizes])
         left.errorbar(sizes, spread, error, fmt="o", ms=3, color=color, lw=0.8)
         fitted = sizes >= fit.smallest
-        line = sizes[fitted] ** fit.value
-        scale = np.exp(np.mean(np.log(spread[fitted] / line)))
-        left.plot(sizes[fitted], scale * line, color=color, lw=1, label=f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
+        law = np.sqrt(np.maximum(fit.amplitude * sizes[fitted] ** (2 * fit.value) + fit.offset, 0.0))
+        left.plot(sizes[fitted], law, color=color, lw=1, label=f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
     left.set(xscale="log", yscale="log", xlabel="length of the cut, discs", ylabel="standard deviation")
     left.set_xticks(
         sizes[:: max(1, len(sizes) // 5)], [str(size) for size in sizes[:: max(1, len(sizes) // 5)]], minor=False
