@@ -214,8 +214,7 @@ class Result:
         """
         with run_directory(Path(path), force) as directory:
             self._run = runs.publish(directory, replace(self._run, spin=self._run.start))
-            if self._run.settings.figures == "all":
-                runs.draw_figures(self._run)
+            runs.draw_figures(self._run)
         assert self._run.path is not None
         return self._run.path
 

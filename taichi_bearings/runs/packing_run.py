@@ -1,8 +1,6 @@
 """A run of a packing: solved from its settings, written into a run directory, and read back."""
 
-import json
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -17,15 +15,14 @@ from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
-from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5, write_text
+from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
-from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
+from taichi_bearings.runs.run import command, kept, publish
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
@@ -80,13 +77,12 @@ class PackingRun:
     def as_interrupted(self) -> "PackingRun":
         return replace(self, interrupted=True)
 
-    def write(self, folder: Path) -> None:
-        """Write every file of the run but its figures into `folder`, which will be renamed to its path."""
-        _write(folder, self)
+    def self_contained(self, folder: Path) -> RunSettings:
+        kept = {key: value for key, value in self.settings.given.items() if key not in LED_TO_ARRAYS}
+        return RunSettings(**{**kept, "packing": "run.h5"})
 
-    def draw(self) -> None:
-        """Draw the figures that every run gets into its directory."""
-        _draw(self)
+    def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
+        write_hdf5(file, lambda stored: _fill(stored, self.result, attributes))
 
     @property
     def status(self) -> list[Status]:
@@ -199,10 +195,8 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
         with stage("solving"):
             result = _solved(settings, packing)
         stopped = result.status == Status.INTERRUPTED.value
-        found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]), stopped)
-        with awaited() as heard:
-            found = rescued(found, partial(publish, directory, found), "the result is lost")
-        return with_figures(found, heard.is_set())
+        found = PackingRun(settings, result, directory.path, command(), stopped)
+        return kept(found, partial(publish, directory, found))
 
 
 STOPPED_BY = ("iterations", "time_limit", "duration", "record")
@@ -222,19 +216,7 @@ def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
     return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 
-def _write(folder: Path, found: PackingRun) -> None:
-    kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
-    stored = RunSettings(**{**kept, "packing": "run.h5"})
-    origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
-    with stage("writing"):
-        write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
-        write_text(folder / "scene.toml", stored.to_toml())
-        full = found.summary | {"settings": found.settings.described, "versions": versions()}
-        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
-    write_histogram(folder, found.histogram)
-
-
-def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) -> None:
+def _fill(file: h5py.File, result: PackingResult, attributes: Mapping[str, Any]) -> None:
     file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
     for key, value in attributes.items():
         file.attrs[key] = storable(value)
@@ -251,14 +233,6 @@ def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) ->
     for name, column in result.history.items():
         put(f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
     put("contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
-
-
-def _draw(found: PackingRun) -> None:
-    from taichi_bearings.plots.histogram import draw_histogram
-    from taichi_bearings.plots.style import save
-
-    assert found.path is not None
-    save(draw_histogram(found.histogram), found.path / "power_histogram.png")
 
 
 def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
