@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.files.analysis_file import Finding
-from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
+from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.packing_run import columns_of_packing, is_packing_run, packing_to_draw
@@ -127,8 +127,7 @@ def write_vtkhdf(
     def fill(file: h5py.File) -> None:
         root = file.create_group("VTKHDF")
         root.attrs["Version"], root.attrs["Type"] = VTK_VERSION, np.bytes_("PolyData")
-        for key, value in attributes.items():
-            root.attrs[key] = storable(value)
+        put_attributes(root, attributes)
         _write_geometry(root, geometry)
         steps = None if moments is None or end is None else _start_steps(root, moments, end)
         way = {} if moments is None else _on_the_way(moments, contacts)
@@ -192,5 +191,4 @@ def _store(group: h5py.Group, name: str, values: np.ndarray, units: str, descrip
     """A packed array in numbers that VTK knows, with its unit."""
     known = values.astype(np.uint8) if values.dtype == bool else values
     packed = {"compression": "gzip", "shuffle": True} if known.size else {}
-    stored = group.create_dataset(name, data=known, **packed)
-    stored.attrs["units"], stored.attrs["description"] = units, description
+    put(group, name, known, units, description, **packed)

@@ -15,7 +15,7 @@ from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
-from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, refuse_standing, write_hdf5
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
@@ -24,7 +24,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
 from taichi_bearings.runs.run import command, kept, publish
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
-from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
+from taichi_bearings.runs.run_file import RUN_LAYOUT, RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
@@ -82,7 +82,7 @@ class PackingRun:
         return RunSettings(**{**kept, "packing": "run.h5"})
 
     def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
-        write_hdf5(file, lambda stored: _fill(stored, self.result, attributes))
+        write_hdf5(file, partial(_fill, self.result), {**RUN_LAYOUT, **attributes})
 
     @property
     def status(self) -> list[Status]:
@@ -216,23 +216,15 @@ def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
     return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 
-def _fill(file: h5py.File, result: PackingResult, attributes: Mapping[str, Any]) -> None:
-    file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
-    for key, value in attributes.items():
-        file.attrs[key] = storable(value)
-
-    def put(name: str, values: np.ndarray, unit: str, text: str) -> None:
-        stored = file.create_dataset(name, data=values)
-        stored.attrs["units"], stored.attrs["description"] = unit, text
-
+def _fill(result: PackingResult, file: h5py.File) -> None:
     for name, values in result.packing.arrays().items():
-        put(f"packing/{name}", values, *PACKING_ARRAYS[name])
-    put("spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
+        put(file, f"packing/{name}", values, *PACKING_ARRAYS[name])
+    put(file, "spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
     for name, found in _of_contacts(result).items():
-        put(f"contact/{name}", found.values, found.units, found.description)
+        put(file, f"contact/{name}", found.values, found.units, found.description)
     for name, column in result.history.items():
-        put(f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
-    put("contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
+        put(file, f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
+    put(file, "contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
 
 
 def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
@@ -321,7 +313,7 @@ def read_packing_run(run: Path) -> PackingRun:
     """Read a run directory or its run.h5; FileError if it is damaged or was changed."""
     path = run / "run.h5" if run.is_dir() else run
     with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
-        attributes = {key: v.item() if isinstance(v, np.generic) else v for key, v in file.attrs.items()}
+        attributes = attributes_of(file)
         try:
             settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
             packing = packing_of(replace(settings, packing=str(path)))

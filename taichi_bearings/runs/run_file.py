@@ -13,7 +13,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
-from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
@@ -25,6 +25,7 @@ from taichi_bearings.scene.solution import CROSSED_BOUND
 
 RUN_SCHEMA = "taichi_bearings.run"
 RUN_VERSION = 1
+RUN_LAYOUT = {"schema": RUN_SCHEMA, "schema_version": RUN_VERSION}
 AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
 
@@ -37,24 +38,17 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     scene, lattice = solution.scene, solution.scene.lattice
     one = scene.replicas == 1
 
-    def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
-        sparse = values.dtype == np.uint8 or (name.endswith("/friction") and lattice.dimension == 3)
-        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
-        stored = file.create_dataset(name, data=values, dtype=values.dtype, **packed)
-        stored.attrs["units"], stored.attrs["description"] = unit, text
-
     def strip(values: np.ndarray) -> np.ndarray:
         return values[0] if one else values
 
     def of_contacts(file: h5py.File, name: str, parts: tuple[np.ndarray, ...], unit: str, text: str) -> None:
         """name : with {} for the axis, as the text may have. parts : one array an axis."""
         for axis, part in zip(AXES, parts, strict=False):
-            put(file, name.format(axis), part, unit, text.format(axis))
+            sparse = part.dtype == np.uint8 or (name.endswith("/friction") and lattice.dimension == 3)
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
+            put(file, name.format(axis), part, unit, text.format(axis), **packed)
 
     def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
-        for key, value in {**attributes, "findings": list(solution.findings)}.items():
-            file.attrs[key] = storable(value)
         for quantity, (group, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
             text = f"{quantity.name} coefficient of the {{}}-contacts"
             of_contacts(file, f"{group}/{{}}", lattice.by_axis(strip(values)), quantity.unit, text)
@@ -84,7 +78,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
             put(file, "snapshots/spin", spins, SPHERES["spin"].unit, f"{SPHERES['spin'].text} at these times")
 
-    write_hdf5(path, fill)
+    write_hdf5(path, fill, {**RUN_LAYOUT, **attributes, "findings": list(solution.findings)})
 
 
 @dataclass(frozen=True)
@@ -140,9 +134,7 @@ def read_run_file(run: Path) -> StoredRun:
     with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
         if "packing" in file:
             raise FileError(f"{run} is a run of a packing, where one of a lattice is wanted")
-        attributes = {
-            key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()
-        }
+        attributes = attributes_of(file)
         _refuse_bound_above_power(path, attributes)
         stored = StoredRun(path, attributes, _solution(path, file, attributes))
     _check_arrays(stored)
