@@ -1,10 +1,9 @@
 """bearings export"""
 
-import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, replica_option, run_argument
 from taichi_bearings_cli.progress import Display
 
 
@@ -33,10 +32,8 @@ def command(run: Path, replica: int, out: Path | None, force: bool, as_json: boo
 
     with Display():
         report = export(run, out, force, replica)
-    if as_json:
-        click.echo(json.dumps(report))
-        return
     steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
     size = f"{report['bytes'] / 1e6:.1f} MB"
     images = f" and {report['images']:,} images" if "images" in report else ""
-    click.echo(f"{report['file']}: {report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}; {size}")
+    drawn = f"{report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}; {size}"
+    answer(report, as_json, lambda: f"{report['file']}: {drawn}")
