@@ -18,8 +18,8 @@ from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.packing_run import columns_of_packing, is_packing_run, packing_to_draw
-from taichi_bearings.runs.points_and_lines import Moments, opened_to_draw, points_and_lines
+from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing, opened_to_draw
+from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -82,29 +82,21 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
-    if is_packing_run(run):
-        return _export_packing(run, out, force, replica)
-    with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
-        drawn = points_and_lines(stored, replica)
-        told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
-        if drawn.moments is not None:
-            told["snapshot_threshold"] = drawn.moments.threshold
-        geometry = Geometry.of_lattice(drawn.scene.lattice, drawn.ends)
+    moments, end, more = None, None, dict[str, Any](replica=replica)
+    with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
+        if isinstance(found, PackingRun):
+            geometry, columns = Geometry.of_packing(found.result.packing), columns_of_packing(found.result)
+            known, more = found.summary, {"command": found.command}
+        else:
+            drawn = points_and_lines(found, replica)
+            geometry, columns = Geometry.of_lattice(drawn.scene.lattice, drawn.ends), (drawn.spheres, drawn.contacts)
+            moments, end, known = drawn.moments, drawn.time, found.attributes
+        told = {key: known[key] for key in TOLD if key in known} | more
+        if moments is not None:
+            told["snapshot_threshold"] = moments.threshold
         with stage("writing"):
-            write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, told, drawn.moments, drawn.time)
-    steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    return _told(path, geometry, steps)
-
-
-def _export_packing(run: Path, out: Path | None, force: bool, replica: int) -> dict[str, Any]:
-    with packing_to_draw(run, out, VTK_NAME, force, replica) as (found, path), stage("writing"):
-        geometry = Geometry.of_packing(found.result.packing)
-        told = {key: value for key, value in found.summary.items() if key in TOLD} | {"command": found.command}
-        write_vtkhdf(path, geometry, *columns_of_packing(found.result), told)
-    return _told(path, geometry, 1)
-
-
-def _told(path: Path, geometry: Geometry, steps: int) -> dict[str, Any]:
+            write_vtkhdf(path, geometry, *columns, told, moments, end)
+    steps = 1 if moments is None else len(moments.time) + 1
     counts = {"points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
     images = len(geometry.sphere) - geometry.spheres
     return {"file": str(path), "bytes": path.stat().st_size, **counts, **({"images": images} if images else {})}

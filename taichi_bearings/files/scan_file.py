@@ -206,13 +206,8 @@ class StoredScan:
         path: Path, columns: Sequence[Column], histograms: SampleHistograms, attributes: Mapping[str, Any]
     ) -> "StoredScan":
         """What would be read back from a file with these columns."""
-        return StoredScan(
-            path=path,
-            attributes=dict(attributes),
-            scanned=tuple(attributes["scanned"]),
-            table={item.name: item.values for item in columns},
-            histograms=histograms,
-        )
+        table = {item.name: item.values for item in columns}
+        return StoredScan(path, dict(attributes), tuple(attributes["scanned"]), table, histograms)
 
 
 def read_scan(scan: Path) -> StoredScan:
@@ -222,13 +217,9 @@ def read_scan(scan: Path) -> StoredScan:
         raise FileError(f"{scan} is not a scan: there is no {path}")
     with read_hdf5(path, SCAN_SCHEMA, SCAN_VERSION, "a scan") as file:
         group = file["table"]
-        found = StoredScan(
-            path=path,
-            attributes=attributes_of(file),
-            scanned=tuple(str(name) for name in file.attrs["scanned"]),
-            table={str(name): _values(group[str(name)]) for name in group.attrs["columns"]},
-            histograms=SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS}),
-        )
+        table = {str(name): _values(group[str(name)]) for name in group.attrs["columns"]}
+        histograms = SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS})
+        found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, histograms)
     gap = found.table.get("gap", np.zeros(0))
     if gap.dtype.kind == "f" and (gap < -CROSSED_BOUND).any():
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")

@@ -123,7 +123,8 @@ def _write(path: Path, fill: Callable[[h5py.File], None]) -> None:
 
 @contextlib.contextmanager
 def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py.File]:
-    """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed.
+    """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed,
+    and for an InputError inside: what it holds cannot be.
 
     kind : what it is for people, such as "a run".
     """
@@ -138,6 +139,10 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
                 raise FileError(f"{path} has layout version {found}; this program reads version {version}")
             check(path, file)
             yield file
+    except InputError as error:
+        if isinstance(error, FileError) and str(path) in str(error):
+            raise
+        raise FileError(f"{path} is damaged or was changed: {error}") from None
     except UNREADABLE as error:
         raise _unreadable(path, f"as {kind}", error) from None
 

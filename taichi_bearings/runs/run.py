@@ -181,9 +181,7 @@ class Run:
         """The numbers of the run, as in `--json` of `run`."""
         running = self.solution.running
         return summarise(self) | {
-            "arch": running.arch,
-            "precision": running.precision,
-            "threads": running.threads,
+            **{name: getattr(running, name) for name in ("arch", "precision", "threads")},
             "coefficients": self.settings.coefficients,
             "run": None if self.path is None else str(self.path),
         }
@@ -263,8 +261,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
 
 
 def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]:
-    """What solves other scenes by the same method."""
-    return lambda scene: solve_job(_same_of(job, settings, scene))
+    """What solves other scenes by the same method, from their linear start."""
+    return lambda scene: solve_job(Job(settings, scene, initial_spin(scene, "linear"), job.method.options.build()))
 
 
 def _rigid_top(job: Job, ramp: Ramp) -> Any:
@@ -279,11 +277,6 @@ def _rigid_top(job: Job, ramp: Ramp) -> Any:
     friction = by_friction(solution, again)
     known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
     return RigidTopMethod(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
-
-
-def _same_of(job: Job, settings: RunSettings, scene: Scene) -> Job:
-    """The same method for another scene, from its linear start."""
-    return Job(settings, scene, initial_spin(scene, "linear"), job.method.options.build())
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
@@ -409,23 +402,18 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
-            _refuse_past(path, stored.duration, checkpoint.arrays or {})
+            arrays, duration = checkpoint.arrays or {}, stored.duration
+            reached, step = (float(arrays.get(name, 0.0)) for name in ("last_time", "time_step"))
+            # steps of fixed length, which the checkpoint then names, end a run by less than one of them late
+            if reached - duration >= max(step, 1e-9 * reached, np.finfo(float).tiny):
+                words = f"{path} has already reached {reached:g}; it must be longer"
+                raise InputError(f"duration is {duration:g}, but {words}")
             if stored.torque is not None and Ramp.of(stored.torque).rises:
                 raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
         job = prepare(
             RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
         )
         return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
-
-
-def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) -> None:
-    """InputError if a run of this duration would have ended before what its checkpoint has reached.
-
-    Steps of fixed length, which the checkpoint then names, end a run by less than one of them late.
-    """
-    reached = float(arrays.get("last_time", 0.0))
-    if reached - duration >= max(float(arrays.get("time_step", 0.0)), 1e-9 * reached, np.finfo(float).tiny):
-        raise InputError(f"duration is {duration:g}, but {path} has already reached {reached:g}; it must be longer")
 
 
 def _solve_with_checkpoints(
@@ -463,15 +451,10 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
 
 def _drawn() -> list[str]:
     """Files that `run` and what draws, analyses and exports it leave beside a run.h5: a new answer outdates them."""
-    from taichi_bearings.runs.figures import FIGURES
+    from taichi_bearings.runs.figures import FIGURE_KINDS
 
-    figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES)
-    return [
-        *(f"{name}.{ending}" for name in figures for ending in ("png", "pdf")),
-        "power_histogram.csv",
-        "power_histogram.h5",
-        *PICTURES,
-    ]
+    pictures = [f"{name}.{ending}" for name in (*FIGURE_KINDS, "power_histogram") for ending in ("png", "pdf")]
+    return [*pictures, "power_histogram.csv", "power_histogram.h5", *PICTURES]
 
 
 def write_run(folder: Path, found: "Run | PackingRun") -> None:
