@@ -122,7 +122,11 @@ def write_vtkhdf(
         put_attributes(root, attributes)
         _write_geometry(root, geometry)
         steps = None if moments is None or end is None else _start_steps(root, moments, end)
-        way = {} if moments is None else _on_the_way(moments, contacts)
+        way: dict[str, np.ndarray] = {}  # (steps, rows, ...) of what changes before the end
+        if moments is not None:
+            unknown = np.full(moments.slip.shape, np.nan)  # power and force are not kept with a snapshot
+            way = {"spin": moments.spin, "slip": moments.slip, "state": moments.state, "power": unknown}
+            way |= {"force": unknown, "proven": np.zeros(moments.slip.shape, contacts["proven"].values.dtype)}
         for name, column in geometry.on_points(spheres).items():
             before = way["spin"][:, geometry.sphere] if name == "spin" and way else None
             _put(root, steps, "PointData", name, column, before)
@@ -156,14 +160,6 @@ def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
     for name in ("CellOffsets", "ConnectivityIdOffsets"):
         steps[name] = np.zeros((number, len(TOPOLOGIES)), dtype=np.int64)
     return steps
-
-
-def _on_the_way(moments: Moments, contacts: Mapping[str, Finding]) -> dict[str, np.ndarray]:
-    """What changes: (steps, rows, ...) before the end. Power and force are not kept with a snapshot."""
-    unknown = np.full(moments.slip.shape, np.nan)
-    unproven = np.zeros(moments.slip.shape, dtype=contacts["proven"].values.dtype)
-    known = {"spin": moments.spin, "slip": moments.slip, "state": moments.state}
-    return {**known, "power": unknown, "force": unknown, "proven": unproven}
 
 
 def _put(

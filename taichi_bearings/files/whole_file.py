@@ -139,9 +139,9 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
                 raise FileError(f"{path} has layout version {found}; this program reads version {version}")
             check(path, file)
             yield file
+    except FileError:
+        raise
     except InputError as error:
-        if isinstance(error, FileError) and str(path) in str(error):
-            raise
         raise FileError(f"{path} is damaged or was changed: {error}") from None
     except UNREADABLE as error:
         raise _unreadable(path, f"as {kind}", error) from None

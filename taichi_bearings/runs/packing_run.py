@@ -25,6 +25,7 @@ from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES, found_in, 
 from taichi_bearings.runs.run import command, kept, publish
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory
 from taichi_bearings.runs.run_file import (
+    NOT_IN_ALL,
     RUN_LAYOUT,
     StoredRun,
     file_of,
@@ -65,8 +66,6 @@ FRICTION_OF_SECOND = {
     3: "friction on the second sphere, laboratory frame",
 }
 """By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-MAY_LACK = ("proven", "slip_bound")
-CONTACT_SETS = ("slip", "power", "force", "state", "friction", *MAY_LACK)  # of the group /contact
 TOLD_OF_RESULT = (
     "power", "potential", "lower_bound", "gap", "proof", "status", "method", "iterations", "seconds", "critical",
     "driven_power", "slipless_motions",
@@ -294,9 +293,9 @@ def read_packing_run(run: Path) -> PackingRun:
         attributes = attributes_of(file)
         settings = scene_settings(attributes)
         packing = packing_of(replace(settings, packing=str(path)))
-        names = ["spin", *(f"contact/{n}" for n in CONTACT_SETS if n not in MAY_LACK or f"contact/{n}" in file)]
-        arrays = {name: _whole(path, file, name, packing) for name in names}
-        sets: dict[str, Any] = {name.removeprefix("contact/"): values for name, values in arrays.items()}
+        there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/{name}" in file]
+        names = {"spin": "spin", **{name: f"contact/{name}" for name in (*there, "friction")}}
+        sets: dict[str, Any] = {name: _whole(path, file, stored, packing) for name, stored in names.items()}
         number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
         motions, columns = attributes["slipless_motions"], [name for name in CHECK_ROWS if f"history/{name}" in file]
         result = PackingResult(

@@ -20,19 +20,11 @@ from taichi_bearings.quantities import CONTACTS, found_in
 from taichi_bearings.runs.figures import slips_of, snapshot_threshold
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_file import AXES, StoredRun
-from taichi_bearings.runs.structure_report import findings_of
+from taichi_bearings.runs.structure_report import ARRAYS, findings_of
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
 
-NEEDED_ARRAYS = (
-    "minimum_cut/above",
-    "component",
-    "path",
-    "domain",
-    "domains/lock",
-    "betweenness/sphere",
-    "betweenness/x",
-)
+NEEDED_ARRAYS = (*(row.name for row in ARRAYS), "betweenness/x")
 BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "backbone": "backbone"}
 """Columns of the contacts that are findings of the analysis, one array an axis there."""
 

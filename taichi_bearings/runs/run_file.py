@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_hdf5
@@ -235,8 +235,11 @@ OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the
 
 
 def scene_settings(attributes: Mapping[str, Any]) -> RunSettings:
-    """Those of a run file."""
-    return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
+    """Those of a run file; InputError."""
+    try:
+        return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
+    except FileError as error:
+        raise InputError(str(error)) from None
 
 
 def _numbers(attributes: Mapping[str, Any], replicas: int, name: str) -> np.ndarray:
