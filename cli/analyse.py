@@ -1,11 +1,10 @@
 """bearings analyse"""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option, out_options, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, run_argument
 from taichi_bearings_cli.progress import Display
 
 REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
@@ -46,7 +45,7 @@ def command(
     with Display() as display:
         report = analyse(run, out, force, replica, threshold, figures)
     told = _describe_packing if report["shape"] is None else describe
-    click.echo(json.dumps(report, allow_nan=False) if as_json else told(report, display.times()))
+    answer(report, as_json, lambda: told(report, display.times()))
 
 
 def _describe_packing(report: dict[str, Any], times: str) -> str:

@@ -1,13 +1,12 @@
 """bearings benchmark"""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 from taichi_bearings_cli.main import Group
-from taichi_bearings_cli.options import json_option, out_options
+from taichi_bearings_cli.options import answer, json_option, out_options
 from taichi_bearings_cli.progress import Display
 
 
@@ -103,10 +102,8 @@ def _measure_speed(
         files.clear()
         context.exit(130 if report.interrupted else 1)
     written = speed_report.write(files, report)
-    if as_json:
-        click.echo(json.dumps(speed_report.as_json(report, written), allow_nan=False))
-    else:
-        click.echo("\n".join([speed_report.table(report), "", *map(str, written)]))
+    words = [speed_report.table(report), "", *map(str, written)]
+    answer(speed_report.as_json(report, written), as_json, lambda: "\n".join(words))
     context.exit(130 if report.interrupted else 0)
 
 
@@ -163,12 +160,7 @@ def accuracy(
     for line in contradictions:
         click.echo(f"bearings: {line}", err=True)
     written = [str(path) for path in files.paths]
-    if as_json:
-        report = {"scenes": [summarise(result) for result in results], "peers_missing": missing, "files": written}
-        click.echo(json.dumps(report, allow_nan=False))
-    else:
-        click.echo(table(results))
-        for name, reason in missing.items():
-            click.echo(f"Without {name}: {reason}")
-        click.echo("\n".join(written))
+    report = {"scenes": [summarise(result) for result in results], "peers_missing": missing, "files": written}
+    words = [table(results), *(f"Without {name}: {reason}" for name, reason in missing.items()), *written]
+    answer(report, as_json, lambda: "\n".join(words))
     context.exit(130 if interrupted else 1 if contradictions else 0)

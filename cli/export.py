@@ -1,10 +1,11 @@
 """bearings export"""
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
-from taichi_bearings_cli.options import Choice, json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import Choice, answer, json_option, out_options, replica_option, run_argument
 from taichi_bearings_cli.progress import Display
 
 
@@ -40,13 +41,14 @@ def command(run: Path, replica: int, form: str, out: Path | None, force: bool, a
         report = (
             export(run, out, force, replica) if form == "vtkhdf" else export_problem(run, form, out, force, replica)
         )
-    if as_json:
-        click.echo(json.dumps(report))
-        return
+    answer(report, as_json, lambda: _words(report, form))
+
+
+def _words(report: Mapping[str, Any], form: str) -> str:
+    """What was written, for people."""
     if form != "vtkhdf":
-        click.echo(f"{report['file']}: {report['unknowns']:,} unknown spins, {report['contacts']:,} contacts")
-        return
+        return f"{report['file']}: {report['unknowns']:,} unknown spins, {report['contacts']:,} contacts"
     steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
-    size = f"{report['bytes'] / 1e6:.1f} MB"
     images = f" and {report['images']:,} images" if "images" in report else ""
-    click.echo(f"{report['file']}: {report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}; {size}")
+    drawn = f"{report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}"
+    return f"{report['file']}: {drawn}; {report['bytes'] / 1e6:.1f} MB"

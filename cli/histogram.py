@@ -1,10 +1,9 @@
 """bearings histogram"""
 
-import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, Choice, json_option, out_options
+from taichi_bearings_cli.options import FILE_PATH, Choice, answer, json_option, out_options
 from taichi_bearings_cli.progress import Display
 
 
@@ -46,16 +45,14 @@ def command(
 
     with Display():
         report = histogram(runs, out, force, bins_per_decade, normalise, by)
-    if as_json:
-        click.echo(json.dumps(report, allow_nan=False))
-        return
+    lines = []
     for part in report.get("groups", [report]):
         name = f"{by} {part[by]}: " if by else ""
         undecided = f", {part['undecided']:,} undecided" if part["undecided"] else ""
-        click.echo(
+        lines.append(
             f"{name}{part['slipping']:,} slipping contacts, {part['slipless']:,} slipless{undecided}, {part['census']}"
         )
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
-        click.echo(f"power from {report['smallest_power']:.2e} to {report['largest_power']:.2e}{units}")
-    click.echo("\n".join(report["files"]))
+        lines.append(f"power from {report['smallest_power']:.2e} to {report['largest_power']:.2e}{units}")
+    answer(report, as_json, lambda: "\n".join([*lines, *report["files"]]))

@@ -1,12 +1,11 @@
 """bearings info"""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, json_option
+from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 
 
 @click.command()
@@ -24,17 +23,16 @@ def command(packing: Path | None, as_json: bool) -> None:
       bearings info packing.npz
     """
     report = _of_program() if packing is None else _of_packing(packing)
-    if as_json:
-        click.echo(json.dumps(report))
-        return
-    for key, value in report.items():
-        if isinstance(value, dict):
-            value = "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
-        click.echo(f"{key.replace('_', ' '):18} {', '.join(value) if isinstance(value, list) else _word(value)}")
+    lines = [f"{key.replace('_', ' '):18} {_word(value)}" for key, value in report.items()]
+    answer(report, as_json, lambda: "\n".join(lines))
 
 
 def _word(value: Any) -> str:
-    return ("yes" if value else "no") if isinstance(value, bool) else "-" if value is None else str(value)
+    if isinstance(value, dict):
+        return "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(value) if isinstance(value, list) else "-" if value is None else str(value)
 
 
 def _of_packing(path: Path) -> dict[str, Any]:

@@ -77,8 +77,14 @@ def main() -> None:
     interrupts.heard_at_once()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
-    if os.path.lexists("matplotlibrc"):
-        _load_matplotlib_elsewhere()
+    if os.path.lexists("matplotlibrc"):  # of a stranger, perhaps: some settings start programs
+        click.echo("bearings: the matplotlibrc of this folder is not read; MATPLOTLIBRC can name one that is", err=True)
+        here = os.getcwd()
+        os.chdir(os.sep)
+        try:
+            importlib.import_module("matplotlib")
+        finally:
+            os.chdir(here)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result
             stream.reconfigure(errors="backslashreplace")
@@ -89,17 +95,6 @@ def main() -> None:
         code = 130
     interrupts.ignored()
     sys.exit(code)
-
-
-def _load_matplotlib_elsewhere() -> None:
-    """Matplotlib would read settings from the working folder, which may be a stranger's, and some start programs."""
-    click.echo("bearings: the matplotlibrc of this folder is not read; MATPLOTLIBRC can name one that is", err=True)
-    here = os.getcwd()
-    os.chdir(os.sep)
-    try:
-        importlib.import_module("matplotlib")
-    finally:
-        os.chdir(here)
 
 
 def _exit_code() -> int:

@@ -1,10 +1,9 @@
 """bearings movie"""
 
-import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, replica_option, run_argument
 from taichi_bearings_cli.progress import Display
 
 
@@ -31,4 +30,4 @@ def command(run: Path, fps: float, replica: int, out: Path | None, force: bool, 
     with Display():
         report = movie(run, out, force, replica, fps)
     size = f"{report['bytes'] / 1e6:.1f} MB"
-    click.echo(json.dumps(report) if as_json else f"{report['file']}: {report['frames']} snapshots; {size}")
+    answer(report, as_json, lambda: f"{report['file']}: {report['frames']} snapshots; {size}")

@@ -1,6 +1,7 @@
 """Options shared by commands; those of a run come from the one table in runs/settings.py."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from taichi_bearings.options import FILE, Kind, OneOf, Option, options_of
+from taichi_bearings.options import FILE, OneOf, Option, options_of
 from taichi_bearings.runs.settings import settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
@@ -81,13 +82,9 @@ def _click_option(key: str, item: Option) -> click.Option:
     text = f"{item.help} [{'; '.join(facts)}]" if (facts := _facts(key, item)) else item.help
     if isinstance(item.default, bool):
         return click.Option([f"{name}/--no-{key.replace('_', '-')}", key], default=None, help=text)
-    return click.Option([name, key], default=None, metavar=item.kind.metavar, help=text, type=_completed(item.kind))
-
-
-def _completed(kind: Kind) -> click.ParamType:
-    if isinstance(kind, OneOf):
-        return Text(*kind.names, *kind.table)
-    return FILES if kind is FILE else click.STRING
+    names = Text(*item.kind.known) if isinstance(item.kind, OneOf) else click.STRING
+    completed = FILES if item.kind is FILE else names
+    return click.Option([name, key], default=None, metavar=item.kind.metavar, help=text, type=completed)
 
 
 def _facts(key: str, item: Option) -> list[str]:
@@ -108,6 +105,11 @@ def _shown(default: object) -> str:
     if isinstance(default, bool):
         return "on" if default else "off"
     return "" if default is None else ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
+
+
+def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -> None:
+    """Print what a command has found: one JSON object, or words for people."""
+    click.echo(json.dumps(report, allow_nan=False) if as_json else words())
 
 
 run_argument = click.argument("run", metavar="RUN", type=FILE_PATH)

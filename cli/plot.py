@@ -73,7 +73,15 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
       bearings plot scan outputs/my-scan --y power --x L --log xy
       bearings plot scan outputs/my-scan --y power/power_minimum_cut --x L --where law=coulomb
     """
-    page = _page(more.pop("width"), more.pop("dpi"), more.pop("planes"), more.pop("view"))
+    from taichi_bearings.plots.page import Page, read_plane, read_view, read_width
+
+    width, dpi, planes, seen = (more.pop(name) for name in ("width", "dpi", "planes", "view"))
+    page = Page(
+        None if width is None else read_width(width),
+        dpi,
+        tuple(dict.fromkeys(map(read_plane, planes))),
+        None if seen is None else read_view(seen),
+    )
     if kind == "scan":
         _plot_scan(run, out, force, page, **more)
     else:
@@ -88,43 +96,29 @@ def _plot_run(
     from taichi_bearings.plots.packing import draw_packing
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
-    from taichi_bearings.runs.packing_run import is_packing_run, read_packing_run
+    from taichi_bearings.runs.packing_run import PackingRun, read_run
     from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_directory import claimed
-    from taichi_bearings.runs.run_file import read_run_file
 
     if given := [name for name, value in of_scan.items() if value]:
         raise InputError(
             f"--{given[0].replace('_', '-')} belongs to `bearings plot scan`, not to `bearings plot {kind}`"
         )
     refuse_ending(out, *ENDINGS)
-    if is_packing_run(run):
+    stored = read_run(run)
+    if isinstance(stored, PackingRun):
         if page.planes or time is not None or replica:
             raise InputError(f"{run} is a run of a packing, whose figures take --width, --dpi and --view alone")
-        result, file = read_packing_run(run).result, run
-        draw = partial(draw_packing, result, kind, page)
+        draw = partial(draw_packing, stored.result, kind, page)
     else:
-        stored = read_run_file(run)
-        file, slowest = stored.path, settings_of(stored).slip_threshold
+        slowest = settings_of(stored).slip_threshold
         draw = partial(draw_figure, kind, stored.solution, replica, time, slowest, page)
-    folder = file if file.is_dir() else file.parent
+    folder = run if run.is_dir() else run.parent
     with claimed(out or folder / kind, force or out is None):
         figure = draw()
         if out:
             save(figure, out)
         click.echo(out or save_small(figure, folder / kind))
-
-
-def _page(width: str | None, dpi: int, planes: tuple[str, ...], view: str | None) -> "Page":
-    """How the figure is printed, as asked for."""
-    from taichi_bearings.plots.page import Page, read_plane, read_view, read_width
-
-    return Page(
-        None if width is None else read_width(width),
-        dpi,
-        tuple(dict.fromkeys(map(read_plane, planes))),
-        None if view is None else read_view(view),
-    )
 
 
 def _plot_scan(

@@ -9,10 +9,9 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 
-import click
 import numpy as np
 from taichi_bearings_cli import STARTED
 from taichi_bearings_cli.time_left import TimeLeft
@@ -38,7 +37,7 @@ class TerminalLine:
         self._ended, self._lock = False, threading.Lock()
         self._timer = threading.Timer(QUIET_SECONDS, self._start)
 
-    def __enter__(self) -> "TerminalLine":
+    def __enter__(self) -> Any:
         if self.shown:
             self._timer.daemon = True
             self._timer.start()
@@ -166,27 +165,23 @@ def duration(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h"
 
 
-def tell(text: str, err: bool = False) -> None:
-    """Print a report; on a terminal lines that are too long for it are broken between words."""
+def in_lines(text: str, err: bool = False) -> str:
+    """A report as it is printed: on a terminal lines that are too long for it are broken between words, and what
+    follows is indented."""
     stream = sys.stderr if err else sys.stdout  # None where it is closed
-    if stream is not None and stream.isatty():
-        width = shutil.get_terminal_size().columns
-        text = "\n".join(_broken(line, width) for line in text.splitlines())
-    click.echo(text, err=err)
-
-
-def _broken(line: str, width: int) -> str:
-    """A line in lines of that width, the further ones indented; words longer than that stay whole."""
-    indent = " " * (len(line) - len(line.lstrip()) + 4)
-    return textwrap.fill(
-        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, replace_whitespace=False
-    )
+    if stream is None or not stream.isatty():
+        return text
+    look: Any = {"break_long_words": False, "break_on_hyphens": False, "replace_whitespace": False}
+    width = shutil.get_terminal_size().columns
+    indents = [" " * (len(line) - len(line.lstrip()) + 4) for line in text.splitlines()]
+    lines = zip(text.splitlines(), indents, strict=True)
+    return "\n".join(textwrap.fill(line, width, subsequent_indent=indent, **look) for line, indent in lines)
 
 
 HEARTBEAT = 30.0  # seconds between two lines in a log file
 
 
-class ScanDisplay:
+class ScanDisplay(TerminalLine):
     """A monitor for scan(): a live line if stderr is a terminal, one line now and then if it is a log file.
 
     heartbeat : seconds between two lines, wherever stderr goes; 0 for none. Default: 30 in a file, none in a pipe.
@@ -194,16 +189,12 @@ class ScanDisplay:
 
     def __init__(self, heartbeat: float | None = None) -> None:
         self.progress: Any = None
-        self.line = TerminalLine(self._words)
-        self.every = (HEARTBEAT if _is_file(sys.stderr) else 0.0) if heartbeat is None else heartbeat
+        super().__init__(lambda: "reading" if self.progress is None else describe_scan(self.progress, samples=True))
+        usual = 0.0
+        with suppress(OSError, ValueError, AttributeError):  # the log of a batch queue is a regular file
+            usual = HEARTBEAT if stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode) else 0.0
+        self.every = usual if heartbeat is None else heartbeat
         self.told = time.monotonic()
-
-    def __enter__(self) -> "ScanDisplay":
-        self.line.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.line.__exit__()
 
     def __call__(self, progress: Any) -> None:
         self.progress = progress
@@ -211,9 +202,6 @@ class ScanDisplay:
             self.told = time.monotonic()
             stamp = time.strftime("%Y-%m-%d %H:%M:%S")
             print(f"{stamp}  {describe_scan(progress)}", file=sys.stderr, flush=True)
-
-    def _words(self) -> str:
-        return "reading" if self.progress is None else describe_scan(self.progress, samples=True)
 
 
 def describe_scan(progress: Any, samples: bool = False) -> str:
@@ -229,11 +217,3 @@ def describe_scan(progress: Any, samples: bool = False) -> str:
         words.append("now " + "; ".join(sample.label for sample in progress.running[:2]))
         words += [f"and {len(progress.running) - 2} more"] if len(progress.running) > 2 else []
     return "  ".join(words)
-
-
-def _is_file(stream: Any) -> bool:
-    """True if a stream goes into a regular file, such as the log of a batch queue."""
-    try:
-        return stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
-    except (OSError, ValueError, AttributeError):
-        return False

@@ -1,11 +1,10 @@
 """bearings reproduce"""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option, out_options
+from taichi_bearings_cli.options import answer, json_option, out_options
 from taichi_bearings_cli.progress import Display
 
 
@@ -73,20 +72,18 @@ def command(
     with Display() as display:
         effort = Effort(seed, samples or (QUICK_SAMPLES if quick else SAMPLES), quick)
         report = reproduce(figures, folder, effort, force, lambda line: click.echo(line, err=True))
-    if as_json:
-        click.echo(json.dumps(report, allow_nan=False))
-    else:
-        _print(report, display.times(), folder)
+    answer(report, as_json, lambda: describe(report, display.times()))
+    if report["missing"] and not as_json:
+        click.echo(f"missing: {', '.join(report['missing'])}; the same command with --out {folder} goes on", err=True)
     context.exit(130 if report["interrupted"] else 1 if report["refuted"] else 0)
 
 
-def _print(report: dict[str, Any], times: str, folder: Path) -> None:
+def describe(report: dict[str, Any], times: str) -> str:
     """The claims with their verdicts, for people."""
+    lines = list[str]()
     for found in report["figures"].values():
         for claim in found["claims"]:
             rests = "" if claim["kind"] == "samples" else f" ({claim['kind']})"
-            click.echo(f"{claim['verdict']:9}  {claim['claim']}{rests}\n           {claim['finding']}")
-        click.echo("\n".join(found["files"]))
-    click.echo("\n".join([*report["files"], times]))
-    if report["missing"]:
-        click.echo(f"missing: {', '.join(report['missing'])}; the same command with --out {folder} goes on", err=True)
+            lines += [f"{claim['verdict']:9}  {claim['claim']}{rests}", f"           {claim['finding']}"]
+        lines += found["files"]
+    return "\n".join([*lines, *report["files"], times])

@@ -1,15 +1,14 @@
 """bearings run"""
 
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, SettingsCommand, json_option, out_options
-from taichi_bearings_cli.progress import Display, tell
+from taichi_bearings_cli.options import FILES, SettingsCommand, answer, json_option, out_options
+from taichi_bearings_cli.progress import Display, in_lines
+from taichi_bearings_cli.verify import describe as describe_verdict
 
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.words import counted, undecided_kinds
@@ -53,45 +52,56 @@ def command(
       bearings run --resume outputs/a --duration 20
     """
     given = {key: value for key, value in options.items() if value is not None}
+    verdict: dict[str, Any] | None = None
     with Display() as display:
-        with _interrupts_told():
-            solve, place = _resumed(resume, scene or out or force, given) if resume else _new(scene, out, force, given)
+        try:
+            solve, place = _task(scene, out, force, resume, given)
             found = solve()
-        verdict = _verdict(found, verify)
-    _finish(context, found, place, verdict, display.times(), as_json)
+        except KeyboardInterrupt as error:
+            goes_on = f"`bearings run --resume {error}` goes on from the last checkpoint"
+            kept = goes_on if error.args else "nothing is kept"
+            raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
+        if verify and not found.interrupted:
+            from taichi_bearings.runs.verify import verify as verdict_of
+
+            verdict = verdict_of(found.path)
+    summary = found.summary
+    for sentence in summary["warnings"]:
+        click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
+
+    def words() -> str:
+        told = (describe_packing if summary["shape"] is None else describe)(summary, display.times())
+        return in_lines(f"{told}\n{describe_verdict(verdict)}" if verdict else told)
+
+    answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
+    if found.interrupted:
+        context.exit(130)
+    asked = Path(place or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
+    is_there = found.path.resolve() in (asked, asked.parent)
+    reached = all(status.reached for status in found.status)
+    context.exit(0 if reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 
-@contextmanager
-def _interrupts_told() -> Iterator[None]:
-    """An interrupt inside, where there is no result yet, is a KeyboardInterrupt with a sentence."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        kept = f"`bearings run --resume {error}` goes on from the last checkpoint" if error.args else "nothing is kept"
-        raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
-
-
-Task = tuple[Callable[[], Any], str | None]  # what solves, and where its directory is asked to be
-
-
-def _resumed(run: str, others: Any, given: dict[str, Any]) -> Task:
-    """To go on with a run. others : what else was given that such a run keeps."""
+def _task(
+    scene: str | None, out: str | None, force: bool, resumed: str | None, given: dict[str, Any]
+) -> tuple[Callable[[], Any], str | None]:
+    """What solves the scene of a file with these options, or goes on with a run; and where its directory is asked to
+    be."""
     from taichi_bearings.errors import InputError
-    from taichi_bearings.runs.run import resume
-
-    if others:
-        raise InputError(f"resume is {run!r}: a resumed run keeps its scene and its directory; leave them out")
-    return partial(resume, Path(run), given), run
-
-
-def _new(scene: str | None, out: str | None, force: bool, given: dict[str, Any]) -> Task:
-    """To solve the scene of a file with these options."""
-    from taichi_bearings.errors import InputError
-    from taichi_bearings.runs.run import run
-    from taichi_bearings.runs.settings import RunSettings
+    from taichi_bearings.runs.run import resume, run
+    from taichi_bearings.runs.run_file import refuse_scan
+    from taichi_bearings.runs.settings import RunSettings, read_toml
     from taichi_bearings.scene import Scene
 
-    values = _values_of(scene) if scene else {}
+    if resumed:
+        if scene or out or force:
+            raise InputError(f"resume is {resumed!r}: a resumed run keeps its scene and its directory; leave them out")
+        return partial(resume, Path(resumed), given), resumed
+    if scene and not scene.endswith(".toml"):
+        refuse_scan(Path(scene))
+    values = read_toml(Path(scene)) if scene else {}
+    if "scan" in values:
+        raise InputError(f"{scene} describes a scan, not a run; `bearings scan {scene}` solves it")
     if "coefficients" in given:  # the file stored how it drew its own
         values = {key: value for key, value in values.items() if key not in Scene.DRAWN}
     stored_out = values.pop("out", None)
@@ -104,58 +114,6 @@ def _new(scene: str | None, out: str | None, force: bool, given: dict[str, Any])
     if settings.is_packing:
         from taichi_bearings.runs.packing_run import run_packing as run  # type: ignore[assignment]
     return partial(run, settings, Path(out) if out else None, force), out
-
-
-def _values_of(scene: str) -> dict[str, Any]:
-    """The settings in a scene file or of a run, by key."""
-    from taichi_bearings.errors import InputError
-    from taichi_bearings.runs.run_file import refuse_scan
-    from taichi_bearings.runs.settings import read_toml
-
-    if not scene.endswith(".toml"):
-        refuse_scan(Path(scene))
-    values = read_toml(Path(scene))
-    if "scan" in values:
-        raise InputError(f"{scene} describes a scan, not a run; `bearings scan {scene}` solves it")
-    return values
-
-
-def _verdict(found: Any, asked: bool) -> dict[str, Any] | None:
-    """What `bearings verify` says of the run, if it was asked for and nobody wants the end."""
-    if not asked or found.interrupted:
-        return None
-    from taichi_bearings.runs.verify import verify
-
-    return verify(found.path)
-
-
-def _finish(
-    context: click.Context,
-    found: Any,
-    out: str | None,
-    verdict: dict[str, Any] | None,
-    times: str,
-    as_json: bool,
-) -> None:
-    """Print the summary and leave with the exit code that the status asks for; 1 too if the run is not in `out`."""
-    summary = found.summary
-    for sentence in summary["warnings"]:
-        tell(f"bearings: warning: {sentence}", err=True)
-    if as_json:
-        click.echo(json.dumps(summary | ({"verification": verdict} if verdict else {}), allow_nan=False))
-    else:
-        tell(describe_packing(summary, times) if summary["shape"] is None else describe(summary, times))
-        if verdict:
-            from taichi_bearings_cli.verify import describe as describe_verdict
-
-            tell(describe_verdict(verdict))
-    if found.interrupted:
-        context.exit(130)
-    is_verified = verdict is None or verdict["verified"]
-    place = Path(out or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
-    elsewhere = found.path.resolve() not in (place, place.parent)
-    reached = all(status.reached for status in found.status)
-    context.exit(0 if reached and is_verified and not elsewhere else 1)
 
 
 def describe(summary: dict[str, Any], times: str) -> str:

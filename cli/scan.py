@@ -1,11 +1,10 @@
 """bearings scan"""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, json_option
+from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 from taichi_bearings_cli.progress import ScanDisplay, duration
 
 from taichi_bearings.errors import InputError, printable
@@ -83,38 +82,30 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     from taichi_bearings.scans.parts import Part
     from taichi_bearings.scans.plan import WISHES, read_plan
 
-    path, folder = scan, asked["out"]
-    if path.is_dir():  # the folder of a scan: go on there
-        path, folder = path / "scan.toml", folder or path
-    _refuse_contradictions(folder, **asked)
-    workers, part = asked["workers"] or 0, None if asked["part"] is None else Part.parse(asked["part"])
+    path, folder = scan / "scan.toml" if scan.is_dir() else scan, asked["out"]
+    folder = scan if scan.is_dir() and folder is None else folder  # goes on there
+    merge, one_part, scheduler = asked["merge"], asked["part"] is not None, asked["scheduler"] is not None
+    if scheduler and asked["workers"] is not None:
+        raise InputError("--scheduler has workers already; leave out --workers")
+    if merge and (one_part or scheduler):
+        raise InputError("--merge solves nothing; leave out --part and --scheduler")
+    if folder is None and (merge or one_part):
+        raise InputError("--part and --merge need --out DIR, the same for all parts")
+    workers, part = asked["workers"] or 0, Part.parse(asked["part"]) if one_part else None
     plan = read_plan(path, asked["overrides"], {name: asked[name] for name in WISHES if asked[name] is not None})
     if dry_run:
         expected = study.estimate(plan, folder, workers, part)
-        click.echo(json.dumps(expected) if as_json else describe_estimate(expected))
+        answer(expected, as_json, lambda: describe_estimate(expected))
         return
-    if asked["merge"] and folder is not None:
+    if merge and folder is not None:
         report = study.merge(plan, folder)
     else:
         folder = folder or default_run_path("scan")
         with ScanDisplay(asked["heartbeat"]) as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
-    click.echo(json.dumps(report) if as_json else describe(report))
-    if report["interrupted"]:
-        context.exit(130)
-    context.exit(0 if report["reached"] == report["samples"] and not report["lacking"] else 1)
-
-
-def _refuse_contradictions(
-    folder: Path | None, merge: bool, part: str | None, scheduler: str | None, workers: int | None, **_: Any
-) -> None:
-    """InputError for options that do not go together."""
-    if scheduler is not None and workers is not None:
-        raise InputError("--scheduler has workers already; leave out --workers")
-    if merge and (part is not None or scheduler is not None):
-        raise InputError("--merge solves nothing; leave out --part and --scheduler")
-    if folder is None and (merge or part is not None):
-        raise InputError("--part and --merge need --out DIR, the same for all parts")
+    answer(report, as_json, lambda: describe(report))
+    done = report["reached"] == report["samples"] and not report["lacking"]
+    context.exit(130 if report["interrupted"] else 0 if done else 1)
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:

@@ -1,10 +1,9 @@
 """bearings stress"""
 
-import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, json_option
+from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 from taichi_bearings_cli.progress import Display
 
 
@@ -61,11 +60,8 @@ def command(
     with Display(), open_sweep(out or default_run_path("stress"), cells) as sweep:
         finished = sweep.run(workers or available_threads(), lambda line: click.echo(line, err=True))
         paths = sweep.write()
-    if as_json:
-        click.echo(json.dumps(sweep.summary() | {"files": [str(path) for path in paths]}, allow_nan=False))
-    else:
-        for axis, lines in by_axis(sweep.rows).items():
-            click.echo(table(axis, lines) + "\n")
-        click.echo("\n".join([*lines_of(sweep.summary()), *(f"RED {x['key']}: {x['reason']}" for x in sweep.red)]))
-        click.echo(str(sweep.folder))
+    tables = [table(axis, lines) + "\n" for axis, lines in by_axis(sweep.rows).items()]
+    wrong = [f"RED {cell['key']}: {cell['reason']}" for cell in sweep.red]
+    words = [*tables, *lines_of(sweep.summary()), *wrong, str(sweep.folder)]
+    answer(sweep.summary() | {"files": [str(path) for path in paths]}, as_json, lambda: "\n".join(words))
     context.exit(130 if not finished else 1 if sweep.red else 0)

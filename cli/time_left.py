@@ -33,7 +33,10 @@ class TimeLeft:
             return None
         if progress.time is not None and math.isfinite(stop.duration):
             left = self._follow(seconds, progress.time, stop.duration)
-            farthest = math.inf if self._steps_are_equal(progress) else FARTHEST * seconds
+            if progress.iteration > 0:  # steps that grow say little of those to come
+                self.steps.append(progress.time / progress.iteration)
+            equal = max(self.steps, default=0.0) <= (1 + EQUAL) * min(self.steps, default=0.0)
+            farthest = math.inf if equal else FARTHEST * seconds
             return None if left is None or left > farthest else (left, f"t = {stop.duration:g}")
         if progress.needed is not None:
             left = self._follow(seconds, progress.iteration, progress.needed)
@@ -43,47 +46,26 @@ class TimeLeft:
             aim = min(aim, progress.settles_at)
         if progress.time is not None or not aim < gap < 1:  # the gap of a dynamics falls when it will
             return None
-        follow = self._follow_newton if progress.geometric else self._follow_power
-        left = follow(seconds, math.log(gap), math.log(aim))
+        left = self._follow(seconds, math.log(gap), math.log(aim), "newton" if progress.geometric else "power")
         return None if left is None or left > FARTHEST * seconds else (left, f"gap {aim:.0e}")
 
-    def _steps_are_equal(self, progress: Any) -> bool:
-        """True for a dynamics of fixed step, so far; steps that grow say little of those to come."""
-        if progress.iteration > 0:
-            self.steps.append(progress.time / progress.iteration)
-        return max(self.steps, default=0.0) <= (1 + EQUAL) * min(self.steps, default=0.0)
+    def _follow(self, seconds: float, now: float, end: float, pace: str = "steady") -> float | None:
+        """The time left, if all that was foretold lately, once or twice at least, agrees with it.
 
-    def _follow(self, seconds: float, now: float, end: float) -> float | None:
-        """What goes on at a steady pace."""
+        pace : of what is followed, "steady"; "newton", a logarithm that falls by like amounts, in few checks; or
+        "power", one that falls with the logarithm of the time.
+        """
         self.seen.append((seconds, now))
-        return self._agreed(seconds, _further(self._lately, end), self._since, 2)
-
-    def _follow_newton(self, seconds: float, now: float, end: float) -> float | None:
-        """A logarithm that falls by like amounts, in few checks."""
-        self.seen.append((seconds, now))
-        return self._agreed(seconds, _further(self.seen[-LAST:], end), self.foretold[-1:], 1)
-
-    def _follow_power(self, seconds: float, now: float, end: float) -> float | None:
-        """A logarithm that falls with that of the time."""
-        self.seen.append((seconds, now))
-        further = _further([(math.log(then), value) for then, value in self._lately], end)
-        left = None if further is None else seconds * math.expm1(min(further, 50.0))
-        return self._agreed(seconds, left, self._since, 2)
-
-    @property
-    def _lately(self) -> list[tuple[float, float]]:
-        return [item for item in self.seen if item[0] >= self.seen[-1][0] / WINDOW]
-
-    @property
-    def _since(self) -> list[tuple[float, float]]:
-        return [item for item in self.foretold if item[0] >= self.seen[-1][0] / 2]
-
-    def _agreed(
-        self, seconds: float, left: float | None, before: list[tuple[float, float]], needed: int
-    ) -> float | None:
-        """The time left, if at least so many that were foretold before agree with it, and all of them do."""
+        lately = [item for item in self.seen if item[0] >= seconds / WINDOW]
+        before, needed = [item for item in self.foretold if item[0] >= seconds / 2], 2
+        if pace == "newton":
+            lately, before, needed = self.seen[-LAST:], self.foretold[-1:], 1
+        if pace == "power":
+            lately = [(math.log(then), value) for then, value in lately]
+        left = _further(lately, end)
         if left is None:
             return None
+        left = seconds * math.expm1(min(left, 50.0)) if pace == "power" else left
         self.foretold.append((seconds, left))
         agree = all(left / AGREEMENT <= then + told - seconds <= left * AGREEMENT for then, told in before)
         if not agree or len(before) < needed:

@@ -1,13 +1,12 @@
 """bearings verify"""
 
-import json
 import textwrap
 from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import json_option, run_argument
-from taichi_bearings_cli.progress import Display, tell
+from taichi_bearings_cli.options import answer, json_option, run_argument
+from taichi_bearings_cli.progress import Display, in_lines
 
 from taichi_bearings.errors import printable
 from taichi_bearings.scene.law import LAWS
@@ -37,10 +36,7 @@ def command(context: click.Context, run: Path, as_json: bool) -> None:
 
     with Display() as display:
         report = verify(run)
-    if as_json:
-        click.echo(json.dumps(report, allow_nan=False))
-    else:
-        tell(describe(report, display.times()))
+    answer(report, as_json, lambda: in_lines(describe(report, display.times())))
     context.exit(0 if report["verified"] else 1)
 
 
@@ -49,7 +45,8 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     law = LAWS[report["law"]]
     shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"
     status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
-    lines = [f"{shape} {report['law']}, {status}; coefficients {_origin(report)}"]
+    origin = "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"
+    lines = [f"{shape} {report['law']}, {status}; coefficients {origin}"]
     keys = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
     seeds = report["seed"] if isinstance(report["gap"], list) else [report["seed"]]
     columns = [report[n] if isinstance(report["gap"], list) else [report[n]] for n in keys]
@@ -88,7 +85,3 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         f"{'the file proves' if report['verified'] else 'the file does not prove'} what it claims"
     )
     return "\n".join([*lines, *([times] if times else [])])
-
-
-def _origin(report: dict[str, Any]) -> str:
-    return "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"

@@ -1,10 +1,9 @@
 """bearings view"""
 
-import json
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, replica_option, run_argument
 from taichi_bearings_cli.progress import Display
 
 
@@ -32,6 +31,6 @@ def command(run: Path, replica: int, opened: bool, out: Path | None, force: bool
 
     with Display():
         report = view(run, out, force, replica)
-    click.echo(json.dumps(report) if as_json else f"{report['file']} ({report['bytes'] / 1e6:.1f} MB)")
+    answer(report, as_json, lambda: f"{report['file']} ({report['bytes'] / 1e6:.1f} MB)")
     if opened:
         webbrowser.open(Path(report["file"]).resolve().as_uri())

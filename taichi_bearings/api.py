@@ -10,7 +10,7 @@ import html
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from operator import attrgetter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -25,9 +25,8 @@ from taichi_bearings.packing import Packing, solve_packing
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import PackingRun, is_packing_run, read_packing_run
+from taichi_bearings.runs.packing_run import PackingRun, read_run
 from taichi_bearings.runs.run_directory import run_directory
-from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.many import SceneTask, solve_all
@@ -187,7 +186,8 @@ class Result:
         names = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
         columns = [np.atleast_1d(self.summary[name]).tolist() for name in names]
         rows = list(zip(*columns, strict=True))[:MOST_ROWS]
-        cells = ("".join(f"<td>{html.escape(_short(value))}</td>" for value in row) for row in rows)
+        short = lambda value: format(value, ".10g") if isinstance(value, float) else str(value)  # noqa: E731
+        cells = ("".join(f"<td>{html.escape(short(value))}</td>" for value in row) for row in rows)
         body = "".join(f"<tr>{row}</tr>" for row in cells)
         head = "".join(f"<th>{name.replace('_', ' ')}</th>" for name in names)
         more = f"<br>and {len(self) - MOST_ROWS} more samples" if len(self) > MOST_ROWS else ""
@@ -214,8 +214,7 @@ class Result:
         """
         with run_directory(Path(path), force) as directory:
             self._run = runs.publish(directory, replace(self._run, spin=self._run.start))
-            if self._run.settings.figures == "all":
-                runs.draw_figures(self._run)
+            runs.draw_figures(self._run)
         assert self._run.path is not None
         return self._run.path
 
@@ -230,12 +229,6 @@ def _of_samples(row: Quantity) -> property:
     return property(lambda result: result._of_samples(row.of(result._run.answered)), doc=_described(row))
 
 
-def _of_spheres(name: str) -> property:
-    """Of each sphere: N, or (*N, 3)."""
-    find = attrgetter(name)  # zeros, too, of which files have none
-    return property(lambda result: result._of_samples(find(result._run.solution)), doc=_described(SPHERES[name]))
-
-
 def _of_contacts(row: Quantity) -> property:
     """An array an axis; none where nothing is known."""
 
@@ -248,16 +241,13 @@ def _of_contacts(row: Quantity) -> property:
 
 for _name in Result.__annotations__.keys() & SAMPLES.keys():
     setattr(Result, _name, _of_samples(SAMPLES[_name]))
-for _name in SPHERES:
-    setattr(Result, _name, _of_spheres(_name))
+for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too, of which files have none
+    _found = partial(lambda name, result: result._of_samples(getattr(result._run.solution, name)), _name)
+    setattr(Result, _name, property(_found, doc=_described(_row)))
 for _name, _row in CONTACTS.items():
     setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
 MOST_ROWS = 20  # of a table in a notebook
-
-
-def _short(value: Any) -> str:
-    return format(value, ".10g") if isinstance(value, float) else str(value)
 
 
 class PackingResult(packings.PackingResult):
@@ -375,8 +365,11 @@ def solve_many(
         raise InputError(f"workers is {shown(workers)}; it must be 1 or more, or 0 for one a processor") from None
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is a {type(scenes).__name__}; it must be scenes, as in solve_many([scene])")
-    given = {"tolerance": tolerance, **options}
-    tasks = [SceneTask(number, *_task(scene, method, given, start)) for number, scene in enumerate(scenes)]
+    tasks = []
+    for number, scene in enumerate(scenes):
+        settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
+        runs.job_of(settings, scene, spin)  # refuses what cannot be
+        tasks.append(SceneTask(number, settings, scene, spin))
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
     return (Result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
 
@@ -403,20 +396,12 @@ def load(path: str | Path) -> Any:
     """
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
-    if is_packing_run(Path(path)):
-        return PackingResult(**vars(read_packing_run(Path(path)).result))
-    stored = read_run_file(Path(path))
+    stored = read_run(Path(path))
+    if isinstance(stored, PackingRun):
+        return PackingResult(**vars(stored.result))
     command = str(stored.attributes.get("command", ""))
     place = stored.path.parent if stored.path.name == "run.h5" else stored.path
     return Result(runs.Run(runs.settings_of(stored), stored.solution, path=place, command=command))
-
-
-def _task(
-    scene: Scene, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
-) -> tuple[RunSettings, Scene, np.ndarray]:
-    settings, spin = _settings(scene, method, options, start)
-    runs.job_of(settings, scene, spin)  # refuses what cannot be
-    return settings, scene, spin
 
 
 def _settings(
@@ -454,15 +439,7 @@ def _monitor(scene: Scene, callback: Callable[[Check], bool | None]) -> Callable
 
     def monitor(report: Report) -> bool | None:
         progress = report.progress
-        return callback(
-            Check(
-                iteration=progress.iteration,
-                seconds=report.seconds,
-                time=progress.time,
-                power=plain(report.objective),
-                gap=plain(report.gap),
-                tolerance=report.stop.tolerance,
-            )
-        )
+        reached = plain(report.objective), plain(report.gap)
+        return callback(Check(progress.iteration, report.seconds, progress.time, *reached, report.stop.tolerance))
 
     return monitor

@@ -6,7 +6,7 @@ a new quantity is a row here and nothing else. Tables by where a quantity lives:
 `STRUCTURE` (of one sample, what its contacts form).
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -70,22 +70,18 @@ class Answered:
         return None if values is None else values[-1]
 
 
-def _nowhere(_: Any) -> None:
-    """Of quantities that are not found in an answer alone."""
-
-
 @dataclass(frozen=True)
 class Quantity:
     """A row. name : as in files, summaries, tables and Python. unit : "1" for pure numbers. text : what it is.
 
     of : how to get it; of samples an array or a list with one value a sample, or one value for all of them, and None
-    where there is no such number. symbol : LaTeX, on axes of figures.
+    where there is no such number, or an answer alone does not say. symbol : LaTeX, on axes of figures.
     """
 
     name: str
     unit: str
     text: str
-    of: Callable[[Any], Any] = _nowhere
+    of: Callable[[Any], Any] = lambda _: None
     symbol: str = ""
 
 
@@ -199,7 +195,7 @@ SAMPLES = _named(
                  lambda a: a.power_normalised, r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
                  lambda a: a.solution.minimum_is_unique),
-        Quantity("time", "time", "simulated time", lambda a: _number(a.at_end("time"))),
+        Quantity("time", "time", "simulated time", lambda a: a.at_end("time")),
         Quantity("duration", "time", "simulated time that was asked for",
                  lambda a: a.duration if "time" in a.solution.history else None),
         Quantity("energy_residual", "1", "what the energy balance leaves unexplained",
@@ -322,6 +318,12 @@ COLUMNS = SAMPLES | FINDINGS | ANALYSED | OF_SCANS
 """All columns that a scan can have, but for its settings."""
 
 
+def found_in(answer: Any, rows: Mapping[str, Quantity]) -> Iterator[tuple[Quantity, Any]]:
+    """The rows that an answer has a value of, each with that."""
+    found = ((row, row.of(answer)) for row in rows.values())
+    return ((row, value) for row, value in found if value is not None)
+
+
 def _over(value: float, unit: float) -> float:
     """Not-a-number where the unit is 0."""
     return value / unit if unit > 0 else np.nan
@@ -336,20 +338,13 @@ class Whole(list[Any]):
     """A list that is one value, the same for all samples."""
 
 
-def _number(value: np.ndarray | None) -> float | None:
-    return None if value is None else float(value)
-
-
 def numbers_of(answered: Answered) -> dict[str, Any]:
     """All quantities of samples by name: one value, or with several samples a list where they may differ.
 
     Numbers that are not finite are None, so that JSON can hold them.
     """
-    several, found = answered.scene.replicas > 1, dict[str, Any]()
-    for name, row in SAMPLES.items():
-        value = row.of(answered)
-        if value is not None:
-            found[name] = _told(value, several)
+    several = answered.scene.replicas > 1
+    found = {row.name: _told(value, several) for row, value in found_in(answered, SAMPLES)}
     return found | {name: _told(values, several) for name, values in answered.solution.findings.items()}
 
 

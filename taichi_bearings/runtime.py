@@ -148,13 +148,12 @@ def refuse_absent(arch: str, precision: str) -> None:
     """DeviceError, with the reason in one sentence, for a device that is not here or has not this precision."""
     if arch not in ARCHITECTURES:
         raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}{meant(arch, ARCHITECTURES)}")
-    if arch in GPUS and not usable(arch, precision):
-        raise DeviceError(_what_is_missing(arch, precision))
-
-
-def _what_is_missing(arch: str, precision: str) -> str:
+    if arch not in GPUS or usable(arch, precision):
+        return
     lacking = [device.name for device in devices.find(arch) if not device.has_f64]
     if lacking and precision == "f64":
-        return f"arch is {arch!r} but {lacking[0]} has no double precision; use --precision f32 or --arch cpu"
-    make = {"cuda": "CUDA", "vulkan": "Vulkan", "metal": "Metal"}[arch]
-    return f"arch is {arch!r} but no {make} device was found here; use --arch cpu or --arch auto"
+        words = f"{lacking[0]} has no double precision; use --precision f32 or --arch cpu"
+    else:
+        make = {"cuda": "CUDA", "vulkan": "Vulkan", "metal": "Metal"}[arch]
+        words = f"no {make} device was found here; use --arch cpu or --arch auto"
+    raise DeviceError(f"arch is {arch!r} but {words}")

@@ -45,12 +45,12 @@ def draw_exponents(
     left.minorticks_off()
     left.set_title("(a) held ends")
     left.legend(loc="upper left")
-    for found, color, text in (
+    for skewed, color, text in (
         (held, BLUE, "held ends, against the length"),
         (free, ORANGE, f"free ends, length {length}, against the height"),
     ):
-        x = sorted(found)
-        value, error = np.array([found[L] for L in x]).T
+        x = sorted(skewed)
+        value, error = np.array([skewed[L] for L in x]).T
         right.errorbar(x, value, error, fmt="o-", ms=3, lw=0.8, color=color, label=text)
     for value, text in ((-0.2241, "Tracy–Widom"), (-1.1395, "Gumbel")):
         right.axhline(value, color=GREY, lw=0.8)

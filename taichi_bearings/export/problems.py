@@ -22,8 +22,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System
-from taichi_bearings.runs.packing_run import is_packing_run, packing_to_draw
-from taichi_bearings.runs.points_and_lines import opened_to_draw
+from taichi_bearings.runs.packing_run import PackingRun, opened_to_draw
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
@@ -37,11 +36,10 @@ def export_problem(run: Path, form: str, out: Path | None, force: bool = False, 
 
     form : "cbf" or "fclib". Raises InputError for a problem that the format cannot say.
     """
-    if is_packing_run(run):
-        with packing_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (found, path):
+    with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (found, path):
+        if isinstance(found, PackingRun):
             return write_problem(found.result.packing, form, path)
-    with opened_to_draw(run, out, PROBLEM_NAMES[form], force) as (stored, path):
-        scene, torque = stored.solution.scene, settings_of(stored).torque
+        scene, torque = found.solution.scene, settings_of(found).torque
         if not 0 <= replica < scene.replicas:
             raise InputError(f"replica is {replica}; the run has {scene.replicas}, counted from 0")
         if torque is not None:

@@ -15,11 +15,11 @@ import h5py
 import numpy as np
 
 from taichi_bearings.files.analysis_file import Finding
-from taichi_bearings.files.whole_file import refuse_ending, storable, write_hdf5
+from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.packing_run import columns_of_packing, is_packing_run, packing_to_draw
-from taichi_bearings.runs.points_and_lines import Moments, opened_to_draw, points_and_lines
+from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing, opened_to_draw
+from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -82,29 +82,21 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
-    if is_packing_run(run):
-        return _export_packing(run, out, force, replica)
-    with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
-        drawn = points_and_lines(stored, replica)
-        told = {key: stored.attributes[key] for key in TOLD if key in stored.attributes} | {"replica": replica}
-        if drawn.moments is not None:
-            told["snapshot_threshold"] = drawn.moments.threshold
-        geometry = Geometry.of_lattice(drawn.scene.lattice, drawn.ends)
+    moments, end, more = None, None, dict[str, Any](replica=replica)
+    with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
+        if isinstance(found, PackingRun):
+            geometry, columns = Geometry.of_packing(found.result.packing), columns_of_packing(found.result)
+            known, more = found.summary, {"command": found.command}
+        else:
+            drawn = points_and_lines(found, replica)
+            geometry, columns = Geometry.of_lattice(drawn.scene.lattice, drawn.ends), (drawn.spheres, drawn.contacts)
+            moments, end, known = drawn.moments, drawn.time, found.attributes
+        told = {key: known[key] for key in TOLD if key in known} | more
+        if moments is not None:
+            told["snapshot_threshold"] = moments.threshold
         with stage("writing"):
-            write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, told, drawn.moments, drawn.time)
-    steps = 1 if drawn.moments is None else len(drawn.moments.time) + 1
-    return _told(path, geometry, steps)
-
-
-def _export_packing(run: Path, out: Path | None, force: bool, replica: int) -> dict[str, Any]:
-    with packing_to_draw(run, out, VTK_NAME, force, replica) as (found, path), stage("writing"):
-        geometry = Geometry.of_packing(found.result.packing)
-        told = {key: value for key, value in found.summary.items() if key in TOLD} | {"command": found.command}
-        write_vtkhdf(path, geometry, *columns_of_packing(found.result), told)
-    return _told(path, geometry, 1)
-
-
-def _told(path: Path, geometry: Geometry, steps: int) -> dict[str, Any]:
+            write_vtkhdf(path, geometry, *columns, told, moments, end)
+    steps = 1 if moments is None else len(moments.time) + 1
     counts = {"points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
     images = len(geometry.sphere) - geometry.spheres
     return {"file": str(path), "bytes": path.stat().st_size, **counts, **({"images": images} if images else {})}
@@ -127,11 +119,14 @@ def write_vtkhdf(
     def fill(file: h5py.File) -> None:
         root = file.create_group("VTKHDF")
         root.attrs["Version"], root.attrs["Type"] = VTK_VERSION, np.bytes_("PolyData")
-        for key, value in attributes.items():
-            root.attrs[key] = storable(value)
+        put_attributes(root, attributes)
         _write_geometry(root, geometry)
         steps = None if moments is None or end is None else _start_steps(root, moments, end)
-        way = {} if moments is None else _on_the_way(moments, contacts)
+        way: dict[str, np.ndarray] = {}  # (steps, rows, ...) of what changes before the end
+        if moments is not None:
+            unknown = np.full(moments.slip.shape, np.nan)  # power and force are not kept with a snapshot
+            way = {"spin": moments.spin, "slip": moments.slip, "state": moments.state, "power": unknown}
+            way |= {"force": unknown, "proven": np.zeros(moments.slip.shape, contacts["proven"].values.dtype)}
         for name, column in geometry.on_points(spheres).items():
             before = way["spin"][:, geometry.sphere] if name == "spin" and way else None
             _put(root, steps, "PointData", name, column, before)
@@ -167,14 +162,6 @@ def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
     return steps
 
 
-def _on_the_way(moments: Moments, contacts: Mapping[str, Finding]) -> dict[str, np.ndarray]:
-    """What changes: (steps, rows, ...) before the end. Power and force are not kept with a snapshot."""
-    unknown = np.full(moments.slip.shape, np.nan)
-    unproven = np.zeros(moments.slip.shape, dtype=contacts["proven"].values.dtype)
-    known = {"spin": moments.spin, "slip": moments.slip, "state": moments.state}
-    return {**known, "power": unknown, "force": unknown, "proven": unproven}
-
-
 def _put(
     root: h5py.Group, steps: h5py.Group | None, group: str, name: str, column: Finding, before: np.ndarray | None
 ) -> None:
@@ -192,5 +179,4 @@ def _store(group: h5py.Group, name: str, values: np.ndarray, units: str, descrip
     """A packed array in numbers that VTK knows, with its unit."""
     known = values.astype(np.uint8) if values.dtype == bool else values
     packed = {"compression": "gzip", "shuffle": True} if known.size else {}
-    stored = group.create_dataset(name, data=known, **packed)
-    stored.attrs["units"], stored.attrs["description"] = units, description
+    put(group, name, known, units, description, **packed)

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.whole_file import replace_group, storable, write_hdf5
+from taichi_bearings.files.whole_file import put, put_attributes, replace_group, write_hdf5
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 
 GROUP = "analysis"
@@ -36,20 +36,21 @@ def write_analysis(
     """
 
     def fill(group: h5py.Group) -> None:
-        for key, value in attributes.items():
-            if not any(isinstance(part, (dict, list)) for part in (value if isinstance(value, list) else [value])):
-                group.attrs[key] = storable(value)
+        put_attributes(group, {key: value for key, value in attributes.items() if not _is_nested(value)})
         for name, finding in samples[0].items():
             values = [sample[name].values for sample in samples]
             together = values[0] if len(values) == 1 else _stack(values)
             packed = {"compression": "gzip", "shuffle": True} if together.dtype.kind in "biu" and together.size else {}
-            stored = group.create_dataset(name, data=together, **packed)
-            stored.attrs["units"], stored.attrs["description"] = finding.units, finding.description
+            put(group, name, together, finding.units, finding.description, **packed)
 
     if into_run:
         replace_group(path, GROUP, fill)
     else:
         write_hdf5(path, lambda file: fill(file.create_group(GROUP)))
+
+
+def _is_nested(value: Any) -> bool:
+    return any(isinstance(part, (dict, list)) for part in (value if isinstance(value, list) else [value]))
 
 
 def read_analysis(path: Path, sample: int) -> tuple[dict[str, Finding], dict[str, Any]]:

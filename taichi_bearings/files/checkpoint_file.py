@@ -21,15 +21,8 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
     scene : the settings as TOML. arrays : none before the first step.
     """
 
-    def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = CHECKPOINT_SCHEMA, CHECKPOINT_VERSION
-        file.attrs["scene"] = scene
-        for name, text in versions.items():
-            file.attrs[name] = text
-        for name, values in arrays.items():
-            file.create_dataset(name, data=values)
-
-    write_hdf5(folder / CHECKPOINT_NAME, fill)
+    layout = {"schema": CHECKPOINT_SCHEMA, "schema_version": CHECKPOINT_VERSION, "scene": scene}
+    write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), layout | dict(versions))
 
 
 @dataclass(frozen=True)

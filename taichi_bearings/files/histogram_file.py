@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
-from taichi_bearings.files.whole_file import write_csv, write_hdf5
+from taichi_bearings.files.whole_file import put, write_csv, write_hdf5
 
 Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that parts them; {None: ...} if none does
 
@@ -58,10 +58,8 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
             ("density", "1", "share of the slipping contacts per decade of power"),
             ("density_error", "1", "standard error of the density"),
         ):
-            stored = file.create_dataset(name, data=stacked(name))
-            stored.attrs["units"], stored.attrs["description"] = unit, text
-        edges = file.create_dataset("edges", data=parts[0].edges)
-        edges.attrs["units"], edges.attrs["description"] = parts[0].units, "edges of the power bins"
+            put(file, name, stacked(name), unit, text)
+        put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")
         for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
             file.attrs[name] = stacked(name)
         file.attrs["asked"] = [part.census.asked for part in parts] if by else parts[0].census.asked
@@ -69,8 +67,8 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
         if by is not None:
             texts = any(not isinstance(value, (int, float)) for value in histograms)
             values = ["" if v is None else str(v) for v in histograms] if texts else list(histograms)
-            stored = file.create_dataset("value", data=values, dtype=h5py.string_dtype() if texts else None)
-            stored.attrs["units"], stored.attrs["description"] = "", f"{by}, the parameter of each histogram"
+            kind = h5py.string_dtype() if texts else None
+            put(file, "value", values, "", f"{by}, the parameter of each histogram", dtype=kind)
             file.attrs["by"] = by
 
     write_hdf5(path, fill)

@@ -18,13 +18,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, printable
-from taichi_bearings.files.whole_file import read_hdf5, storable, write_csv, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import CROSSED_BOUND
 
@@ -107,24 +107,19 @@ def write_scan(
     """Write scan.h5 in full or not at all. attributes : `scan`, `scanned`, versions and whatever else."""
 
     def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = SCAN_SCHEMA, SCAN_VERSION
-        file.attrs["samples"] = len(histograms.count)
-        for key, value in attributes.items():
-            file.attrs[key] = storable(value)
         table = file.create_group("table")
         table.attrs["columns"] = [item.name for item in columns]
         for item in columns:
             kind = h5py.string_dtype() if item.values.dtype == object else item.values.dtype
-            stored = table.create_dataset(item.name, data=item.values, dtype=kind)
-            stored.attrs["units"], stored.attrs["description"] = item.units, item.description
+            put(table, item.name, item.values, item.units, item.description, dtype=kind)
         group = file.create_group("histogram")
         for name, (units, text) in HISTOGRAM_SETS.items():
             values = getattr(histograms, name)
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size > 1000 else {}
-            stored = group.create_dataset(name, data=values, dtype=values.dtype, **packed)
-            stored.attrs["units"], stored.attrs["description"] = units, text
+            put(group, name, values, units, text, dtype=values.dtype, **packed)
 
-    write_hdf5(path, fill)
+    layout = {"schema": SCAN_SCHEMA, "schema_version": SCAN_VERSION, "samples": len(histograms.count)}
+    write_hdf5(path, fill, {**layout, **attributes})
 
 
 def write_scan_csv(path: Path, columns: Sequence[Column]) -> None:
@@ -159,31 +154,33 @@ class StoredScan:
     def __post_init__(self) -> None:
         """FileError for tables that no scan leaves, where what reads them would fail."""
         table, counts = self.table, self.histograms
+
+        def refuse(words: str) -> NoReturn:
+            raise FileError(f"{self.path} is damaged or was changed: {words}")
+
         laws, shape = "|".join(map(re.escape, LAWS)), r"\d{1,9}(x\d{1,9}){1,2}"
         for name, form in (("status", "[a-z-]+"), ("law", f"({laws})?"), ("shape", f"({shape})?")):
             if not all(isinstance(text, str) and re.fullmatch(form, text) for text in table.get(name, ())):
-                raise FileError(f"{self.path} is damaged or was changed: its column {name} holds something else")
+                refuse(f"its column {name} holds something else")
         for name, kind in (("scan", str), ("asked", int | None), ("journals", int | None)):
             if not isinstance(self.attributes.get(name), kind):
-                raise FileError(f"{self.path} is damaged or was changed: its attribute {name} holds something else")
+                refuse(f"its attribute {name} holds something else")
         for name, values in table.items():
             texts = values.ravel().tolist() if values.dtype.kind == "O" else []
             if values.dtype.kind not in "biufO" or not all(isinstance(t, str) and t.isprintable() for t in texts):
-                raise FileError(f"{self.path} is damaged or was changed: its column {name} holds something else")
+                refuse(f"its column {name} holds something else")
         if "status" not in table or counts.count.ndim != 2 or counts.edges.ndim != 1:
-            raise FileError(f"{self.path} is damaged or was changed: it lacks statuses or histograms")
+            refuse("it lacks statuses or histograms")
         lengths = {len(values) if values.ndim == 1 else -1 for values in table.values()}
         lengths |= {len(values) for values in (counts.count, counts.slipping, counts.slipless, counts.undecided)}
         bins = max(len(counts.edges) - 1, 0)
         if len(lengths) > 1 or counts.count.shape[1] != bins:
-            raise FileError(f"{self.path} is damaged or was changed: its columns differ in length")
+            refuse("its columns differ in length")
         whole = (counts.count, counts.slipping, counts.slipless, counts.undecided)
         if any(values.dtype.kind not in "iu" or (values < 0).any() for values in whole):
-            raise FileError(
-                f"{self.path} is damaged or was changed: its histograms count in something else than numbers"
-            )
+            refuse("its histograms count in something else than numbers")
         if counts.edges.dtype.kind != "f" or not ((counts.edges > 0) & (counts.edges < np.inf)).all():
-            raise FileError(f"{self.path} is damaged or was changed: the edges of its histograms are no powers")
+            refuse("the edges of its histograms are no powers")
 
     @property
     def samples(self) -> int:
@@ -209,13 +206,8 @@ class StoredScan:
         path: Path, columns: Sequence[Column], histograms: SampleHistograms, attributes: Mapping[str, Any]
     ) -> "StoredScan":
         """What would be read back from a file with these columns."""
-        return StoredScan(
-            path=path,
-            attributes=dict(attributes),
-            scanned=tuple(attributes["scanned"]),
-            table={item.name: item.values for item in columns},
-            histograms=histograms,
-        )
+        table = {item.name: item.values for item in columns}
+        return StoredScan(path, dict(attributes), tuple(attributes["scanned"]), table, histograms)
 
 
 def read_scan(scan: Path) -> StoredScan:
@@ -224,23 +216,14 @@ def read_scan(scan: Path) -> StoredScan:
     if not path.is_file():
         raise FileError(f"{scan} is not a scan: there is no {path}")
     with read_hdf5(path, SCAN_SCHEMA, SCAN_VERSION, "a scan") as file:
-        found = _read(path, file)
+        group = file["table"]
+        table = {str(name): _values(group[str(name)]) for name in group.attrs["columns"]}
+        histograms = SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS})
+        found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, histograms)
     gap = found.table.get("gap", np.zeros(0))
     if gap.dtype.kind == "f" and (gap < -CROSSED_BOUND).any():
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
     return found
-
-
-def _read(path: Path, file: h5py.File) -> StoredScan:
-    group = file["table"]
-    names = [str(name) for name in group.attrs["columns"]]
-    return StoredScan(
-        path=path,
-        attributes={key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()},
-        scanned=tuple(str(name) for name in file.attrs["scanned"]),
-        table={name: _values(group[name]) for name in names},
-        histograms=SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS}),
-    )
 
 
 def _values(stored: h5py.Dataset) -> np.ndarray:

@@ -13,7 +13,6 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from taichi_bearings.errors import FileError
@@ -30,14 +29,12 @@ MOST_JOURNAL_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
 MOST_SCALARS = 300  # of a sample; a solve with its structure leaves some 80
 
 
-def _line(sample: Mapping[str, Any]) -> bytes:
-    text = json.dumps(sample, allow_nan=False).encode()
+def _line(text: bytes) -> bytes:
     return (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
 def _is_whole(line: bytes) -> bool:
-    text = line[RECORD_HEAD_LENGTH:-2]
-    return line == (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
+    return line == _line(line[RECORD_HEAD_LENGTH:-2])
 
 
 def _has_key(record: Any) -> bool:
@@ -137,7 +134,7 @@ class Journal:
 
     def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
         """Write samples down for good. On a full disk FileError, and the journal is as it was."""
-        lines = b"".join(_line(sample) for sample in samples)
+        lines = b"".join(_line(json.dumps(sample, allow_nan=False).encode()) for sample in samples)
         try:
             write_all(self._file, lines)
         except OSError as error:
@@ -148,7 +145,5 @@ class Journal:
     def __enter__(self) -> "Journal":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()

@@ -5,8 +5,9 @@ import csv
 import io
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import h5py
@@ -19,6 +20,7 @@ from taichi_bearings.plain_files import new_file, real_path, write_all
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
+EMPTY: Mapping[str, Any] = MappingProxyType({})
 
 
 def make_folder(path: Path) -> None:
@@ -99,10 +101,12 @@ def _harmless(cell: Any) -> Any:
     return cell
 
 
-def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
-    """Replace `path` in one move by a file of what `fill` puts into it, with checksums; WriteError if that fails."""
+def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, Any] = EMPTY) -> None:
+    """Replace `path` in one move by a file of these attributes and of what `fill` puts into it, with checksums;
+    WriteError if that fails."""
 
     def fill_and_seal(file: h5py.File) -> None:
+        put_attributes(file, attributes)
         fill(file)
         seal(file)
 
@@ -119,7 +123,8 @@ def _write(path: Path, fill: Callable[[h5py.File], None]) -> None:
 
 @contextlib.contextmanager
 def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py.File]:
-    """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed.
+    """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed,
+    and for an InputError inside: what it holds cannot be.
 
     kind : what it is for people, such as "a run".
     """
@@ -134,6 +139,10 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
                 raise FileError(f"{path} has layout version {found}; this program reads version {version}")
             check(path, file)
             yield file
+    except FileError:
+        raise
+    except InputError as error:
+        raise FileError(f"{path} is damaged or was changed: {error}") from None
     except UNREADABLE as error:
         raise _unreadable(path, f"as {kind}", error) from None
 
@@ -164,7 +173,24 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
     _write(path, copy)
 
 
-def storable(value: Any) -> Any:
+def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: Any) -> None:
+    """A data set with its unit and what it is."""
+    stored = group.create_dataset(name, data=values, **packing)
+    stored.attrs["units"], stored.attrs["description"] = unit, text
+
+
+def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
+    """Attributes of a group or a file."""
+    for key, value in values.items():
+        group.attrs[key] = _storable(value)
+
+
+def attributes_of(group: h5py.Group) -> dict[str, Any]:
+    """Attributes as they were put: numbers of Python, texts, arrays."""
+    return {key: value.item() if isinstance(value, np.generic) else value for key, value in group.attrs.items()}
+
+
+def _storable(value: Any) -> Any:
     """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers; what
     is not UTF-8 in a text, such as the name of a file, is escaped."""
     if isinstance(value, str):

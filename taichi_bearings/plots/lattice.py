@@ -43,11 +43,13 @@ def draw_speed_bar(
     figure: Any, axes: Any, spin_top: float, spin_bottom: float, below: bool = False, shrink: float = 0.8
 ) -> None:
     """The colour bar of spheres coloured by :func:`speed_of`."""
-    look = BELOW if below else {}
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
-    figure.colorbar(
-        ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=axes, label=label, shrink=shrink, pad=0.02, **look
-    )
+    colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, shrink=shrink, **(BELOW if below else {}))
+
+
+def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
+    """What the colours of a map say."""
+    figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:

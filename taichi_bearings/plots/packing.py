@@ -4,14 +4,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing, PackingResult
-from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS
+from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS, colour_bar
 from taichi_bearings.plots.page import PAGE, VIEW, Page
 from taichi_bearings.plots.power import POWER_COLOURS
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure
@@ -50,8 +49,7 @@ def draw_packing(result: PackingResult, kind: str = "spins", page: Page = PAGE) 
         _spheres(axes, packing, seen, colormaps[SPIN_COLOURS](speed / fastest), flat)
         if flat and chosen.sum() <= MOST_LINES:
             _lines(axes, _walls(packing, chosen), site, colors="black")
-        label = r"$R\,|\omega|$ over the largest imposed"
-        figure.colorbar(ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=axes, label=label, shrink=0.8, pad=0.02)
+        colour_bar(figure, axes, r"$R\,|\omega|$ over the largest imposed", Normalize(0, 1), SPIN_COLOURS)
         axes.set_title(f"{_named(packing)}\n{words}slip" + (", in black" if flat else ""))
         return figure
     _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
@@ -64,8 +62,7 @@ def draw_packing(result: PackingResult, kind: str = "spins", page: Page = PAGE) 
     some = power[power > 0]
     norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
     _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
-    label = "power of a contact (energy / time)"
-    figure.colorbar(ScalarMappable(norm, POWER_COLOURS), ax=axes, label=label, shrink=0.8, pad=0.02, extend="min")
+    colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
     axes.set_title(f"{_named(packing)}\n{words}slip")
     return figure
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -50,7 +49,7 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
             image = np.where(shown[0] > 0, shown[0], np.nan).T
             axes.imshow(image, origin="lower", cmap=POWER_COLOURS, norm=norm, interpolation="nearest")
             lattice.frame_plane(axes, shape)
-        figure.colorbar(ScalarMappable(norm, POWER_COLOURS), ax=axes, label=label, shrink=0.9, pad=0.02, extend="min")
+        lattice.colour_bar(figure, axes, label, norm, POWER_COLOURS, shrink=0.9, extend="min")
         return figure
     figure = _draw_cuts(power, shape, _norm(power), label, page)
     figure.axes[len(page.planes) or 2].set_xlabel(over("P_z", symbol, "energy / time"))
@@ -78,9 +77,7 @@ def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str,
         )
         lattice.name_cut(cut, axis, index)
     look = {"location": "left"} if columns_on(page, len(figure.axes)) > 1 else BELOW
-    figure.colorbar(
-        ScalarMappable(norm, POWER_COLOURS), ax=cuts, label=label, shrink=0.8, pad=0.02, extend="min", **look
-    )
+    lattice.colour_bar(figure, cuts, label, norm, POWER_COLOURS, extend="min", **look)
     inside = power[0].sum(axis=(0, 1)) + power[1].sum(axis=(0, 1))
     layers.step(inside, np.arange(nz), where="mid", color=BLUE, label="within a layer")
     layers.step(power[2].sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", color=ORANGE, label="to the next")

@@ -73,11 +73,7 @@ def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page)
     block.set_title("from outside")
     for axes, (axis, index) in zip(cuts, planes, strict=True):
         plane = np.take(colour, index, axis)
-        _paint(
-            axes,
-            plane,
-            lattice.contacts_in_plane(slips, axis, index),
-            lattice.site_on_paper(0.85 * width, plane.shape[:2]),
-        )
+        inside = lattice.contacts_in_plane(slips, axis, index)
+        _paint(axes, plane, inside, lattice.site_on_paper(0.85 * width, plane.shape[:2]))
         lattice.name_cut(axes, axis, index)
     return figure

@@ -34,7 +34,7 @@ class NotebookFigure(Figure):
     """A figure that notebooks show, whether or not pyplot is there."""
 
     def _repr_png_(self) -> bytes:
-        return _png(self)
+        return _drawn(self, "png")
 
     def draw(self, renderer: Any) -> None:
         """Lay out twice: titles above axes of a fixed aspect know their place only then."""
@@ -110,29 +110,26 @@ ENDINGS = (".png", ".pdf", ".svg")
 
 
 @in_our_style
-def _png(figure: Figure) -> bytes:
+def _drawn(figure: Figure, kind: str) -> bytes:
+    """The file of a figure, "png", "pdf" or "svg"."""
     drawn = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
+    if kind == "png":
+        FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
+    else:
+        figure.savefig(drawn, format=kind)
     return drawn.getvalue()
 
 
 def save_small(figure: Figure, stem: Path) -> Path:
     """Write `stem`.pdf, or `stem`.png where the former had more than MOST_VECTOR bytes; returns which."""
-    drawn, ending = _vectors(figure, "pdf"), "pdf"
+    drawn, ending = _drawn(figure, "pdf"), "pdf"
     if len(drawn) > MOST_VECTOR:
-        drawn, ending = _png(figure), "png"
+        drawn, ending = _drawn(figure, "png"), "png"
     path = stem.with_name(f"{stem.name}.{ending}")
     replace_file(path, drawn)
     return path
 
 
-@in_our_style
-def _vectors(figure: Figure, kind: str) -> bytes:
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format=kind)
-    return drawn.getvalue()
-
-
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
-    replace_file(path, _png(figure) if path.suffix == ".png" else _vectors(figure, path.suffix[1:]))
+    replace_file(path, _drawn(figure, path.suffix[1:]))

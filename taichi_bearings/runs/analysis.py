@@ -12,20 +12,23 @@ from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
 from taichi_bearings.files.whole_file import refuse_standing
-from taichi_bearings.runs.packing_run import analyse_packing, is_packing_run
+from taichi_bearings.quantities import SAMPLES, Answered
+from taichi_bearings.runs.packing_run import PackingRun, analysed, read_run
 from taichi_bearings.runs.run import Run, settings_of
 from taichi_bearings.runs.run_directory import writable_folder
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import file_of
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each, stage
-from taichi_bearings.version import VERSION
 from taichi_bearings.words import meant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taichi_bearings.plots.page import Page
+
+
+TOLD_OF_ANSWER = ("method", "law", "contacts", "spin_top", "spin_bottom", "shape", "version")
 
 
 class Analysis:
@@ -65,17 +68,12 @@ class Analysis:
             self.arrays.append(findings_of(structure))
         proven = "proven" if solution.states_proven.all() else "decided"
         together = {key: [one[key] for one in numbers] for key in numbers[0]} if samples > 1 else numbers[0]
+        answered = Answered(solution, 0.0, None)
         self.report: dict[str, Any] = {
             **together,
             "threshold": solution.slip_threshold if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
-            "method": solution.method,
-            "law": str(solution.scene.law),
-            "contacts": solution.scene.lattice.contacts,
-            "spin_top": solution.scene.imposed[0],
-            "spin_bottom": solution.scene.imposed[1],
-            "shape": list(solution.scene.lattice.shape),
-            "version": VERSION,
+            **{name: SAMPLES[name].of(answered) for name in TOLD_OF_ANSWER},
             "seconds": time.perf_counter() - began,
         }
 
@@ -130,24 +128,22 @@ def analyse(
     from taichi_bearings.plots.style import save
     from taichi_bearings.runs.figures import FIGURES
 
-    if is_packing_run(path):
-        if replica:
-            raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
-        return analyse_packing(path, out, force, threshold, figures)
     with stage("reading"):
-        run = read_run_file(path)
-        ended = Run(settings_of(run), run.solution).status
-    target = run.path if out is None else out / "analysis.h5"
-    pictures = [target.parent / f"{name}.png" for name in FIGURES]
+        run = read_run(path, replica)
+    target = file_of(path) if out is None else out / "analysis.h5"
+    pictures = [target.parent / f"{name}.png" for name in (("network",) if isinstance(run, PackingRun) else FIGURES)]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
-        found = Analysis(run.solution, [status.value for status in ended], threshold, replica)
+        if isinstance(run, PackingRun):
+            report, arrays, draw = analysed(run, threshold)
+        else:
+            ended = [status.value for status in Run(settings_of(run), run.solution).status]
+            found = Analysis(run.solution, ended, threshold, replica)
+            report, arrays, draw = found.report, found.arrays, found.plot
         for picture in pictures if out is None or force else ():  # of an earlier analysis
             picture.unlink(missing_ok=True)
         with stage("writing"):
-            write_analysis(target, found.arrays, found.report, into_run=out is None)
-        files = [target]
-        for name in each(found.figures if figures else [], "drawing figure"):
-            files.append(target.parent / f"{name}.png")
-            save(found.plot(name), files[-1])
-    return found.report | {"run": str(path), "files": [str(file) for file in files]}
+            write_analysis(target, arrays, report, into_run=out is None)
+        for picture in each(pictures if figures else [], "drawing figure"):
+            save(draw(picture.stem), picture)
+    return report | {"run": str(path), "files": [str(target), *(map(str, pictures) if figures else ())]}

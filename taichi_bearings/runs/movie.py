@@ -18,10 +18,10 @@ from PIL import Image
 from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.style import in_our_style
+from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.runs.run_file import StoredRun, read_run_file
-from taichi_bearings.runs.snapshot import draw_snapshot
+from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.stages import alike, each, stage
 
 FILM_ENDINGS = (".mp4", ".gif")
@@ -51,25 +51,18 @@ def movie(
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
     if not 0 <= replica < solution.scene.replicas:
         raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
+    times, threshold = np.sort(solution.snapshots.time).tolist(), settings_of(stored).slip_threshold
     with claimed(path, force or out is None):
-        frames = _frames(stored, replica)
+        moments = each(times, "drawing snapshot", alike)
+        frames = (_picture(draw_snapshot(solution, replica, time, threshold)) for time in moments)
         film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
         replace_file(path, film)
-    number = len(solution.snapshots.time)
-    return {"file": str(path), "bytes": path.stat().st_size, "frames": number, "fps": frames_per_second}
-
-
-def _frames(stored: StoredRun, replica: int) -> Iterator[np.ndarray]:
-    """Pictures (height, width, 3) of bytes, of one even size."""
-    solution = stored.solution
-    assert solution.snapshots is not None
-    threshold = settings_of(stored).slip_threshold
-    for time in each(np.sort(solution.snapshots.time).tolist(), "drawing snapshot", alike):
-        yield _picture(draw_snapshot(solution, replica, time, threshold))
+    return {"file": str(path), "bytes": path.stat().st_size, "frames": len(times), "fps": frames_per_second}
 
 
 @in_our_style
 def _picture(figure: Any) -> np.ndarray:
+    """(height, width, 3) of bytes, of even sides."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[..., :3]

@@ -1,8 +1,6 @@
 """A run of a packing: solved from its settings, written into a run directory, and read back."""
 
-import json
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -16,19 +14,27 @@ import numpy as np
 from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.analysis_file import Finding, write_analysis
-from taichi_bearings.files.whole_file import read_hdf5, refuse_standing, storable, write_hdf5, write_text
+from taichi_bearings.files.analysis_file import Finding
+from taichi_bearings.files.whole_file import attributes_of, put, write_hdf5
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
-from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
-from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
-from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
-from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES, found_in, plain
+from taichi_bearings.runs.run import command, kept, publish
+from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory
+from taichi_bearings.runs.run_file import (
+    NOT_IN_ALL,
+    RUN_LAYOUT,
+    StoredRun,
+    file_of,
+    opened_run,
+    read_array,
+    read_run_file,
+    scene_settings,
+)  # fmt: skip
+from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
@@ -60,8 +66,11 @@ FRICTION_OF_SECOND = {
     3: "friction on the second sphere, laboratory frame",
 }
 """By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-MAY_LACK = ("proven", "slip_bound")
-CONTACT_SETS = ("slip", "power", "force", "state", "friction", *MAY_LACK)  # of the group /contact
+TOLD_OF_RESULT = (
+    "power", "potential", "lower_bound", "gap", "proof", "status", "method", "iterations", "seconds", "critical",
+    "driven_power", "slipless_motions",
+)  # fmt: skip
+"""What a summary has of the result under the same name."""
 READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
 SIZES = ("radius", "normal_force")
 LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}  # keys that are not kept; run.h5 has what they led to
@@ -80,13 +89,12 @@ class PackingRun:
     def as_interrupted(self) -> "PackingRun":
         return replace(self, interrupted=True)
 
-    def write(self, folder: Path) -> None:
-        """Write every file of the run but its figures into `folder`, which will be renamed to its path."""
-        _write(folder, self)
+    def self_contained(self, folder: Path) -> RunSettings:
+        kept = {key: value for key, value in self.settings.given.items() if key not in LED_TO_ARRAYS}
+        return RunSettings(**{**kept, "packing": "run.h5"})
 
-    def draw(self) -> None:
-        """Draw the figures that every run gets into its directory."""
-        _draw(self)
+    def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
+        write_hdf5(file, partial(_fill, self.result), {**RUN_LAYOUT, **attributes})
 
     @property
     def status(self) -> list[Status]:
@@ -99,31 +107,22 @@ class PackingRun:
         states = np.bincount(result.state, minlength=4).tolist()
         proven = np.full(packing.contacts, ContactState.UNDECIDED) if result.proven is None else result.proven
         unproven = int(((proven == ContactState.UNDECIDED) & (result.state != ContactState.DRIVEN)).sum())
-        numbers = {
-            "power": result.power,
-            **({"potential": result.potential} if packing.kind.minimises == "potential" else {}),
-            "lower_bound": result.lower_bound,
-            "gap": result.gap,
-            "proof": result.proof,
-            "status": result.status,
-            "method": result.method,
+        found = {name: getattr(result, name) for name in TOLD_OF_RESULT}
+        if packing.kind.minimises != "potential":
+            del found["potential"]
+        numbers = found | {
             "law": str(packing.law),
             "shape": None,
             "spheres": packing.spheres,
             "driven_spheres": int((packing.driven >= 0).sum()),
             "seed": self.settings.seed,
-            "iterations": result.iterations,
-            "seconds": result.seconds,
             "seconds_compile": 0.0,
             "contacts": packing.contacts - states[ContactState.DRIVEN],
             "slipping": states[ContactState.SLIPPING],
             "slipless": states[ContactState.SLIPLESS],
             "undecided": states[ContactState.UNDECIDED],
-            "critical": result.critical,
             "states_proven": unproven == 0,
             "unproven": unproven,
-            "driven_power": result.driven_power,
-            "slipless_motions": result.slipless_motions,
             "largest_balance_residual": result.unbalanced,
             "version": VERSION,
             **({} if result.time is None else {"time": result.time}),
@@ -132,10 +131,7 @@ class PackingRun:
             "coefficients": None,
             "run": None if self.path is None else str(self.path),
         }
-        return {
-            key: None if isinstance(value, float) and not np.isfinite(value) else value
-            for key, value in numbers.items()
-        }
+        return {key: plain(value) for key, value in numbers.items()}
 
     @property
     def histogram(self) -> PowerHistogram:
@@ -199,10 +195,8 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
         with stage("solving"):
             result = _solved(settings, packing)
         stopped = result.status == Status.INTERRUPTED.value
-        found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]), stopped)
-        with awaited() as heard:
-            found = rescued(found, partial(publish, directory, found), "the result is lost")
-        return with_figures(found, heard.is_set())
+        found = PackingRun(settings, result, directory.path, command(), stopped)
+        return kept(found, partial(publish, directory, found))
 
 
 STOPPED_BY = ("iterations", "time_limit", "duration", "record")
@@ -222,43 +216,15 @@ def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
     return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 
-def _write(folder: Path, found: PackingRun) -> None:
-    kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
-    stored = RunSettings(**{**kept, "packing": "run.h5"})
-    origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
-    with stage("writing"):
-        write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
-        write_text(folder / "scene.toml", stored.to_toml())
-        full = found.summary | {"settings": found.settings.described, "versions": versions()}
-        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
-    write_histogram(folder, found.histogram)
-
-
-def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) -> None:
-    file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
-    for key, value in attributes.items():
-        file.attrs[key] = storable(value)
-
-    def put(name: str, values: np.ndarray, unit: str, text: str) -> None:
-        stored = file.create_dataset(name, data=values)
-        stored.attrs["units"], stored.attrs["description"] = unit, text
-
+def _fill(result: PackingResult, file: h5py.File) -> None:
     for name, values in result.packing.arrays().items():
-        put(f"packing/{name}", values, *PACKING_ARRAYS[name])
-    put("spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
-    for name, found in _of_contacts(result).items():
-        put(f"contact/{name}", found.values, found.units, found.description)
+        put(file, f"packing/{name}", values, *PACKING_ARRAYS[name])
+    put(file, "spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
+    for row, found in found_in(result, CONTACTS):
+        put(file, f"contact/{row.name}", found, row.unit, row.text)
     for name, column in result.history.items():
-        put(f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
-    put("contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
-
-
-def _draw(found: PackingRun) -> None:
-    from taichi_bearings.plots.histogram import draw_histogram
-    from taichi_bearings.plots.style import save
-
-    assert found.path is not None
-    save(draw_histogram(found.histogram), found.path / "power_histogram.png")
+        put(file, f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
+    put(file, "contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
 
 
 def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
@@ -271,7 +237,7 @@ def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[
         "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
         "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
     }
-    contacts = _of_contacts(result)
+    contacts = {row.name: Finding(found, row.unit, row.text) for row, found in found_in(result, CONTACTS)}
     for name in ("friction", "viscosity", "normal_force"):
         if getattr(packing, name) is not None:
             contacts["coefficient" if name == "friction" else name] = Finding(
@@ -279,13 +245,6 @@ def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[
             )
     of_spheres, of_contacts = _of_structure(PackingStructure.of(result))
     return spheres | of_spheres, contacts | of_contacts
-
-
-def _of_contacts(result: PackingResult) -> dict[str, Finding]:
-    """The quantities of contacts that the result has."""
-    found = {name: getattr(result, "power_per_contact" if name == "power" else name) for name in CONTACTS}
-    rows = {name: (values, CONTACTS[name]) for name, values in found.items() if values is not None}
-    return {name: Finding(values, row.unit, row.text) for name, (values, row) in rows.items()}
 
 
 def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict[str, Finding]]:
@@ -296,44 +255,28 @@ def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict
     return spheres, contacts
 
 
-def analyse_packing(
-    run: Path, out: Path | None = None, force: bool = False, threshold: float | None = None, figures: bool = True
-) -> dict[str, Any]:
-    """Analyse a stored run of a packing, write /analysis and the figure of the network, and return the report.
-
-    out, threshold : as of runs.analysis.analyse. Raises InputError or FileError before anything is computed.
-    """
+def analysed(
+    found: PackingRun, threshold: float | None = None
+) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[[str], Any]]:
+    """Report, arrays and what draws the figures of the structure. threshold : as of runs.analysis.Analysis."""
     from taichi_bearings.plots.packing import draw_packing
-    from taichi_bearings.plots.style import save
 
     began = perf_counter()
     if threshold is not None and not 0 < threshold < np.inf:
         raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-    with stage("reading"):
-        found = read_packing_run(run)
-    file = run / "run.h5" if run.is_dir() else run
-    target = file if out is None else out / "analysis.h5"
-    picture = target.parent / "network.png"
-    refuse_standing((target, *((picture,) if figures else ())), force or out is None)
-    with writable_folder(target.parent):
-        with stage("analysing"):
-            structure = PackingStructure.of(found.result, threshold)
-            of_spheres, of_contacts = _of_structure(structure)
-        states = "decided" if threshold is None else "threshold"
-        told = ("status", "method", "law", "shape", "spheres", "contacts", "version")
-        report = structure.numbers | {"threshold": threshold, "states": states}
-        report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
-        with stage("writing"):
-            write_analysis(target, [of_spheres | of_contacts], report, into_run=out is None)
-        if figures:
-            with stage("drawing"):
-                save(draw_packing(found.result, "network"), picture)
-    return report | {"run": str(run), "files": [str(target), *([str(picture)] if figures else [])]}
+    with stage("analysing"):
+        structure = PackingStructure.of(found.result, threshold)
+        of_spheres, of_contacts = _of_structure(structure)
+    states = "decided" if threshold is None else "threshold"
+    told = ("status", "method", "law", "shape", "spheres", "contacts", "version")
+    report = structure.numbers | {"threshold": threshold, "states": states}
+    report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
+    return report, [of_spheres | of_contacts], partial(draw_packing, found.result)
 
 
 def is_packing_run(run: Path) -> bool:
     """True for a run directory, or its run.h5, that holds a packing."""
-    file = run / "run.h5" if run.is_dir() else run
+    file = file_of(run)
     if not file.is_file() or file.suffix not in (".h5", ".hdf5"):
         return False
     try:
@@ -345,19 +288,16 @@ def is_packing_run(run: Path) -> bool:
 
 def read_packing_run(run: Path) -> PackingRun:
     """Read a run directory or its run.h5; FileError if it is damaged or was changed."""
-    path = run / "run.h5" if run.is_dir() else run
-    with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
-        attributes = {key: v.item() if isinstance(v, np.generic) else v for key, v in file.attrs.items()}
-        try:
-            settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
-            packing = packing_of(replace(settings, packing=str(path)))
-        except InputError as error:
-            raise FileError(f"{path} is damaged or was changed: {error}") from None
-        names = ["spin", *(f"contact/{n}" for n in CONTACT_SETS if n not in MAY_LACK or f"contact/{n}" in file)]
-        arrays = {name: _whole(path, file, name, packing) for name in names}
-        sets: dict[str, Any] = {name.removeprefix("contact/"): values for name, values in arrays.items()}
+    path = file_of(run)
+    with opened_run(path) as file:
+        attributes = attributes_of(file)
+        settings = scene_settings(attributes)
+        packing = packing_of(replace(settings, packing=str(path)))
+        there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/{name}" in file]
+        names = {"spin": "spin", **{name: f"contact/{name}" for name in (*there, "friction")}}
+        sets: dict[str, Any] = {name: _whole(path, file, stored, packing) for name, stored in names.items()}
         number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
-        motions = attributes["slipless_motions"]
+        motions, columns = attributes["slipless_motions"], [name for name in CHECK_ROWS if f"history/{name}" in file]
         result = PackingResult(
             packing=packing,
             potential=float(attributes.get("potential", number["power"])),
@@ -368,7 +308,7 @@ def read_packing_run(run: Path) -> PackingRun:
             slipless_motions=None if motions == "" else int(motions),
             unbalanced=float(attributes["largest_balance_residual"]),
             iterations=int(attributes["iterations"]),
-            history=_history(path, file),
+            history={name: read_array(path, file, f"history/{name}", (None,)) for name in columns},
             time=None if "time" not in attributes else float(attributes["time"]),
             **sets,
             **number,
@@ -376,28 +316,33 @@ def read_packing_run(run: Path) -> PackingRun:
     return PackingRun(settings, result, run, str(attributes.get("command", "")))
 
 
-@contextmanager
-def packing_to_draw(
-    run: Path, out: Path | None, name: str, force: bool, replica: int = 0
-) -> Iterator[tuple[PackingRun, Path]]:
-    """A run and the file to write, as runs.points_and_lines.opened_to_draw."""
+def read_run(run: Path, replica: int = 0) -> PackingRun | StoredRun:
+    """A run of a packing or of a lattice, by its directory or its run.h5; FileError as of the reader of either.
+
+    replica : the sample that is wanted; InputError if it is none of a packing.
+    """
+    if not is_packing_run(run):
+        return read_run_file(run)
     if replica:
         raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
+    return read_packing_run(run)
+
+
+@contextmanager
+def opened_to_draw(
+    run: Path, out: Path | None, name: str, force: bool, replica: int
+) -> Iterator[tuple[PackingRun | StoredRun, Path]]:
+    """A run directory or its run.h5, and the file to write, which is ours meanwhile: `out`, or of this name in the run
+    directory.
+
+    Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced. InputError for a sample
+    that a packing does not have.
+    """
     with stage("reading"):
-        found = read_packing_run(run)
+        found = read_run(run, replica)
     path = (run if run.is_dir() else run.parent) / name if out is None else out
     with claimed(path, force or out is None):
         yield found, path
-
-
-def _history(path: Path, file: h5py.File) -> dict[str, np.ndarray]:
-    """Columns of the history; FileError for what is none."""
-    if "history" not in file:
-        return {}
-    columns = {name: file[f"history/{name}"] for name in CHECK_ROWS if f"history/{name}" in file}
-    if strange := [name for name, column in columns.items() if column.ndim != 1 or column.dtype.kind not in "fiu"]:
-        raise FileError(f"history/{strange[0]} in {path} is damaged: it must hold numbers, one a check")
-    return {name: column[()] for name, column in columns.items()}
 
 
 def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarray:
@@ -405,12 +350,9 @@ def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarr
     components = () if packing.dimension == 2 else (3,)
     count = packing.spheres if name == "spin" else packing.contacts
     shape = (count, *(components if name in ("spin", "contact/friction") else ()))
-    stored = file[name]
-    if stored.shape != shape or stored.dtype.kind not in "fiu":
-        raise FileError(f"{name} in {path} is damaged: it has shape {stored.shape}, and must have {shape}")
-    values = stored[()]
+    values = read_array(path, file, name, shape)
     if np.isnan(values).any() or not (name == "contact/slip_bound" or np.isfinite(values).all()):
         raise FileError(f"{name} in {path} is damaged: it must hold finite numbers")
-    if name == "contact/state" and values.max(initial=0) > ContactState.DRIVEN:
+    if name == "contact/state" and (values.dtype.kind not in "ui" or values.max(initial=0) > ContactState.DRIVEN):
         raise FileError(f"{name} in {path} is damaged: states are 0 to 3")
-    return np.asarray(values)
+    return values

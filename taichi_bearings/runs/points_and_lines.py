@@ -4,11 +4,9 @@ The interactive 3D page and ParaView draw these. The structure is the one that `
 left in the run, if it went by the contact states of the run; else it is computed.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -18,24 +16,15 @@ from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, read_analysis
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import CONTACTS
+from taichi_bearings.quantities import CONTACTS, found_in
+from taichi_bearings.runs.figures import slips_of, snapshot_threshold
 from taichi_bearings.runs.run import settings_of
-from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.runs.run_file import AXES, StoredRun, read_run_file
-from taichi_bearings.runs.snapshot import slips_of, snapshot_threshold
-from taichi_bearings.runs.structure_report import findings_of
+from taichi_bearings.runs.run_file import AXES, StoredRun
+from taichi_bearings.runs.structure_report import ARRAYS, findings_of
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
 
-NEEDED_ARRAYS = (
-    "minimum_cut/above",
-    "component",
-    "path",
-    "domain",
-    "domains/lock",
-    "betweenness/sphere",
-    "betweenness/x",
-)
+NEEDED_ARRAYS = (*(row.name for row in ARRAYS), "betweenness/x")
 BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "backbone": "backbone"}
 """Columns of the contacts that are findings of the analysis, one array an axis there."""
 
@@ -80,20 +69,6 @@ class PointsAndLines:
     def ends(self) -> np.ndarray:
         """Lower and upper sphere (contacts, 2) of each contact."""
         return self.scene.lattice.ends.T
-
-
-@contextmanager
-def opened_to_draw(run: Path, out: Path | None, name: str, force: bool) -> Iterator[tuple[StoredRun, Path]]:
-    """A run directory or its run.h5, and the file to write, which is ours meanwhile: `out`, or of this name in the run
-    directory.
-
-    Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced.
-    """
-    with stage("reading"):
-        stored = read_run_file(run)
-    path = stored.path.parent / name if out is None else out
-    with claimed(path, force or out is None):
-        yield stored, path
 
 
 def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
@@ -174,10 +149,7 @@ def _spin_rows(spin: np.ndarray) -> np.ndarray:
 def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.ndarray) -> dict[str, Finding]:
     scene = solution.scene
     columns = {"axis": Finding(scene.lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
-    for row in CONTACTS.values():
-        found_values = row.of(solution)
-        if found_values is not None:
-            columns[row.name] = Finding(found_values[0], row.unit, row.text)
+    columns |= {row.name: Finding(values[0], row.unit, row.text) for row, values in found_in(solution, CONTACTS)}
     proven = bool(solution.states_proven[0]) & (columns["state"].values != ContactState.DRIVEN)
     columns["proven"] = Finding(proven, "1", "the state is proven to be that of every minimum")
     for quantity, (name, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):

@@ -1,5 +1,6 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
+import contextlib
 import io
 import json
 import logging
@@ -7,7 +8,7 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -159,22 +160,28 @@ class Run:
     def as_interrupted(self) -> "Run":
         return replace(self, solution=replace(self.solution, interrupted=True))
 
-    def write(self, folder: Path) -> None:
-        """Write every file of the run but its figures into `folder`, which will be renamed to its path."""
-        write_run(folder, self)
+    def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
+        """Write what was found, with these attributes of the file."""
+        write_run_file(file, self.solution, attributes)
 
-    def draw(self) -> None:
-        """Draw the figures that every run gets into its directory."""
-        _draw(self)
+    def self_contained(self, folder: Path) -> RunSettings:
+        """Settings whose files lie in `folder`, so that it can be moved and run again."""
+        return _self_contained(self.settings, self.solution.scene, self.start, folder)
+
+    @property
+    def histogram(self) -> "PowerHistogram":
+        """Of the power over its slipping contacts, of all samples."""
+        from taichi_bearings.analysis.histogram import power_histogram
+
+        solution = self.solution
+        return power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
 
     @property
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, as in `--json` of `run`."""
         running = self.solution.running
         return summarise(self) | {
-            "arch": running.arch,
-            "precision": running.precision,
-            "threads": running.threads,
+            **{name: getattr(running, name) for name in ("arch", "precision", "threads")},
             "coefficients": self.settings.coefficients,
             "run": None if self.path is None else str(self.path),
         }
@@ -254,8 +261,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
 
 
 def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]:
-    """What solves other scenes by the same method."""
-    return lambda scene: solve_job(_same_of(job, settings, scene))
+    """What solves other scenes by the same method, from their linear start."""
+    return lambda scene: solve_job(Job(settings, scene, initial_spin(scene, "linear"), job.method.options.build()))
 
 
 def _rigid_top(job: Job, ramp: Ramp) -> Any:
@@ -270,11 +277,6 @@ def _rigid_top(job: Job, ramp: Ramp) -> Any:
     friction = by_friction(solution, again)
     known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
     return RigidTopMethod(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
-
-
-def _same_of(job: Job, settings: RunSettings, scene: Scene) -> Job:
-    """The same method for another scene, from its linear start."""
-    return Job(settings, scene, initial_spin(scene, "linear"), job.method.options.build())
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
@@ -314,10 +316,8 @@ def run(settings: RunSettings, out: Path | None = None, force: bool = False, mon
     job = prepare(settings)
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
-            found = Run(settings, solve_job(job, monitors), job.spin, directory.path, _command())
-            with awaited() as heard:
-                found = rescued(found, partial(publish, directory, found), "the result is lost")
-            return with_figures(found, heard.is_set())
+            found = Run(settings, solve_job(job, monitors), job.spin, directory.path, command())
+            return kept(found, partial(publish, directory, found))
         stored = _self_contained(settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
@@ -327,27 +327,41 @@ def run(settings: RunSettings, out: Path | None = None, force: bool = False, mon
             return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
 
 
-def _command() -> str:
+def command() -> str:
+    """What this process was asked for."""
     return " ".join(["bearings", *sys.argv[1:]])
 
 
-Kept = TypeVar("Kept", Run, "PackingRun")
+AnyRun = TypeVar("AnyRun", Run, "PackingRun")
 
 
-def publish(directory: RunDirectory, found: Kept) -> Kept:
+def publish(directory: RunDirectory, found: AnyRun) -> AnyRun:
     """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
     while True:
         found = replace(found, path=directory.path)
-        found.write(directory.partial)
+        write_run(directory.partial, found)
         if directory.publish():
             return found
 
 
-def rescued(found: Kept, write: Callable[[], Kept], otherwise: str) -> Kept:
-    """The run as it is written; if its path cannot be written, into a temporary folder.
+def kept(found: AnyRun, write: Callable[[], AnyRun], otherwise: str = "the result is lost") -> AnyRun:
+    """The run as it is written, and its figures; if its path cannot be written, in a temporary folder.
 
-    WriteError if not even that is possible. otherwise : what then, for people.
+    WriteError if not even that is possible. otherwise : what then, for people. An interrupt, now or before, waits for
+    the files and leaves the figures to `bearings plot` and `histogram`.
     """
+    with awaited() as heard:
+        found = _rescued(found, write, otherwise)
+    try:
+        if heard.is_set() or found.interrupted:
+            raise KeyboardInterrupt
+        draw_figures(found)
+    except KeyboardInterrupt:
+        return found.as_interrupted()
+    return found
+
+
+def _rescued(found: AnyRun, write: Callable[[], AnyRun], otherwise: str) -> AnyRun:
     try:
         return write()
     except WriteError as error:
@@ -356,7 +370,7 @@ def rescued(found: Kept, write: Callable[[], Kept], otherwise: str) -> Kept:
         try:
             folder.mkdir(parents=True)
             found = replace(found, path=folder)
-            found.write(folder)
+            write_run(folder, found)
         except (WriteError, OSError):
             shutil.rmtree(folder.parent, ignore_errors=True)
             raise WriteError(f"{error}, nor can {folder.parent.parent}; {otherwise}") from None
@@ -388,23 +402,18 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
-            _refuse_past(path, stored.duration, checkpoint.arrays or {})
+            arrays, duration = checkpoint.arrays or {}, stored.duration
+            reached, step = (float(arrays.get(name, 0.0)) for name in ("last_time", "time_step"))
+            # steps of fixed length, which the checkpoint then names, end a run by less than one of them late
+            if reached - duration >= max(step, 1e-9 * reached, np.finfo(float).tiny):
+                words = f"{path} has already reached {reached:g}; it must be longer"
+                raise InputError(f"duration is {duration:g}, but {words}")
             if stored.torque is not None and Ramp.of(stored.torque).rises:
                 raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
         job = prepare(
             RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
         )
         return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
-
-
-def _refuse_past(path: Path, duration: float, arrays: Mapping[str, np.ndarray]) -> None:
-    """InputError if a run of this duration would have ended before what its checkpoint has reached.
-
-    Steps of fixed length, which the checkpoint then names, end a run by less than one of them late.
-    """
-    reached = float(arrays.get("last_time", 0.0))
-    if reached - duration >= max(float(arrays.get("time_step", 0.0)), 1e-9 * reached, np.finfo(float).tiny):
-        raise InputError(f"duration is {duration:g}, but {path} has already reached {reached:g}; it must be longer")
 
 
 def _solve_with_checkpoints(
@@ -427,16 +436,14 @@ def _solve_with_checkpoints(
         solution = solve_job(job, monitors, Checkpoints(every, write, arrays))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(str(path)) from None
-    found = Run(job.settings, solution, job.spin, path, _command())
+    found = Run(job.settings, solution, job.spin, path, command())
 
     def complete() -> Run:
         with completed(path, _drawn()) as folder:
-            found.write(folder)
+            write_run(folder, found)
         return found
 
-    with awaited() as heard:
-        found = rescued(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
-    return with_figures(found, heard.is_set())
+    return kept(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
 
 
 PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
@@ -444,80 +451,57 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
 
 def _drawn() -> list[str]:
     """Files that `run` and what draws, analyses and exports it leave beside a run.h5: a new answer outdates them."""
-    from taichi_bearings.runs.figures import FIGURES
+    from taichi_bearings.runs.figures import FIGURE_KINDS
 
-    figures = ("spins", "power", "history", "energy", "power_histogram", *FIGURES)
-    return [
-        *(f"{name}.{ending}" for name in figures for ending in ("png", "pdf")),
-        "power_histogram.csv",
-        "power_histogram.h5",
-        *PICTURES,
-    ]
+    pictures = [f"{name}.{ending}" for name in (*FIGURE_KINDS, "power_histogram") for ending in ("png", "pdf")]
+    return [*pictures, "power_histogram.csv", "power_histogram.h5", *PICTURES]
 
 
-def write_run(folder: Path, found: Run) -> None:
+def write_run(folder: Path, found: "Run | PackingRun") -> None:
     """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
-    from taichi_bearings.analysis.histogram import power_histogram
-
-    with stage("writing"):
-        solution = found.solution
-        stored = _self_contained(found.settings, solution.scene, found.start, folder)
-        write_state(folder / "run.h5", found, stored)
-        write_text(folder / "scene.toml", stored.to_toml())
-        full = found.summary | {"settings": found.settings.values, "versions": versions()}
-        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
-    write_histogram(folder, power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold))
-
-
-def write_histogram(folder: Path, histogram: "PowerHistogram") -> None:
-    """Write the table of the powers, unless the disk is full: what was solved is written."""
     from taichi_bearings.files.histogram_file import write_table
 
+    with stage("writing"):
+        stored = found.self_contained(folder)
+        write_state(folder / "run.h5", found, stored)
+        write_text(folder / "scene.toml", stored.to_toml())
+        full = found.summary | {"settings": found.settings.described, "versions": versions()}
+        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    with _unless_full():
+        write_table(folder / "power_histogram.csv", {None: found.histogram})
+
+
+def write_state(file: Path, found: "Run | PackingRun", stored: RunSettings) -> None:
+    """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
+    origin = {"command": found.command, "scene": stored.to_toml()}
+    found.write_answer(file, found.summary | origin | versions())
+
+
+@contextlib.contextmanager
+def _unless_full() -> Iterator[None]:
+    """What is written inside is left out where the disk is full: what was solved is written."""
     try:
-        write_table(folder / "power_histogram.csv", {None: histogram})
+        yield
     except WriteError as error:
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
 
 
-def draw_figures(found: Kept) -> None:
-    """Draw the figures that every run gets into its directory, unless the disk is full."""
-    try:
-        with stage("drawing"):
-            found.draw()
-    except WriteError as error:
-        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
+def draw_figures(found: "Run | PackingRun") -> None:
+    """Draw the figures that a run gets into its directory, unless it wants none."""
+    if found.settings.figures == "all":
+        with _unless_full(), stage("drawing"):
+            _draw(found)
 
 
-def with_figures(found: Kept, interrupted: bool) -> Kept:
-    """The run with its figures; an interrupt, now or before, leaves them to `bearings plot` and `histogram`."""
-    try:
-        if interrupted or found.interrupted:
-            raise KeyboardInterrupt
-        if found.settings.figures == "all":
-            draw_figures(found)
-    except KeyboardInterrupt:
-        return found.as_interrupted()
-    return found
-
-
-def _draw(found: Run) -> None:
-    from taichi_bearings.analysis.histogram import power_histogram
+def _draw(found: "Run | PackingRun") -> None:
     from taichi_bearings.plots.course import draw_history
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.style import save
 
-    folder, solution = found.path, found.solution
-    assert folder is not None
-    histogram = power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
-    save(draw_histogram(histogram), folder / "power_histogram.png")
-    if len(solution.history["power"]) > 2:  # a start and an answer are no course
-        save(draw_history(solution), folder / "history.png")
-
-
-def write_state(file: Path, found: Run, stored: RunSettings) -> None:
-    """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
-    origin = {"command": found.command, "scene": stored.to_toml()}
-    write_run_file(file, found.solution, found.summary | origin | versions())
+    assert found.path is not None
+    save(draw_histogram(found.histogram), found.path / "power_histogram.png")
+    if isinstance(found, Run) and len(found.solution.history["power"]) > 2:  # a start and an answer are no course
+        save(draw_history(found.solution), found.path / "history.png")
 
 
 def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folder: Path) -> RunSettings:

@@ -78,7 +78,10 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
             held = stack.enter_context(_lock_of(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
             tidy(path.parent, ours=path.name if held else "")
             if os.path.lexists(path):
-                _refuse_to_replace(path, force)
+                if not force:
+                    raise FileError(f"output directory {path} already exists; choose another --out or add --force")
+                if not _is_run(path) and not (path.is_dir() and not any(path.iterdir())):
+                    raise FileError(f"{path} is not a run directory; --force replaces only run directories")
                 in_its_use = stack.enter_context(contextlib.ExitStack())
                 in_its_use.enter_context(in_use(path))
                 if sys.platform == "win32":  # where nothing can be renamed while a file in it is open
@@ -90,13 +93,6 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
         except OSError as error:
             raise WriteError(f"output directory {path} cannot be written: {error.strerror or error}") from None
         yield RunDirectory(path, partial, standing)
-
-
-def _refuse_to_replace(path: Path, force: bool) -> None:
-    if not force:
-        raise FileError(f"output directory {path} already exists; choose another --out or add --force")
-    if not _is_run(path) and not (path.is_dir() and not any(path.iterdir())):
-        raise FileError(f"{path} is not a run directory; --force replaces only run directories")
 
 
 def _is_run(path: Path) -> bool:

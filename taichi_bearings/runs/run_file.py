@@ -1,7 +1,7 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,11 +13,11 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
-from taichi_bearings.files.whole_file import read_hdf5, storable, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
-from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES, SPHERES
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES, SPHERES, found_in
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
@@ -25,6 +25,8 @@ from taichi_bearings.scene.solution import CROSSED_BOUND
 
 RUN_SCHEMA = "taichi_bearings.run"
 RUN_VERSION = 1
+RUN_LAYOUT = {"schema": RUN_SCHEMA, "schema_version": RUN_VERSION}
+opened_run = partial(read_hdf5, schema=RUN_SCHEMA, version=RUN_VERSION, kind="a run")
 AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
 
@@ -37,38 +39,26 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
     scene, lattice = solution.scene, solution.scene.lattice
     one = scene.replicas == 1
 
-    def put(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
-        sparse = values.dtype == np.uint8 or (name.endswith("/friction") and lattice.dimension == 3)
-        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
-        stored = file.create_dataset(name, data=values, dtype=values.dtype, **packed)
-        stored.attrs["units"], stored.attrs["description"] = unit, text
-
     def strip(values: np.ndarray) -> np.ndarray:
         return values[0] if one else values
 
     def of_contacts(file: h5py.File, name: str, parts: tuple[np.ndarray, ...], unit: str, text: str) -> None:
         """name : with {} for the axis, as the text may have. parts : one array an axis."""
         for axis, part in zip(AXES, parts, strict=False):
-            put(file, name.format(axis), part, unit, text.format(axis))
+            sparse = part.dtype == np.uint8 or (name.endswith("/friction") and lattice.dimension == 3)
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
+            put(file, name.format(axis), part, unit, text.format(axis), **packed)
 
     def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
-        for key, value in {**attributes, "findings": list(solution.findings)}.items():
-            file.attrs[key] = storable(value)
         for quantity, (group, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
             text = f"{quantity.name} coefficient of the {{}}-contacts"
             of_contacts(file, f"{group}/{{}}", lattice.by_axis(strip(values)), quantity.unit, text)
-        for row in CONTACTS.values():
-            found = row.of(solution)
-            if found is not None:
-                parts = lattice.by_axis(strip(found))
-                of_contacts(file, f"contact/{{}}/{row.name}", parts, row.unit, row.text)
+        for row, found in found_in(solution, CONTACTS):
+            of_contacts(file, f"contact/{{}}/{row.name}", lattice.by_axis(strip(found)), row.unit, row.text)
         friction = friction_by_axis(strip(solution.friction), lattice)
         of_contacts(file, "contact/{}/friction", friction, "force", FRICTION_QUANTITIES[lattice.dimension])
-        for row in SPHERES.values():
-            found = row.of(solution)
-            if found is not None:
-                put(file, row.name, strip(found), row.unit, row.text)
+        for row, found in found_in(solution, SPHERES):
+            put(file, row.name, strip(found), row.unit, row.text)
         for key, column in solution.history.items():
             if one:
                 values = column[:, 0] if column.ndim == 2 else column
@@ -84,7 +74,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
             put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
             put(file, "snapshots/spin", spins, SPHERES["spin"].unit, f"{SPHERES['spin'].text} at these times")
 
-    write_hdf5(path, fill)
+    write_hdf5(path, fill, {**RUN_LAYOUT, **attributes, "findings": list(solution.findings)})
 
 
 @dataclass(frozen=True)
@@ -129,28 +119,43 @@ def _is_in(folder: Path, *names: str) -> bool:
     return any((folder / name).is_file() for name in names)
 
 
+def file_of(run: Path) -> Path:
+    """The run.h5 of a run directory, or the file itself."""
+    return run / "run.h5" if run.is_dir() else run
+
+
 def read_run_file(run: Path) -> StoredRun:
     """Read a run directory or its run.h5; FileError if it is missing, damaged or of an unknown version."""
     refuse_scan(run)
-    path = run / "run.h5" if run.is_dir() else run
+    path = file_of(run)
     if not path.is_file():
         unfinished = path.with_name(CHECKPOINT_NAME).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
-    with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
+    with opened_run(path) as file:
         if "packing" in file:
             raise FileError(f"{run} is a run of a packing, where one of a lattice is wanted")
-        attributes = {
-            key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()
-        }
+        attributes = attributes_of(file)
         _refuse_bound_above_power(path, attributes)
         stored = StoredRun(path, attributes, _solution(path, file, attributes))
     _check_arrays(stored)
     return stored
 
 
+def read_array(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """A data set of a run file, None for any length; FileError for another shape or kind of numbers, before it is
+    read."""
+    stored = file[name]
+    fits = len(stored.shape) == len(shape) and all(w in (None, n) for n, w in zip(stored.shape, shape, strict=True))
+    if not fits or stored.dtype.kind not in "fiub":
+        words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {shape}"
+        raise FileError(f"{name} in {path} is damaged: {words}")
+    is_whole = stored.dtype.kind == "f" or WHOLE_SETS.search(name)
+    return np.asarray(stored[()] if is_whole else stored[()].astype(np.float64))
+
+
 class _Arrays:
-    """Data sets of a run file, with an axis of replicas. Their shapes are checked before they are read."""
+    """Data sets of a run file, with an axis of replicas."""
 
     def __init__(self, path: Path, file: h5py.File, lattice: Lattice) -> None:
         self.path, self.file, self.lattice, self.shape = path, file, lattice, lattice.shape
@@ -161,13 +166,8 @@ class _Arrays:
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
         """expected : the shape without the axis of replicas, None for any length."""
-        stored, whole = self.file[name], expected if self.one else (self.replicas, *expected)
-        fits = len(stored.shape) == len(whole) and all(w in (None, n) for n, w in zip(stored.shape, whole, strict=True))
-        if not fits or stored.dtype.kind not in "fiub":
-            words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {whole}"
-            raise FileError(f"{name} in {self.path} is damaged: {words}")
-        values = stored[()][None] if self.one else stored[()]
-        return values.astype(np.float64) if stored.dtype.kind != "f" and not WHOLE_SETS.search(name) else values
+        values = read_array(self.path, self.file, name, expected if self.one else (self.replicas, *expected))
+        return values[None] if self.one else values
 
     def by_axis(self, name: str, *parts: int) -> tuple[np.ndarray, ...]:
         """Of the contacts, one array (R, *contacts, *parts) an axis; name : with {} for the axis."""
@@ -190,75 +190,56 @@ class _Arrays:
 
 
 def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Solution:
-    """What the run came to, with a replica axis."""
-    settings = _settings(path, attributes)
+    """What the run came to, with a replica axis. Its status is that of those replicas that are not certified; columns
+    of the history are (checks,) or (checks, R)."""
+    settings = scene_settings(attributes)
     shape = tuple(int(side) for side in attributes["shape"])
     arrays = _Arrays(path, file, Lattice(shape, periodic=axis_numbers(settings.periodic)))
     viscosity = arrays.by_axis("viscosity/{}") if "viscosity" in file else ()
-    scene = _scene(path, attributes, settings, arrays.by_axis("coefficient/{}"), viscosity)
+    seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
+    given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
+    scene = Scene(arrays.by_axis("coefficient/{}"), viscosity=viscosity, seeds=seeds, **given)
+    drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
+    scene = scene.drawn_from(drawn)
     there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
-    sets = {name: arrays.of_contacts(name) for name in there}
+    sets: dict[str, Any] = {"slip_bound": None} | {name: arrays.of_contacts(name) for name in there}
     sets.setdefault("proven", nothing_proven(sets["state"]))
     number = partial(_numbers, attributes, scene.replicas)
+    numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
+    numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
+    ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
+    columns = {key: arrays.get(f"history/{key}", None) for key in file["history"]}
     spin = arrays.get("spin", *arrays.shape, *arrays.vector)
     rounding = arrays.get("spin_rounding", *spin.shape[1:]) if "spin_rounding" in file else np.zeros_like(spin)
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
-        status=_status(attributes["status"]),
+        status=next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED),
         iterations=int(attributes["iterations"]),
         spin=spin,
         spin_rounding=rounding,
-        slip=sets["slip"],
-        power_per_contact=sets["power"],
-        force=sets["force"],
-        state=sets["state"],
+        power_per_contact=sets.pop("power"),
         friction=arrays.of_contacts("friction", *arrays.vector),
-        slip_bound=sets.get("slip_bound"),
-        proven=sets["proven"],
         states_proven=number("states_proven") == 1,
-        power=number("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
-        lower_bound=number("lower_bound"),
-        gap=number("gap"),
-        slip_threshold=float(attributes["slip_threshold"]),
-        largest_balance_residual=number("largest_balance_residual"),
-        seconds=float(attributes["seconds"]),
-        seconds_compile=float(attributes["seconds_compile"]),
-        history={key: _column(key, arrays.get(f"history/{key}", None)) for key in file["history"]},
+        history={key: column[0] if key in OF_ALL else column.T for key, column in columns.items()},
         findings={name: number(name) for name in attributes["findings"] if name in attributes},
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
         snapshots=arrays.snapshots(),
+        **numbers,
+        **sets,
     )
 
 
 OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the same for all replicas
 
 
-def _settings(path: Path, attributes: Mapping[str, Any]) -> RunSettings:
-    """Those of a run file; FileError if they cannot be."""
+def scene_settings(attributes: Mapping[str, Any]) -> RunSettings:
+    """Those of a run file; InputError."""
     try:
-        return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), f"the scene of {path}")
-    except (InputError, KeyError) as error:
-        raise FileError(f"{path} is damaged or was changed: {error}") from None
-
-
-def _scene(
-    path: Path,
-    attributes: Mapping[str, Any],
-    settings: RunSettings,
-    coefficient: tuple[np.ndarray, ...],
-    viscosity: tuple[np.ndarray, ...],
-) -> Scene:
-    """The scene of a run file; FileError if it cannot be one."""
-    try:
-        seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
-        given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
-        scene = Scene(coefficient, viscosity=viscosity, seeds=seeds, **given)
-        drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
-        return scene.drawn_from(drawn)
-    except (InputError, KeyError) as error:
-        raise FileError(f"{path} is damaged or was changed: {error}") from None
+        return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
+    except FileError as error:
+        raise InputError(str(error)) from None
 
 
 def _numbers(attributes: Mapping[str, Any], replicas: int, name: str) -> np.ndarray:
@@ -270,22 +251,12 @@ def _numbers(attributes: Mapping[str, Any], replicas: int, name: str) -> np.ndar
     return np.broadcast_to(values, replicas).copy()
 
 
-def _status(stored: Any) -> Status:
-    """How the run ended: as those replicas did that are not certified."""
-    ended = [Status(name) for name in np.atleast_1d(stored).tolist()]
-    return next((status for status in ended if status is not Status.CERTIFIED), Status.CERTIFIED)
-
-
-def _column(name: str, stored: np.ndarray) -> np.ndarray:
-    """A column of the history, (checks,) or (checks, R), from (R, checks)."""
-    return stored[0] if name in OF_ALL else stored.T
-
-
 def _check_arrays(run: StoredRun) -> None:
     """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
     solution = run.solution
     ended_finite, samples = solution.status is not Status.NOT_FINITE, solution.scene.replicas
-    for name, values in (("spin", solution.spin), *_of_contacts(solution)):
+    of_contacts = ((row.name, values) for row, values in found_in(solution, CONTACTS))
+    for name, values in (("spin", solution.spin), *of_contacts, ("friction", solution.friction)):
         if len(values) != samples or (ended_finite and not np.isfinite(values).all()):
             raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers, of {samples} samples")
         if name in CONTACTS and (values < 0).any():
@@ -301,12 +272,6 @@ def _check_arrays(run: StoredRun) -> None:
 
 
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
-
-
-def _of_contacts(solution: Solution) -> Iterator[tuple[str, np.ndarray]]:
-    """Names and arrays of what lies on the contacts."""
-    found = [(row.name, row.of(solution)) for row in CONTACTS.values()]
-    yield from ((name, values) for name, values in [*found, ("friction", solution.friction)] if values is not None)
 
 
 def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:

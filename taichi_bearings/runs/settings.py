@@ -245,15 +245,11 @@ class RunSettings:
                 raise InputError(f"unknown key {key!r} in {source}{hint}")
         settings = cls(**values)
         if settings.packing is not None:
-            return settings if "law" in values else settings.with_law_of_packing()
+            from taichi_bearings.packing import Packing  # and with it much of SciPy
+
+            viscous = "law" not in values and "viscosity" in Packing.read(settings.packing)
+            return replace(settings, law="coulomb-viscous") if viscous else settings
         return settings if "shape" in values else settings.in_shape_of_coefficients()
-
-    def with_law_of_packing(self) -> "RunSettings":
-        """The settings with the law coulomb-viscous if the file of the packing holds viscosities."""
-        from taichi_bearings.packing import Packing  # and with it much of SciPy
-
-        assert self.packing is not None
-        return replace(self, law="coulomb-viscous") if "viscosity" in Packing.read(self.packing) else self
 
     def in_shape_of_coefficients(self) -> "RunSettings":
         """The settings with the shape of the coefficients file, and its periodic sides unless some are given; FileError
@@ -369,17 +365,23 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
-    from taichi_bearings.hdf5 import UNREADABLE
+    from taichi_bearings.checksums import check
+    from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     try:
-        text = _scene_of_run(path) if path.suffix in (".h5", ".hdf5") else read_whole(path, MOST_SETTINGS_TEXT).decode()
+        if path.suffix not in (".h5", ".hdf5"):
+            return parse_toml(read_whole(path, MOST_SETTINGS_TEXT).decode(), path)
+        with open_hdf5(path) as file:
+            check(path, file)
+            if "scene" not in file.attrs:
+                raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
+            return parse_toml(str(file.attrs["scene"]), path)
     except UNREADABLE as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
-    return parse_toml(text, path)
 
 
 def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:
@@ -442,14 +444,3 @@ def _refuse_unwritable(value: Any, depth: int = 0) -> None:
         raise ValueError(f"lists and tables are nested more than {MOST_NESTED} deep")
     for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _refuse_unwritable(part, depth + 1)
-
-
-def _scene_of_run(path: Path) -> str:
-    from taichi_bearings.checksums import check
-    from taichi_bearings.hdf5 import open_hdf5
-
-    with open_hdf5(path) as file:
-        check(path, file)
-        if "scene" not in file.attrs:
-            raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
-        return str(file.attrs["scene"])

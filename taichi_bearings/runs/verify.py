@@ -11,7 +11,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.hdf5 import look_through
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.runs.run_file import refuse_scan
+from taichi_bearings.runs.run_file import file_of, refuse_scan
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.claims import is_drawn
@@ -29,50 +29,39 @@ def verify(path: Path) -> dict[str, Any]:
     Raises FileError if the file cannot be read.
     """
     began = time.perf_counter()
+    size: dict[str, Any]
     with stage("reading"):
         refuse_scan(path)
-        file = path / "run.h5" if path.is_dir() else path
-        if file.is_file():
-            look_through(file)
+        if file_of(path).is_file():
+            look_through(file_of(path))
         run = read_any_run(path)
     with stage("proving"), one_thread():
         if isinstance(run, StoredPacking):
-            report, words = packing_report(run), _of_packing(run)
+            report, law, seeds, drawn = packing_report(run), run.law, -1, False
+            size = {"shape": None, "spheres": len(run.spin), "contacts": len(run.packing["contact"])}
         else:
-            report, words = as_report(verdict_of(run), run.samples.count), _of_lattice(run)
+            report, law, drawn = as_report(verdict_of(run), run.samples.count), run.samples.law, is_drawn(run)
+            size, seeds = {"shape": list(run.samples.shape)}, np.asarray(run.attributes.get("seed", -1)).tolist()
     if isinstance(run, StoredRun):
         with stage("drawing the coefficients again"):
-            report["contradictions"] += _coefficients(run)
+            report["contradictions"] += _coefficients(run) if drawn else []
     report["contradictions"] += [f"{name} was changed after it was written" for name in run.changed or ()]
     return {
         "verified": not report["contradictions"],
         **report,
         "unchanged": None if run.changed is None else not run.changed,
         "status": np.asarray(run.attributes["status"]).tolist(),
-        **words,
+        "law": law,
+        **size,
+        "seed": seeds,
+        "coefficients": "drawn" if drawn else "given",
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
 
 
-def _of_lattice(run: StoredRun) -> dict[str, Any]:
-    return {
-        "law": run.samples.law,
-        "shape": list(run.samples.shape),
-        "seed": np.asarray(run.attributes.get("seed", -1)).tolist(),
-        "coefficients": "drawn" if is_drawn(run) else "given",
-    }
-
-
-def _of_packing(run: StoredPacking) -> dict[str, Any]:
-    numbers = {"spheres": len(run.spin), "contacts": len(run.packing["contact"])}
-    return {"law": run.law, "shape": None, **numbers, "seed": -1, "coefficients": "given"}
-
-
 def _coefficients(run: StoredRun) -> list[str]:
     """Coefficients that the scene says to be drawn from seeds are those of the seeds."""
-    if not is_drawn(run):
-        return []
     found = _redrawn(run, "coefficients", "distribution", draw_coefficients, run.samples.coefficient)
     if run.samples.viscosity:
         found += _redrawn(run, "viscosities", "viscosity", draw_viscosities, run.samples.viscosity)

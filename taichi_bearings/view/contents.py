@@ -21,14 +21,17 @@ CUT, PATH = 1, 2  # bits of `flags`
 COLOUR_RANGE = (0.12, 0.95)  # of a map of colours that is seen on white
 SLICES = 40  # steps of a slider along each axis of a packing
 AROUND = 6  # neighbours that enclose a sphere of a cubic lattice
+AT_THE_END = {"times": [], "left_out": "", "snapshot_threshold": 0.0}  # of a run without snapshots
 ALONE = ["an island", "touches no slipless contact"]
 KEPT = {"slip": "f4", "power": "f4", "force": "f4", "coefficient": "f4", "viscosity": "f4", "normal_force": "f4"}
 KEPT |= {"betweenness": "f4", "state": "u1"}
 """Columns of the contacts that a page holds where a run has them."""
 
 
-def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
+def arrays_of(drawn: PointsAndLines | PackingRun) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows."""
+    if isinstance(drawn, PackingRun):
+        return _arrays_of_packing(drawn)
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in (drawn.spheres, drawn.contacts))
     lattice = drawn.scene.lattice
     center = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
@@ -50,7 +53,7 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     return found
 
 
-def arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
+def _arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
     """The same of a packing; it has no paths, and a cut where its structure has one."""
     packing = run.result.packing
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
@@ -106,12 +109,18 @@ def _shown(moments: Moments) -> np.ndarray:
     return np.unique(np.linspace(0, len(moments.time) - 1, min(most, len(moments.time))).round().astype(int))
 
 
-def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
+def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
+    if isinstance(drawn, PackingRun):
+        return _facts_of_packing(drawn)
     solution, scene, moments = drawn.solution, drawn.scene, drawn.moments
     shares, gap = drawn.contacts["betweenness"].values, solution.gap[0]
-    chosen = np.array([], dtype=int) if moments is None else _shown(moments)
-    spins = drawn.spheres["spin"].values if moments is None else moments.spin[chosen]
+    way, spins = dict[str, Any](), drawn.spheres["spin"].values
+    if moments is not None:
+        chosen = _shown(moments)
+        some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
+        way = {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
+        spins = moments.spin[chosen]
     unit = scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
@@ -136,15 +145,11 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
         "busiest_share": float(shares.max()),
         "time": drawn.time,
-        "times": [] if moments is None else moments.time[chosen].tolist(),
-        "left_out": ""
-        if moments is None or len(chosen) == len(moments.time)
-        else f" shown, evenly chosen from {len(moments.time)}",
-        "snapshot_threshold": 0.0 if moments is None else moments.threshold,
+        **way,
     }
 
 
-def facts_of_packing(run: PackingRun) -> dict[str, Any]:
+def _facts_of_packing(run: PackingRun) -> dict[str, Any]:
     """The same of a packing."""
     result, packing, law = run.result, run.result.packing, run.result.packing.kind
     radius = np.asarray(packing.radius)
@@ -176,9 +181,6 @@ def facts_of_packing(run: PackingRun) -> dict[str, Any]:
         "bottleneck_share": 1.0,
         "busiest_share": 1.0,
         "time": None,
-        "times": [],
-        "left_out": "",
-        "snapshot_threshold": 0.0,
     }
 
 
@@ -191,6 +193,7 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
         "subtitle": f"{told}; contact states {decided}",
         "proven": proven,
         "decided": decided,
+        **AT_THE_END,
         "open": ", ".join(undecided_kinds(undecided, critical, tied)),
         "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
         "coefficients": [

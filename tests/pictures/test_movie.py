@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.movie import movie
 from taichi_bearings.runs.run_file import read_run_file
-from taichi_bearings.runs.snapshot import draw_snapshot
 
 
 @pytest.fixture

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.snapshot import draw_snapshot
 
 
 @pytest.fixture(scope="module")
