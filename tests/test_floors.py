@@ -1,6 +1,7 @@
 """The architecture: a file imports from lower floors or its own folder, never upwards or sideways."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,21 +26,26 @@ def floor_name(path: Path) -> str:
     return first.removesuffix(".py")
 
 
-def imported_modules(path: Path):
+@cache
+def imported_modules(path: Path) -> tuple[str, ...]:
+    found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0 or path in STUDIES, f"{path} uses a relative import"
-            yield "." * node.level + (node.module or "")
+            found.append("." * node.level + (node.module or ""))
         elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
+    return tuple(found)
 
 
-@pytest.mark.parametrize(
-    "path", [f for f in FILES if f.parent.name != "taichi_bearings" or f.stem != "__init__"], ids=str
-)
-def test_imports_only_go_down(path):
-    here = floor_name(path)
-    for module in imported_modules(path):
+def imports_of(files):
+    """(file, module) of every import."""
+    return [(path, module) for path in files for module in imported_modules(path)]
+
+
+def test_imports_only_go_down():
+    for path, module in imports_of([f for f in FILES if f.parent.name != "taichi_bearings" or f.stem != "__init__"]):
+        here = floor_name(path)
         if not module.startswith("taichi_bearings."):
             beside = module.startswith(("taichi_bearings_cli", "taichi_bearings_studies"))
             assert not beside, f"{path} must not know the command line and the studies"
@@ -48,10 +54,9 @@ def test_imports_only_go_down(path):
         assert there == here or FLOOR[there] < FLOOR[here], f"{path}: {here} must not import {there}"
 
 
-@pytest.mark.parametrize("path", STUDIES, ids=str)
-def test_studies_know_the_package_and_what_they_share(path):
+def test_studies_know_the_package_and_what_they_share():
     """By relative imports: as a folder beside the package they have another name than installed."""
-    for module in imported_modules(path):
+    for path, module in imports_of(STUDIES):
         assert not module.startswith(("taichi_bearings_", "studies")), f"{path} must import {module} by a relative name"
         beyond = module.startswith("..") and module.lstrip(".").split(".")[0] not in {"", *SHARED}
         assert not beyond, f"{path} must not import {module}"
@@ -79,10 +84,9 @@ ASKING = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("path", FILES + STUDIES, ids=str)
-def test_the_verifier_borrows_nothing_and_lends_nothing(path):
-    here = path.relative_to(ROOT).as_posix().removeprefix("taichi_bearings/")
-    for module in imported_modules(path):
+def test_the_verifier_borrows_nothing_and_lends_nothing():
+    for path, module in imports_of(FILES + STUDIES):
+        here = path.relative_to(ROOT).as_posix().removeprefix("taichi_bearings/")
         package, *parts = module.split(".")
         if here.startswith("verifier/"):
             assert package != "taichi_bearings" or parts[0] in {"verifier", *LENT}, f"{here} must not import {module}"

@@ -22,19 +22,20 @@ def least_potential(scene):
     return float(least(scene).upper)
 
 
-@pytest.mark.parametrize("method", ["gradient-descent", "cundall-strack", "implicit-cundall-strack"])
+@pytest.mark.parametrize(
+    ("seed", "method"), [(0, "gradient-descent"), (1, "cundall-strack"), (2, "implicit-cundall-strack")]
+)
 @pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)], ids=str)
-def test_methods_end_at_the_least_potential(method, shape, precision):
+def test_methods_end_at_the_least_potential(method, seed, shape, precision):
     tolerance = 2e-5 if precision == "f64" else 3e-3
-    for seed in range(3):
-        scene = make_scene(shape, "coulomb-viscous", (seed,), viscosity="uniform:5,60", spin_bottom=0.2)
-        least = least_potential(scene)
-        stop = StopRule(tolerance, 400_000)
-        solution = solve(scene, METHODS[method]().build(), initial_spin(scene, "random"), stop)
-        assert solution.status is Status.CERTIFIED
-        assert solution.lower_bound[0] <= least * (1 + 1e-9)
-        assert least * (1 - 1e-9) <= solution.objective[0] <= least * (1 + tolerance)
-        assert solution.power[0] > solution.objective[0]
+    scene = make_scene(shape, "coulomb-viscous", (seed,), viscosity="uniform:5,60", spin_bottom=0.2)
+    least = least_potential(scene)
+    stop = StopRule(tolerance, 400_000)
+    solution = solve(scene, METHODS[method]().build(), initial_spin(scene, "random"), stop)
+    assert solution.status is Status.CERTIFIED
+    assert solution.lower_bound[0] <= least * (1 + 1e-9)
+    assert least * (1 - 1e-9) <= solution.objective[0] <= least * (1 + tolerance)
+    assert solution.power[0] > solution.objective[0]
 
 
 @pytest.mark.parametrize("viscosity", ["uniform:5,60", "uniform:1e-4,1e-3", "lognormal:1,5"])

@@ -23,10 +23,10 @@ class Session:
     seconds: float = 0.0
 
 
-def on_terminal(*words, columns=100, stop=None, report=False, cwd=None):
+def on_terminal(*words, columns=100, stop=None, by=2, report=False, cwd=None):
     """Run `bearings` with stderr on a pseudo-terminal of that width.
 
-    stop : ends it by Ctrl-C once this is written. report : stdout is on the terminal too.
+    stop : ends it by Ctrl-C, or by another signal, once this is written. report : stdout is on the terminal too.
     """
     import fcntl
     import pty
@@ -54,7 +54,7 @@ def on_terminal(*words, columns=100, stop=None, report=False, cwd=None):
                 now = time.monotonic() - began
                 session.frames += [(now, line.strip()) for line in re.split(r"[\r\n]+", text) if line.strip()]
                 if stop is not None and any(stop in line for _, line in session.frames):
-                    process.send_signal(2)
+                    process.send_signal(by)
                     stop = None
         session.stdout = "" if report else process.stdout.read()
     os.close(ours)

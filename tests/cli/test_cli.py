@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import h5py
@@ -209,16 +207,13 @@ def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize("what", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_saves_what_was_reached(tmp_path, what):
-    options = ["--shape", "16,16,16", "--method", "gradient-descent", "--tolerance", "1e-13"]
-    command = [sys.executable, "-m", "taichi_bearings_cli", "run", *options, "--iterations", "100000000",
-               "--out", str(tmp_path / "r"), "--json"]  # fmt: skip
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(8)
-    process.send_signal(what)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert "Traceback" not in err
-    assert json.loads(out)["status"] == "interrupted"
+    from tests.cli.terminal import on_terminal
+
+    words = ("--shape", "16,16,16", "--method", "gradient-descent", "--tolerance", "1e-13", "--iterations", 100000000)
+    session = on_terminal("run", *words, "--out", tmp_path / "r", "--json", stop="iterations", by=what)
+    assert session.returncode == 130, session.raw
+    assert b"Traceback" not in session.raw
+    assert json.loads(session.stdout)["status"] == "interrupted"
     assert (tmp_path / "r" / "run.h5").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["r"]
 

@@ -12,16 +12,16 @@ import pytest
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
 from tests.benchmarks.device_table import course
 from tests.scenes import make_scene
 
 ROOT = Path(__file__).parents[2]
 COURSES = [
-    (method, law, shape)
-    for method in ("gradient-descent", "plain descent", "cundall-strack", "with energy")
-    for law in ("coulomb", "viscous", "coulomb-viscous")
-    for shape in ((12, 10), (6, 5, 7))
+    (method, law, ((12, 10), (6, 5, 7))[(i + n) % 2])
+    for i, method in enumerate(("gradient-descent", "plain descent", "cundall-strack", "with energy"))
+    for n, law in enumerate(LAWS)
 ] + [("operator-splitting", "coulomb", shape) for shape in ((12, 10), (6, 5, 7), (4, 18, 17))]
 COURSES += [
     (method, "coulomb", *lattice)
@@ -32,8 +32,10 @@ SPLITTING = ["potential", "trial"]  # what a check of operator splitting reads
 
 
 @pytest.fixture(scope="module")
-def on_the_cpu():
+def on_the_cpu(precision):
     """The courses on the CPU in double precision, by a process of their own."""
+    if precision == "f64" and not runtime.current().is_gpu:
+        pytest.skip("the CPU in double precision is what others are compared with")
     code = f"import json; from tests.benchmarks.device_table import courses; print(json.dumps(courses({COURSES!r})))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=300)
     assert done.returncode == 0, done.stderr

@@ -73,15 +73,15 @@ class Here:
 
     workers = 0
 
-    def __init__(self, analyse=False):
-        self.analyse, self.running, self.outcomes = analyse, [], []
+    def __init__(self, analyse=False, states=None):
+        self.wishes, self.running, self.outcomes = (analyse, states), [], []
 
     @property
     def has_room(self):
         return not self.outcomes
 
     def submit(self, unit):
-        self.outcomes.append(Outcome(unit, solve_samples(unit, self.analyse)))
+        self.outcomes.append(Outcome(unit, solve_samples(unit, *self.wishes)))
 
     def collect(self, seconds):
         outcomes, self.outcomes = self.outcomes, []

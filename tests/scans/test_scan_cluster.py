@@ -62,7 +62,7 @@ def test_the_same_bits_as_on_this_machine(client, plan_of, tmp_path):
     plan = plan_of(MIXED)
     report = scan(plan, tmp_path / "cluster", client=client)
     assert (report["reached"], report["workers"]) == (12, 2)
-    scan(plan, tmp_path / "local", workers=2)
+    scan(plan, tmp_path / "local", engine=scan_faults.Here())
     assert_same_but_for_the_clock(tmp_path / "cluster", tmp_path / "local")
     assert scan(plan, tmp_path / "cluster")["solved_now"] == 0
     assert solvers(client) == []  # they end with their scan
@@ -104,7 +104,7 @@ def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
         report = scan(plan, tmp_path / "scan", engine=engine, monitor=kill_once)
     assert len(kills) == 1
     assert (report["reached"], report["failed"], report["missing"]) == (40, 0, 0)
-    scan(plan, tmp_path / "undisturbed", workers=1)
+    scan(plan, tmp_path / "undisturbed", engine=scan_faults.Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
 
 

@@ -14,7 +14,7 @@ from taichi_bearings.scans.engine import LocalEngine
 from taichi_bearings.scans.parts import Part, part_numbers, part_of
 from taichi_bearings.scans.scan import merge, scan
 from tests.cli.commands import bearings
-from tests.scans.scan_faults import die
+from tests.scans.scan_faults import Here, die
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
 
 
@@ -43,7 +43,7 @@ def test_seeds_of_one_part_follow_each_other(plan_of):
 def test_parts_and_merge_equal_the_undisturbed_scan(plan_of, tmp_path):
     plan = plan_of(MIXED)
     for number in (2, 3, 1):
-        report = scan(plan, tmp_path / "scan", workers=1, part=Part(3, number))
+        report = scan(plan, tmp_path / "scan", engine=Here(), part=Part(3, number))
         assert (report["samples"], report["reached"], report["solved_now"]) == (4, 4, 4)
         assert report["files"] == [str(tmp_path / "scan" / f"part-{number}-of-3.jsonl")]
         if number == 2:
@@ -59,20 +59,20 @@ def test_parts_and_merge_equal_the_undisturbed_scan(plan_of, tmp_path):
     assert all(file.read_bytes() == before for file, before in journals.items())
     report = merge(plan, tmp_path / "scan")
     assert (report["reached"], report["missing"], report["incomplete_parts"]) == (12, 0, [])
-    scan(plan, tmp_path / "undisturbed", workers=1)
+    scan(plan, tmp_path / "undisturbed", engine=Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
 
 
 def test_the_scan_itself_does_what_parts_have_left(plan_of, tmp_path, caplog):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 9 }\n")
-    scan(plan, tmp_path / "scan", part=Part(3, 1))
-    scan(plan, tmp_path / "scan", part=Part(3, 2))
+    scan(plan, tmp_path / "scan", engine=Here(), part=Part(3, 1))
+    scan(plan, tmp_path / "scan", engine=Here(), part=Part(3, 2))
     journal = tmp_path / "scan" / "part-2-of-3.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join([lines[0].replace(b"power", b"pover"), lines[1], lines[2][:50]]))
-    assert scan(plan, tmp_path / "scan")["solved_now"] == 5
+    assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 5
     assert "line 1" in caplog.text
-    scan(plan, tmp_path / "undisturbed")
+    scan(plan, tmp_path / "undisturbed", engine=Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
 
 
@@ -80,7 +80,7 @@ def test_a_result_stands_before_a_failure_in_another_journal(plan_of, tmp_path):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2]\n")
     assert scan(plan, tmp_path / "scan", part=Part(1, 1), engine=LocalEngine(die, 1))["failed"] == 2
     assert [part["missing"] for part in merge(plan, tmp_path / "scan")["incomplete_parts"]] == [2]
-    assert scan(plan, tmp_path / "scan")["solved_now"] == 2
+    assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 2
     report = merge(plan, tmp_path / "scan")
     assert (report["reached"], report["failed"]) == (2, 0)
 
@@ -95,9 +95,9 @@ def test_a_part_is_refused_while_it_runs_and_others_are_not(plan_of, tmp_path):
             assert str(caught.value).startswith(f"part-1-of-2 in {tmp_path / 'scan'} is in use by another process")
             assert "\n" not in str(caught.value)
             tried["refused"] += 1
-            tried["other"] = scan(plan, tmp_path / "scan", part=Part(2, 2))["reached"]
+            tried["other"] = scan(plan, tmp_path / "scan", engine=Here(), part=Part(2, 2))["reached"]
 
-    assert scan(plan, tmp_path / "scan", part=Part(2, 1), monitor=try_meanwhile)["reached"] == 2
+    assert scan(plan, tmp_path / "scan", engine=Here(), part=Part(2, 1), monitor=try_meanwhile)["reached"] == 2
     assert tried == {"refused": 1, "other": 2}
     assert merge(plan, tmp_path / "scan")["reached"] == 4
 
@@ -109,7 +109,7 @@ def test_folders_that_are_no_scan_cannot_be_merged(plan_of, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileError, match="holds no samples"):
         merge(plan, tmp_path / "empty")
-    scan(plan, tmp_path / "scan", part=Part(2, 1))
+    scan(plan, tmp_path / "scan", engine=Here(), part=Part(2, 1))
     solved = part_of(plan, Part(2, 1)).samples
     others = tuple(sample for sample in plan.samples if sample not in solved)
     with pytest.raises(FileError, match="1 samples that this scan does not ask for"):

@@ -121,7 +121,7 @@ def test_a_curve_without_a_single_sample_is_named(folder):
 
 def test_what_does_not_span_has_no_path_and_is_not_averaged_in(plan_of, tmp_path):
     plan = plan_of('shape = [4, 4, 4]\ndistribution = "lognormal:0.4,0.8"\n[scan]\nseed = { start = 0, stop = 6 }\n')
-    scan(asking(plan, analyse=True), tmp_path / "scan", workers=1)
+    scan(asking(plan, analyse=True), tmp_path / "scan", engine=Here(analyse=True))
     table = open_scan(tmp_path / "scan").table
     spans = table["spans"]
     assert 0 < spans.sum() < 6
