@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -23,16 +23,17 @@ from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
+from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
-from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
+from taichi_bearings.runs.run import publish, rescued, row_of, versions, with_figures, write_histogram
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.solvers.table import METHODS, InteriorPoint
+from taichi_bearings.solvers.table import METHODS
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import shown
@@ -148,12 +149,11 @@ def packing_of(settings: RunSettings) -> Packing:
     with other driven bodies than planes."""
     given = settings.given
     used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
-    row = InteriorPoint if settings.method == "auto" else METHODS[settings.method]
-    if strange := [key for key in given if key not in (*used, *options_of(row))]:
+    if strange := [key for key in given if key not in (*used, *options_of(row_of(settings)))]:
         raise InputError(
             f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
         )
-    if unused := settings.unused(row):
+    if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
     if settings.packing is None:
         return _lattice(settings)
@@ -165,6 +165,13 @@ def packing_of(settings: RunSettings) -> Packing:
             )
     others = {key: getattr(settings, key) for key in ("law", "seed", "distribution", *SIZES)}
     return Packing(**{**others, **_drawn_viscosity(settings), **found})
+
+
+def unused_of_packing(settings: RunSettings) -> dict[str, str]:
+    """The given keys that the method or the law does not use, each with a sentence that says so."""
+    found = settings.unused(row_of(settings))
+    strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if settings.method == "auto" else ()
+    return found | {key: f"{key} is given, but method auto of a packing does not use it" for key in sorted(strange)}
 
 
 def _drawn_viscosity(settings: RunSettings) -> dict[str, str]:
@@ -197,7 +204,7 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
         packing = packing_of(settings)
     with run_directory(out or default_run_path(), force) as directory:
         with stage("solving"):
-            result = _solved(settings, packing)
+            result = solved_packing(settings, packing)
         stopped = result.status == Status.INTERRUPTED.value
         found = PackingRun(settings, result, directory.path, " ".join(["bearings", *sys.argv[1:]]), stopped)
         with awaited() as heard:
@@ -209,11 +216,12 @@ STOPPED_BY = ("iterations", "time_limit", "duration", "record")
 ON_DEVICE = ("arch", "precision", "threads")
 
 
-def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
+def solved_packing(
+    settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System] = System.of
+) -> PackingResult:
+    """The answer of the method that the settings name. system_of : see :func:`solve_packing`."""
     if settings.method == "auto":
-        if strange := settings.given.keys() & {"initial", *STOPPED_BY}:
-            raise InputError(f"{min(strange)} is given, but method auto of a packing does not use it")
-        return solve_packing(packing, settings.tolerance)
+        return solve_packing(packing, settings.tolerance, system_of)
     from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
 
     row = METHODS[settings.method]
@@ -223,15 +231,21 @@ def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
 
 
 def _write(folder: Path, found: PackingRun) -> None:
-    kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
-    stored = RunSettings(**{**kept, "packing": "run.h5"})
-    origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
     with stage("writing"):
-        write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
+        stored = write_packing_state(folder / "run.h5", found)
         write_text(folder / "scene.toml", stored.to_toml())
         full = found.summary | {"settings": found.settings.described, "versions": versions()}
         write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
     write_histogram(folder, found.histogram)
+
+
+def write_packing_state(path: Path, found: PackingRun) -> RunSettings:
+    """Write a run in the layout of run.h5; returns the settings that solve it again from where it is."""
+    kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
+    stored = RunSettings(**{**kept, "packing": path.name})
+    origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
+    write_hdf5(path, lambda file: _fill(file, found.result, found.summary | origin))
+    return stored
 
 
 def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) -> None:
