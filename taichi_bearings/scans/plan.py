@@ -50,7 +50,7 @@ class Sample:
         return f"{words} ({self.key})" if words else self.key
 
 
-FILES = ("coefficients", "packing", "initial")  # keys that name files
+NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
 WISHES = {  # what may be asked of every sample beside the numbers of `run`
     "analyse": Option(None, TRUTH, "The numbers of `bearings analyse` too."),
     "keep_states": Option(None, TRUTH, "The full state too."),
@@ -151,7 +151,7 @@ def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
 
 def _located(key: str, values: Any, folder: Path) -> Any:
     """Names of files relative to where the program runs, no longer to the folder of the scan file."""
-    if key not in FILES or not isinstance(values, list):
+    if key not in NAMED_FILES or not isinstance(values, list):
         return values
     return [str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v for v in values]
 
@@ -287,7 +287,7 @@ def sample_key(settings: RunSettings) -> str:
     content. An option that is added later renames no sample."""
     table = settings_table()
     values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
-    for name in FILES:
+    for name in NAMED_FILES:
         if values.get(name) not in (None, *STARTS):
             values[name] = content_of(values[name])
     lines = [f"{name} = {value!r}" for name, value in sorted(values.items())]

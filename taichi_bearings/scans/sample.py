@@ -17,7 +17,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Task
-from taichi_bearings.scans.plan import FILES, Sample, groups_of, sample_key
+from taichi_bearings.scans.plan import NAMED_FILES, Sample, groups_of, sample_key
 from taichi_bearings.scene.initial_spins import STARTS
 
 STATES = "states"  # folder of the full states
@@ -87,7 +87,7 @@ def _alike_in_a_block(settings: RunSettings) -> bool:
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
     """Records of a block, whose packings are alone."""
     first = block[0].settings
-    files = [file for name in FILES if (file := getattr(first, name)) not in (None, *STARTS)]
+    files = [file for name in NAMED_FILES if (file := getattr(first, name)) not in (None, *STARTS)]
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
     if first.is_packing:

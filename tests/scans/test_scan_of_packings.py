@@ -258,7 +258,7 @@ def test_what_cannot_be_is_refused_before_anything_is_solved(plan_of, bcc, tmp_p
         'packing = "whole.npz"\ndistribution = "constant:1"': "distribution is 'constant:1', but .* holds friction",
         'packing = "bcc.npz"\n[scan]\nspin_bottom = [0.0, 1.0]': "spin_bottom is 1.0, but a packing does not use it",
         'shape = [5, 5]\n[scan]\ndriven = ["walls", "rods"]': "driven is 'rods'",
-        'shape = [5, 5]\ndriven = "walls"\nmethod = "minimum-cut"': "method is .*of a packing it can be",
+        'shape = [5, 5]\ndriven = "walls"\nmethod = "operator-splitting"': "method is .*of a packing it can be",
     }
     for text, sentence in refused.items():
         for call in (partial(estimate, folder=None), partial(scan, folder=tmp_path / "never", engine=Here())):
