@@ -307,6 +307,12 @@ OF_SCANS = _named(
         Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
         Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
         Quantity("warnings", "1", "where the result could be misread, in sentences with a number"),
+        Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
+        Quantity("spheres", "1", "spheres of a packing"),
+        Quantity("driven_spheres", "1", "driven spheres of a packing"),
+        Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
+        Quantity("slipless_motions", "1", "motions of a packing at which nothing slips, its driven spheres at rest"),
+        Quantity("largest_domain", "1", "free spheres of the largest rigid domain of a packing"),
         Quantity("sample", "1", "name of the sample, the same for the same settings"),
         Quantity("error", "1", "why the sample has no result"),
     ]

@@ -23,7 +23,16 @@ from taichi_bearings.scene.solution import CROSSED_BOUND
 JOURNAL_NAME = "samples.jsonl"
 RECORD_HEAD = '{"crc32": "%08x", "sample": '
 RECORD_HEAD_LENGTH = len(RECORD_HEAD % 0)
-TEXT_SCALARS = {"status", "method", "law", "shape", "version", "warnings", "error"}  # scalars that are no numbers
+TEXT_SCALARS = {
+    "status",
+    "method",
+    "law",
+    "shape",
+    "proof",
+    "version",
+    "warnings",
+    "error",
+}  # scalars that are no numbers
 OWN_COLUMN_NAMES = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
 MOST_JOURNAL_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
 MOST_SCALARS = 300  # of a sample; a solve with its structure leaves some 80

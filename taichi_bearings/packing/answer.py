@@ -1,6 +1,6 @@
 """A packing solved: spins of least dissipation, what is proven of them, and which contacts slip."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
@@ -102,8 +102,11 @@ class Found:
     everywhere: np.ndarray | None = None
 
 
-def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
+def solve_packing(
+    packing: Packing, tolerance: float = 1e-8, system_of: Callable[[Packing], System] = System.of
+) -> PackingResult:
     """The state of least dissipation. tolerance : proven relative gap at which it counts as certified.
+    system_of : finds the system, perhaps out of one that is known.
 
     Discs with friction by minimum cuts, exactly; viscous networks by one linear system; all else by the central path.
     """
@@ -114,7 +117,7 @@ def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
     begun = perf_counter()
     runtime.current()
     with one_thread():
-        system = System.of(packing)
+        system = system_of(packing)
         matrix = NewtonMatrix(system)
         found = _found(system, matrix)
         return judged(system, matrix, found, tolerance, begun)

@@ -20,9 +20,10 @@ from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingResult, solve_packing
+from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES, found_in, plain
-from taichi_bearings.runs.run import command, kept, publish
+from taichi_bearings.runs.run import command, kept, publish, row_of
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory
 from taichi_bearings.runs.run_file import (
     NOT_IN_ALL,
@@ -38,7 +39,7 @@ from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.solvers.table import METHODS, InteriorPoint
+from taichi_bearings.solvers.table import METHODS
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import shown
@@ -89,9 +90,10 @@ class PackingRun:
     def as_interrupted(self) -> "PackingRun":
         return replace(self, interrupted=True)
 
-    def self_contained(self, folder: Path) -> RunSettings:
+    def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
+        """Settings that solve it again from where its file of this name is."""
         kept = {key: value for key, value in self.settings.given.items() if key not in LED_TO_ARRAYS}
-        return RunSettings(**{**kept, "packing": "run.h5"})
+        return RunSettings(**{**kept, "packing": name})
 
     def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
         write_hdf5(file, partial(_fill, self.result), {**RUN_LAYOUT, **attributes})
@@ -144,12 +146,11 @@ def packing_of(settings: RunSettings) -> Packing:
     with other driven bodies than planes."""
     given = settings.given
     used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
-    row = InteriorPoint if settings.method == "auto" else METHODS[settings.method]
-    if strange := [key for key in given if key not in (*used, *options_of(row))]:
+    if strange := [key for key in given if key not in (*used, *options_of(row_of(settings)))]:
         raise InputError(
             f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
         )
-    if unused := settings.unused(row):
+    if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
     if settings.packing is None:
         return _lattice(settings)
@@ -161,6 +162,13 @@ def packing_of(settings: RunSettings) -> Packing:
             )
     others = {key: getattr(settings, key) for key in ("law", "seed", "distribution", *SIZES)}
     return Packing(**{**others, **_drawn_viscosity(settings), **found})
+
+
+def unused_of_packing(settings: RunSettings) -> dict[str, str]:
+    """The given keys that the method or the law does not use, each with a sentence that says so."""
+    found = settings.unused(row_of(settings))
+    strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if settings.method == "auto" else ()
+    return found | {key: f"{key} is given, but method auto of a packing does not use it" for key in sorted(strange)}
 
 
 def _drawn_viscosity(settings: RunSettings) -> dict[str, str]:
@@ -193,7 +201,7 @@ def run_packing(settings: RunSettings, out: Path | None = None, force: bool = Fa
         packing = packing_of(settings)
     with run_directory(out or default_run_path(), force) as directory:
         with stage("solving"):
-            result = _solved(settings, packing)
+            result = solved_packing(settings, packing)
         stopped = result.status == Status.INTERRUPTED.value
         found = PackingRun(settings, result, directory.path, command(), stopped)
         return kept(found, partial(publish, directory, found))
@@ -203,11 +211,12 @@ STOPPED_BY = ("iterations", "time_limit", "duration", "record")
 ON_DEVICE = ("arch", "precision", "threads")
 
 
-def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
+def solved_packing(
+    settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System] = System.of
+) -> PackingResult:
+    """The answer of the method that the settings name. system_of : see :func:`solve_packing`."""
     if settings.method == "auto":
-        if strange := settings.given.keys() & {"initial", *STOPPED_BY}:
-            raise InputError(f"{min(strange)} is given, but method auto of a packing does not use it")
-        return solve_packing(packing, settings.tolerance)
+        return solve_packing(packing, settings.tolerance, system_of)
     from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
 
     row = METHODS[settings.method]

@@ -42,7 +42,7 @@ from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.ramp import Ramp
-from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
+from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, OperatorSplitting, fastest
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
 
@@ -95,7 +95,10 @@ def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
 
 
 def row_of(settings: RunSettings) -> type[MethodOptions]:
-    """The method that the settings lead to. Raises InputError for a scene that cannot be, or that it cannot solve."""
+    """The method that the settings lead to. Raises InputError for a scene that cannot be, or that it cannot solve; what
+    packings cannot be, `packing_of` knows."""
+    if settings.is_packing:
+        return InteriorPoint if settings.method == "auto" else METHODS[settings.method]
     return _row_of(replace(settings, seed=0))
 
 

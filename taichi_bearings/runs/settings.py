@@ -134,7 +134,6 @@ class RunSettings:
         "What turns as bottom and as top: planes, the lowest and highest layer; walls, the first and the last layer "
         "along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the axis in the middle. "
         "Other bodies than planes make a packing (docs/packings.md).",
-        not_scanned="a scan is of lattices between planes",
     )
     torque: float | str | None = how(
         None,
@@ -156,7 +155,6 @@ class RunSettings:
         FILE,
         "Spheres and contacts of any kind instead of a lattice: an npz or HDF5 file with arrays center, contact, "
         "driven and spin, or a run of a packing. docs/packings.md says more.",
-        not_scanned="a scan is of lattices",
     )
     distribution: str = option(
         "uniform:0.1,1.0",

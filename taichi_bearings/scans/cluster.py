@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.scans.engine import LOOK_SECONDS, LocalEngine, Outcome, Record, Unit, Work
-from taichi_bearings.scans.plan import Sample
+from taichi_bearings.scans.plan import NAMED_FILES, Sample
 from taichi_bearings.scene.initial_spins import STARTS
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ class DaskEngine:
 def _for_any_folder(sample: Sample) -> Sample:
     """The sample with its files named in full, since workers run elsewhere."""
     settings = sample.settings
-    named = {name: getattr(settings, name) for name in ("coefficients", "initial")}
+    named = {name: getattr(settings, name) for name in NAMED_FILES}
     changes: dict[str, Any] = {
         name: str(Path(file).absolute()) for name, file in named.items() if file is not None and file not in STARTS
     }

@@ -15,7 +15,7 @@ from typing import Any
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
-from taichi_bearings.scans.plan import MOST_SAMPLES, Sample, ScanPlan, groups_of
+from taichi_bearings.scans.plan import MOST_SAMPLES, Sample, ScanPlan, groups_of, spheres_of
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
@@ -26,7 +26,7 @@ MOST_IN_A_UNIT = 256
 MOST_SITES_IN_A_UNIT = 200_000
 KIND_KEYS = (
     "method", "law", "distribution", "viscosity", "shape", "direction", "tolerance", "settle", "time_limit", "duration",
-    "stiffness", "time_step", "error_tolerance", "arch", "precision",
+    "stiffness", "time_step", "error_tolerance", "arch", "precision", "packing", "driven",
 )  # fmt: skip
 """Settings of which the time of a sample depends most."""
 PRIOR = 0.2  # samples of a kind that weigh as much as what is known of other kinds
@@ -42,15 +42,20 @@ def unused_keys(plan: ScanPlan) -> list[str]:
     used: set[str] = set()
     for group in groups_of(plan.samples):
         settings = group[0].settings
-        unused = settings.unused(row_of(settings))
+        if settings.is_packing:
+            from taichi_bearings.runs.packing_run import unused_of_packing
+
+            unused = unused_of_packing(settings)
+        else:
+            unused = settings.unused(row_of(settings))
         found = unused | found
         used |= settings.given.keys() - unused.keys()
     return [sentence for key, sentence in found.items() if key not in used]
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float:
-    """Time to solve one sample; infinite where it is not known, as for dynamics."""
-    solve = row_of(settings).seconds(settings.shape, settings.tolerance)
+    """Time to solve one sample; infinite where it is not known, as for dynamics and packings."""
+    solve = None if settings.is_packing else row_of(settings).seconds(settings.shape, settings.tolerance)
     if solve is None:
         return math.inf
     return seconds_beside(settings, structure) + min(solve, settings.time_limit or math.inf)
@@ -58,12 +63,12 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
 
 def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
     """Time that a sample takes beside its solve."""
-    return OVERHEAD + (0.06 + 6e-5 * math.prod(settings.shape) if structure else 0.0)
+    return OVERHEAD + (0.06 + 6e-5 * spheres_of(settings) if structure else 0.0)
 
 
 def bytes_of(settings: RunSettings) -> float:
     """Memory of a worker that solves such samples."""
-    sites = math.prod(settings.shape)
+    sites = spheres_of(settings)
     return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + row_of(settings).bytes(sites)
 
 
@@ -80,9 +85,9 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     for group in groups_of(samples):
         settings = group[0].settings
         number = int(UNIT_SECONDS / seconds_of(settings, structure))
-        if math.prod(settings.shape) < row_of(settings).alike_in_a_block:
+        if not settings.is_packing and spheres_of(settings) < row_of(settings).alike_in_a_block:
             number = max(number, BLOCK_SAMPLES)
-        number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // math.prod(settings.shape)))
+        number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres_of(settings)))
         rounds = math.ceil(len(group) / (number * workers))
         number = math.ceil(len(group) / (rounds * workers))
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
@@ -149,8 +154,9 @@ class WorkLeft:
         if key not in self.kinds:
             seconds = seconds_of(settings, self.structure)
             has_estimate = seconds < math.inf
-            cost = seconds if has_estimate else math.prod(settings.shape) * (settings.duration or 1.0)
-            self.kinds[key] = _Kind(row_of(settings).name, has_estimate, cost)
+            cost = seconds if has_estimate else spheres_of(settings) * (settings.duration or 1.0)
+            name = row_of(settings).name + " of packings" * settings.is_packing
+            self.kinds[key] = _Kind(name, has_estimate, cost)
         return self.kinds[key]
 
     def retry(self, sample: Sample) -> None:

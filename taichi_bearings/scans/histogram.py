@@ -105,6 +105,11 @@ class Source:
                 f"normalise is 'unit', F_n R omega_T, which measures powers of the law {COULOMB.name} alone, not of "
                 f"{' or '.join(map(str, flowing))}; use 'mean'"
             )
+        if (
+            isinstance(self.stored, StoredScan)
+            and not {"normal_force", "radius", "spin_top"} <= self.stored.table.keys()
+        ):
+            raise InputError("normalise is 'unit', F_n R omega_T, which packings out of files lack; use 'mean'")
         with np.errstate(over="ignore"):
             unit = self.numbers("normal_force") * self.numbers("radius") * np.abs(self.numbers("spin_top"))
         if not ((unit > 0) & (unit < np.inf)).all():

@@ -4,7 +4,6 @@ Parts run at the same time on machines that share nothing but the folder, so non
 a lock and a journal of its own, and the table is made of all journals afterwards.
 """
 
-import math
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from typing import Any
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import JOURNAL_NAME, is_sample, read_journal
-from taichi_bearings.scans.plan import ScanPlan, groups_of
+from taichi_bearings.scans.plan import ScanPlan, groups_of, spheres_of
 
 JOURNAL = re.compile(r"part-[1-9][0-9]{0,5}-of-([1-9][0-9]{0,5})\.jsonl")
 MOST_PARTS_OF_SCAN = 100_000
@@ -57,7 +56,7 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     be solved as one block. What is left over goes to the next parts in turn, large lattices first and otherwise in no
     order, so that the parts have like amounts of work however the scan orders its keys.
     """
-    groups = sorted(groups_of(plan.samples), key=lambda group: (-math.prod(group[0].settings.shape), group[0].key))
+    groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}
     for group in groups:
         each, left = divmod(len(group), of)

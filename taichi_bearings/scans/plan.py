@@ -50,6 +50,7 @@ class Sample:
         return f"{words} ({self.key})" if words else self.key
 
 
+NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
 WISHES = {  # what may be asked of every sample beside the numbers of `run`
     "analyse": Option(None, TRUTH, "The numbers of `bearings analyse` too."),
     "keep_states": Option(None, TRUTH, "The full state too."),
@@ -150,7 +151,7 @@ def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
 
 def _located(key: str, values: Any, folder: Path) -> Any:
     """Names of files relative to where the program runs, no longer to the folder of the scan file."""
-    if key not in ("coefficients", "initial") or not isinstance(values, list):
+    if key not in NAMED_FILES or not isinstance(values, list):
         return values
     return [str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v for v in values]
 
@@ -205,12 +206,10 @@ def _samples(
     met: dict[str, Mapping[str, Any]] = {}
     for parts in itertools.product(*axes):
         given = dict(zip(scanned, itertools.chain.from_iterable(parts), strict=True))
-        if base is None:  # the first one is checked for unknown keys
+        is_new = base is None or "coefficients" in given or given.get("packing", base.packing) != base.packing
+        if base is None or is_new:  # checked for unknown keys; and files say more than their names
             base = RunSettings.from_mapping({**document, **given}, str(path))
         settings = replace(base, **given)
-        if "coefficients" in given and "shape" not in {*document, *given}:
-            sides = settings.periodic if "periodic" in {*document, *given} else ()
-            settings = replace(settings, periodic=sides).in_shape_of_coefficients()
         point = {name: getattr(settings, name) for name in scanned}
         key = sample_key(settings)
         if key in met:
@@ -288,19 +287,25 @@ def sample_key(settings: RunSettings) -> str:
     content. An option that is added later renames no sample."""
     table = settings_table()
     values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
-    for name in ("coefficients", "initial"):
+    for name in NAMED_FILES:
         if values.get(name) not in (None, *STARTS):
-            values[name] = _content(values[name])
+            values[name] = content_of(values[name])
     lines = [f"{name} = {value!r}" for name, value in sorted(values.items())]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-@lru_cache(maxsize=1024)
-def _content(name: str) -> str:
+def content_of(name: str) -> str:
     """Hash of a file's content; of a run directory, of its run.h5."""
-    path, digest = Path(name) / "run.h5" if Path(name).is_dir() else Path(name), hashlib.sha256()
+    path = Path(name) / "run.h5" if Path(name).is_dir() else Path(name)
     if not path.is_file():
         raise FileError(f"{name} does not exist or is not a file")
+    state = path.stat()
+    return _content(name, path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=1024)
+def _content(name: str, path: Path, *_: int) -> str:
+    digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
             for piece in iter(lambda: file.read(2**20), b""):
@@ -308,6 +313,22 @@ def _content(name: str) -> str:
     except OSError as error:
         raise FileError(f"{name} cannot be read: {error.strerror or error}") from None
     return digest.hexdigest()
+
+
+def spheres_of(settings: RunSettings) -> int:
+    """Spheres of a sample; FileError for a packing that cannot be read."""
+    return (
+        math.prod(settings.shape)
+        if settings.packing is None
+        else _spheres(settings.packing, content_of(settings.packing))
+    )
+
+
+@lru_cache(maxsize=1024)
+def _spheres(name: str, _: str) -> int:
+    from taichi_bearings.packing import Packing  # and with it much of SciPy
+
+    return len(Packing.read(name)["center"])
 
 
 def _text(document: Mapping[str, Any], single: Mapping[str, Any], tables: Sequence[Mapping[str, Any]]) -> str:

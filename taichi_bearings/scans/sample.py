@@ -17,7 +17,8 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Task
-from taichi_bearings.scans.plan import Sample, groups_of
+from taichi_bearings.scans.plan import NAMED_FILES, Sample, groups_of, sample_key
+from taichi_bearings.scene.initial_spins import STARTS
 
 STATES = "states"  # folder of the full states
 
@@ -79,12 +80,18 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
 def _alike_in_a_block(settings: RunSettings) -> bool:
     """True if it is no matter to a sample what is solved beside it."""
     ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
-    alone = settings.coefficients is not None or ends_early
+    alone = settings.coefficients is not None or settings.is_packing or ends_early
     return not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
 
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
+    """Records of a block, whose packings are alone."""
     first = block[0].settings
+    files = [file for name in NAMED_FILES if (file := getattr(first, name)) not in (None, *STARTS)]
+    if files and sample_key(first) != block[0].key:
+        raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
+    if first.is_packing:
+        return [_packing_record(sample, analyse, states) for sample in block]
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
     job = prepare(settings, strict=False)
     solution = solve_job(job)
@@ -99,6 +106,20 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     return [_record(sample, run, analyse) for sample, run in zip(block, found, strict=True)]
 
 
+def _packing_record(sample: Sample, analyse: bool, states: Path | None) -> dict[str, Any]:
+    from taichi_bearings.scans.packings import scalars_of, solve_packing_sample
+
+    run = solve_packing_sample(replace(sample.settings, threads=sample.settings.threads or 1))
+    if run.interrupted:
+        raise Interrupted
+    if states is not None:
+        make_folder(states)
+        path = state_path(states, sample.key)
+        stored = run.self_contained(states, path.name)
+        write_state(path, replace(run, path=path, command="bearings scan"), stored)
+    return _with_bins(sample, scalars_of(run, analyse), run.result.power_per_contact, run.result.state)
+
+
 def _record(sample: Sample, run: Run, analyse: bool) -> dict[str, Any]:
     solution = run.solution
     scalars = summarise(run) | {"slip_threshold": solution.slip_threshold}
@@ -107,7 +128,10 @@ def _record(sample: Sample, run: Run, analyse: bool) -> dict[str, Any]:
         from taichi_bearings.runs.structure_report import numbers_of
 
         scalars |= numbers_of(structure_of(solution))
-    power, state = solution.power_per_contact, solution.state
+    return _with_bins(sample, scalars, solution.power_per_contact, solution.state)
+
+
+def _with_bins(sample: Sample, scalars: Mapping[str, Any], power: np.ndarray, state: np.ndarray) -> dict[str, Any]:
     bins, count = np.unique(bin_of(power[(state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
     return {
         "key": sample.key,

@@ -103,12 +103,23 @@ def _is_whole(state: Path) -> bool:
     """True if the full state of a sample can be read and its checksums match; one that is damaged is named."""
     if not state.is_file():
         return False
+    from taichi_bearings.runs.packing_run import is_packing_run, read_packing_run
+
     try:
-        read_run_file(state)
+        (read_packing_run if is_packing_run(state) else read_run_file)(state)
     except FileError as error:
         _say(f"a kept state counts as missing: {error}")
         return False
     return True
+
+
+def _refuse(group: Sequence[Sample]) -> None:
+    """InputError for samples that cannot be, all but their seeds alike."""
+    if group[0].settings.is_packing:
+        from taichi_bearings.scans.packings import refuse_packing
+
+        refuse_packing(group)
+    row_of(group[0].settings)
 
 
 def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
@@ -122,7 +133,7 @@ def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
 def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
     for group in groups_of(plan.samples):
-        row_of(group[0].settings)  # refuses what cannot be
+        _refuse(group)
     ours = parts.part_of(plan, part).samples
     missing: Sequence[Sample] = ours
     if folder is not None:
@@ -169,7 +180,7 @@ def scan(
     plan = plan.going_on_in(folder)
     for group in groups_of(plan.samples):  # refuses what cannot be, before the folder is touched
         settings = group[0].settings
-        row_of(settings)
+        _refuse(group)
         if engine is None and client is None:  # solved on this machine
             refuse_absent(settings.arch, settings.precision)
     _refuse_unused(plan, folder)

@@ -25,6 +25,7 @@ from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, settings_table
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import Sample, ScanPlan, read_plan, written
+from taichi_bearings.scene import Scene
 from taichi_bearings.version import VERSION
 
 CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
@@ -136,8 +137,11 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
 
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
     """Numbers and texts of a sample: those of its record, and of its settings what a record without result lacks."""
-    found = dict(record["scalars"])
-    return found | {name: written(getattr(sample.settings, name)) for name in OF_SETTINGS if name not in found}
+    found, settings = dict(record["scalars"]), sample.settings
+    known = set(OF_SETTINGS if settings.packing is None else ("law", "seed")) - found.keys()
+    if settings.is_packing and (settings.top, settings.bottom) != (None, None):
+        known -= set(Scene.BY_SPINS)
+    return found | {name: written(getattr(settings, name)) for name in OF_SETTINGS if name in known}
 
 
 def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleHistograms:

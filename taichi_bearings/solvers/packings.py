@@ -163,6 +163,15 @@ BUILT: dict[type[MethodOptions], Any] = {
 }
 
 
+def row_of_packing(method: str | MethodOptions) -> type[MethodOptions]:
+    """The row of a method, given by its name or with its options; InputError for one that packings do not have."""
+    row = METHODS.get(method) if isinstance(method, str) else type(method)
+    if row is None or row not in BUILT:
+        allowed = ", ".join(["auto", *(built.name for built in BUILT)])
+        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(str(method), METHODS)}")
+    return row
+
+
 def follow_packing(
     packing: Packing,
     method: str | MethodOptions,
@@ -177,10 +186,7 @@ def follow_packing(
     start, density : see :class:`Network`. options : `iterations`, `time_limit`, `duration`, `record`, `arch`,
     `precision`, `threads`, as of scenes.
     """
-    row = METHODS.get(method) if isinstance(method, str) else type(method)
-    if row not in BUILT:
-        allowed = ", ".join(["auto", *(built.name for built in BUILT)])
-        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(str(method), METHODS)}")
+    row = row_of_packing(method)
     if strange := options.keys() - {*STOPS, *DEVICES, "record"}:
         raise InputError(f"{min(strange)} is no option of a packing{meant(min(strange), [*STOPS, *DEVICES])}")
     if density is not None and not row.is_dynamics:

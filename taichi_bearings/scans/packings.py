@@ -1,0 +1,70 @@
+"""Samples that are packings: out of a file, or lattices with other driven bodies than planes."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.analysis.packing_structure import PackingStructure
+from taichi_bearings.errors import InputError
+from taichi_bearings.packing import Packing
+from taichi_bearings.packing.system import System, acting
+from taichi_bearings.runs.packing_run import PackingRun, packing_of, solved_packing, unused_of_packing
+from taichi_bearings.runs.settings import RunSettings, settings_table
+from taichi_bearings.scans.plan import Sample
+from taichi_bearings.scene import Status
+
+OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
+
+
+def used(settings: RunSettings) -> RunSettings:
+    """The settings without what their method or law does not use, as in a scan that compares methods."""
+    table = settings_table()
+    return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
+
+
+def refuse_packing(group: Sequence[Sample]) -> None:
+    """InputError for what cannot be solved, or is the same for all of a group of seeds."""
+    settings = used(group[0].settings)
+    law = packing_of(settings).kind
+    if settings.method != "auto":
+        from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
+
+        row_of_packing(settings.method)
+    if len(group) == 1 or settings.packing is None or settings.initial == "random":
+        return
+    if set(("friction", "viscosity")[: len(law.quantities)]) <= Packing.read(settings.packing).keys():
+        raise InputError(
+            f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, or "
+            "friction from the file"
+        )
+
+
+def solve_packing_sample(settings: RunSettings) -> PackingRun:
+    """What `bearings run` makes of a sample, to the bit."""
+    settings = used(settings)
+    result = solved_packing(settings, packing_of(settings), _system_of)
+    return PackingRun(settings, result, interrupted=result.status == Status.INTERRUPTED.value)
+
+
+_last: list[System] = []  # of this worker
+
+
+def _system_of(packing: Packing) -> System:
+    """That of the last packing, with the coefficients of this one, if they differ in nothing else."""
+    if not _last or not _alike(_last[0].packing, packing):
+        _last[:] = [System.of(packing)]
+    of = tuple(values[_last[0].contact] for values in packing.coefficients)
+    return replace(_last[0], packing=packing, coefficients=of)
+
+
+def _alike(one: Packing, other: Packing) -> bool:
+    same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
+    return same and np.array_equal(acting(one), acting(other))
+
+
+def scalars_of(run: PackingRun, analyse: bool) -> dict[str, Any]:
+    """Numbers and texts of a packing, those of its analysis too; its states do not come from a threshold."""
+    found = run.summary | {"slip_threshold": 0.0} | (PackingStructure.of(run.result).numbers if analyse else {})
+    return {name: value for name, value in found.items() if name not in ("shape", "coefficients", "run")}
