@@ -10,7 +10,8 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.central_path import balanced, followed, viscous_spins
+from taichi_bearings.packing.axes import followed_along_axes
+from taichi_bearings.packing.central_path import Point, balanced, followed, viscous_spins
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.polish import polished
@@ -92,13 +93,16 @@ class PackingResult:
 
 @dataclass(frozen=True)
 class Found:
-    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found.
+    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found; and
+    there ties : (A,) those that are not the same at all minima, if that is known. steps : factorisations.
     everywhere : u (N, C) of all spheres, where a method moves all."""
 
     spins: np.ndarray
     force: np.ndarray
     method: str
     slips: np.ndarray | None = None
+    ties: np.ndarray | None = None
+    steps: int = 0
     everywhere: np.ndarray | None = None
 
 
@@ -115,12 +119,10 @@ def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
     runtime.current()
     with one_thread():
         system = System.of(packing)
-        matrix = NewtonMatrix(system)
-        found = _found(system, matrix)
-        return judged(system, matrix, found, tolerance, begun)
+        return judged(system, _found(system), tolerance, begun)
 
 
-def _found(system: System, matrix: NewtonMatrix) -> Found:
+def _found(system: System) -> Found:
     law, of = system.packing.kind, system.coefficients
     if not system.unknowns or not system.offset.any():
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
@@ -131,15 +133,38 @@ def _found(system: System, matrix: NewtonMatrix) -> Found:
     )
     fastest = float(np.abs(system.offset).max())
     if not held.any():
+        matrix = NewtonMatrix(system)
         spins = viscous_spins(system, matrix, viscosity)
-        return Found(spins, viscosity * system.difference(spins), "linear-solver")
+        return Found(spins, viscosity * system.difference(spins), "linear-solver", steps=matrix.factorisations)
     largest = float(max(held.max(), viscosity.max() * fastest))
-    scaled = replace(system, offset=system.offset / fastest)
-    point = followed(scaled, matrix, held / largest, viscosity * fastest / largest, CLOSEST)
-    exact = polished(point, scaled, matrix)
-    slips = None if exact is None else exact[1]
-    point = balanced(point, scaled, matrix) if exact is None else exact[0]
-    return Found(point.spins * fastest, point.force * largest, "interior-point", slips=slips)
+    units = np.exp2(np.round(np.log2([fastest, largest])))  # dividing by them rounds nothing
+    fastest, largest = units.tolist()
+    scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
+    point, slips, ties, steps = _at_minimum(scaled, held / largest, viscosity * fastest / largest)
+    return Found(point.spins * fastest, point.force * largest, "interior-point", slips, ties, steps)
+
+
+def _at_minimum(
+    system: System, friction: np.ndarray, viscosity: np.ndarray
+) -> tuple[Point, np.ndarray | None, np.ndarray | None, int]:
+    """Spins and forces; the contacts that slip, (A,), if the states are settled, and those that tie, if known; steps.
+
+    friction, viscosity : (A,).
+    """
+    steps = 0
+    if not viscosity.any():
+        found = followed_along_axes(system, friction)
+        if found is not None:
+            point, slips, ties, steps = found
+            if slips is not None:
+                return found
+    matrix = NewtonMatrix(system)
+    if viscosity.any() or found is None:
+        point = followed(system, matrix, friction, viscosity, CLOSEST)
+    exact = polished(point, system, matrix)
+    if exact is None:
+        return balanced(point, system, matrix), None, None, steps + matrix.factorisations
+    return *exact, None, steps + matrix.factorisations
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
@@ -150,7 +175,7 @@ def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
     return spin
 
 
-def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float, begun: float) -> PackingResult:
+def judged(system: System, found: Found, tolerance: float, begun: float) -> PackingResult:
     """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
     packing, law = system.packing, system.packing.kind
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
@@ -170,7 +195,7 @@ def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float,
         judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),
         judgement.driven_power, system.motions.number if system.motions.counted else None, judgement.largest_torque,
         perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound,
-        matrix.factorisations,
+        found.steps,
     )  # fmt: skip
 
 
@@ -200,6 +225,6 @@ def _states(system: System, found: Found, judgement: PackingJudgement) -> np.nda
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
     if not law.flows:
-        own[tied(system, found.force, own)] = UNDECIDED
+        own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own
     return state
