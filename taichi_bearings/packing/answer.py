@@ -151,20 +151,15 @@ def _at_minimum(
 
     friction, viscosity : (A,).
     """
-    steps = 0
-    if not viscosity.any():
-        found = followed_along_axes(system, friction)
-        if found is not None:
-            point, slips, ties, steps = found
-            if slips is not None:
-                return found
+    found = None if viscosity.any() else followed_along_axes(system, friction)
+    if found is not None and found[1] is not None:
+        return found
     matrix = NewtonMatrix(system)
-    if viscosity.any() or found is None:
-        point = followed(system, matrix, friction, viscosity, CLOSEST)
+    point, steps = (found[0], found[3]) if found else (followed(system, matrix, friction, viscosity, CLOSEST), 0)
     exact = polished(point, system, matrix)
-    if exact is None:
-        return balanced(point, system, matrix), None, None, steps + matrix.factorisations
-    return *exact, None, steps + matrix.factorisations
+    slips = None if exact is None else exact[1]
+    point = balanced(point, system, matrix) if exact is None else exact[0]
+    return point, slips, None, steps + matrix.factorisations
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
@@ -193,7 +188,7 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Pack
         packing, bounds.power, bounds.objective, bounds.lower_bound, bounds.gap, bounds.proof,
         (Status.CERTIFIED if bounds.gap <= tolerance else Status.STALLED).value, found.method, spin,
         judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),
-        judgement.driven_power, system.motions.number if system.motions.counted else None, judgement.largest_torque,
+        judgement.driven_power, system.motions, judgement.largest_torque,
         perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound,
         found.steps,
     )  # fmt: skip

@@ -33,7 +33,7 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
     packing, needed = system.packing, np.flatnonzero((system.moved >= 0).any(axis=0))
     if not along_axes(packing, system.contact):
         return None
-    felt, contact = packing.normal[system.contact] == 0, packing.contact[system.contact]  # type: ignore[index]
+    felt, contact = np.any(system.across, axis=0), packing.contact[system.contact]
     sign = np.ones(system.known.shape)
     for k in needed:
         ends = contact[felt[:, k]]
@@ -53,7 +53,9 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
     return ContactSystem(system.unknowns, tuple(groups), tuple(places), place), sign
 
 
-def followed_along_axes(system: System, friction: np.ndarray) -> tuple[Point, np.ndarray | None, np.ndarray, int] | None:
+def followed_along_axes(
+    system: System, friction: np.ndarray
+) -> tuple[Point, np.ndarray | None, np.ndarray, int] | None:
     """Where the central path and the settling of states lead; which contacts slip there, (A,), None if they are not
     settled; which of them tie or bear all their friction at rest, (A,); and the number of steps. None if this is no
     such network. friction : (A,)."""
