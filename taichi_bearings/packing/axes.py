@@ -17,12 +17,10 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Surroundings
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
-from taichi_bearings.packing.central_path import Point
+from taichi_bearings.packing.central_path import MOST_STEPS, SLACK, Point
 from taichi_bearings.packing.system import System, along_axes, odd_parts
 
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
-MOST_STEPS = 200
-SLACK = 1.0  # of bounds over slips at the start, in mean slips of the viscous network
 
 
 def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
