@@ -30,7 +30,7 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PackingResult:
+class PackingSolution:
     """What was found for a packing. Contacts between driven spheres, or with no coefficient, are left out of `power`.
 
     power : energy/time. potential : what is minimised; the power, but for "coulomb-viscous". lower_bound : rigorous, on
@@ -106,7 +106,7 @@ class Found:
     everywhere: np.ndarray | None = None
 
 
-def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingResult:
+def solve_packing(packing: Packing, tolerance: float = 1e-8) -> PackingSolution:
     """The state of least dissipation. tolerance : proven relative gap at which it counts as certified.
 
     Discs with friction by minimum cuts, exactly; viscous networks by one linear system; all else by the central path.
@@ -170,7 +170,7 @@ def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
     return spin
 
 
-def judged(system: System, found: Found, tolerance: float, begun: float) -> PackingResult:
+def judged(system: System, found: Found, tolerance: float, begun: float) -> PackingSolution:
     """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
     packing, law = system.packing, system.packing.kind
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
@@ -184,7 +184,7 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Pack
     bounds, proven = judgement.bounds, judgement.states.proven
     acts = judgement.network.acts
     state = np.where(acts, np.where(proven == UNPROVEN, _states(system, found, judgement), proven), DRIVEN)
-    return PackingResult(
+    return PackingSolution(
         packing, bounds.power, bounds.objective, bounds.lower_bound, bounds.gap, bounds.proof,
         (Status.CERTIFIED if bounds.gap <= tolerance else Status.STALLED).value, found.method, spin,
         judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),

@@ -22,7 +22,7 @@ from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
-from taichi_bearings.packing import Packing, PackingResult, solve_packing
+from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
 from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
@@ -72,7 +72,7 @@ class PackingRun:
     """A solved packing. path : of the directory or the file that has the run, if any. command : what made it."""
 
     settings: RunSettings
-    result: PackingResult
+    result: PackingSolution
     path: Path | None = None
     command: str = ""
     interrupted: bool = False
@@ -209,7 +209,7 @@ STOPPED_BY = ("iterations", "time_limit", "duration", "record")
 ON_DEVICE = ("arch", "precision", "threads")
 
 
-def _solved(settings: RunSettings, packing: Packing) -> PackingResult:
+def _solved(settings: RunSettings, packing: Packing) -> PackingSolution:
     if settings.method == "auto":
         if strange := settings.given.keys() & {"initial", *STOPPED_BY}:
             raise InputError(f"{min(strange)} is given, but method auto of a packing does not use it")
@@ -234,7 +234,7 @@ def _write(folder: Path, found: PackingRun) -> None:
     write_histogram(folder, found.histogram)
 
 
-def _fill(file: h5py.File, result: PackingResult, attributes: dict[str, Any]) -> None:
+def _fill(file: h5py.File, result: PackingSolution, attributes: dict[str, Any]) -> None:
     file.attrs["schema"], file.attrs["schema_version"] = RUN_SCHEMA, RUN_VERSION
     for key, value in attributes.items():
         file.attrs[key] = storable(value)
@@ -261,7 +261,7 @@ def _draw(found: PackingRun) -> None:
     save(draw_histogram(found.histogram), found.path / "power_histogram.png")
 
 
-def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
+def columns_of_packing(result: PackingSolution) -> tuple[dict[str, Finding], dict[str, Finding]]:
     """What is known of the spheres (N, ...) and of the contacts (E, ...), by name, for other programs."""
     packing, spin = result.packing, result.spin
     if packing.dimension == 2:  # along z
@@ -281,7 +281,7 @@ def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[
     return spheres | of_spheres, contacts | of_contacts
 
 
-def _of_contacts(result: PackingResult) -> dict[str, Finding]:
+def _of_contacts(result: PackingSolution) -> dict[str, Finding]:
     """The quantities of contacts that the result has."""
     found = {name: getattr(result, "power_per_contact" if name == "power" else name) for name in CONTACTS}
     rows = {name: (values, CONTACTS[name]) for name, values in found.items() if values is not None}
@@ -358,7 +358,7 @@ def read_packing_run(run: Path) -> PackingRun:
         sets: dict[str, Any] = {name.removeprefix("contact/"): values for name, values in arrays.items()}
         number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
         motions = attributes["slipless_motions"]
-        result = PackingResult(
+        result = PackingSolution(
             packing=packing,
             potential=float(attributes.get("potential", number["power"])),
             proof=str(attributes["proof"]),

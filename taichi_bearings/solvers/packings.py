@@ -14,7 +14,7 @@ from taichi_bearings.interrupts import Interrupt
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingResult, judged
+from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingSolution, judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.scene import vector_length
@@ -171,7 +171,7 @@ def follow_packing(
     density: Any = None,
     monitors: Sequence[Monitor] = (),
     **options: Any,
-) -> PackingResult:
+) -> PackingSolution:
     """A dynamics or descent of a packing, by its name or with its options.
 
     start, density : see :class:`Network`. options : `iterations`, `time_limit`, `duration`, `record`, `arch`,
@@ -223,7 +223,7 @@ def _times(record: Any) -> np.ndarray:
         raise InputError(f"record is {shown(record)}; it must be times or as log:start,stop,count") from None
 
 
-def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingResult:
+def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingSolution:
     """The best state and the best forces; `force` and the states of parts that nothing drives are those of now."""
     system, best = network.proof[0], course.best
     last = best.progress
