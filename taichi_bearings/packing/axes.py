@@ -53,10 +53,10 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
 
 def followed_along_axes(
     system: System, friction: np.ndarray
-) -> tuple[Point, np.ndarray | None, np.ndarray, int] | None:
-    """Where the central path and the settling of states lead; which contacts slip there, (A,), None if they are not
-    settled; which of them tie or bear all their friction at rest, (A,); and the number of steps. None if this is no
-    such network. friction : (A,)."""
+) -> tuple[Point, np.ndarray | None, np.ndarray | None, int] | None:
+    """Where the central path and the settling of states lead; which contacts slip there, and which tie or bear all
+    their friction at rest, (A,) each, None if that is not settled; and the number of steps. None if this is no such
+    network. friction : (A,)."""
     found = signed(system)
     if found is None:
         return None
@@ -65,36 +65,37 @@ def followed_along_axes(
     matrix = NewtonMatrix(contacts, order)
     compile_passes()
     matrix.compile()
-    strength = contacts.gather(friction[None], 0)
+    unit = float(np.exp2(np.round(np.log2(friction.mean()))))  # as of lattices
+    strength = contacts.gather(friction[None] / unit, 0)
     try:
         spins = flowing(contacts, strength, matrix, np.zeros(contacts.unknowns))
     except NotPositiveDefinite:
         return None
     slips = np.concatenate([*contacts.differences(spins).length()])
-    spheres = int((system.moved >= 0).any(axis=1).sum())
+    spheres = len(np.unique(system.sphere))
     descent = Descent(Surroundings(contacts, order, matrix, None), spheres, spheres < SMALL_SPHERES, settles=True)
-    sample = Sample(Iterate.start(contacts, spins, strength, SLACK * float(slips.mean())), 1.0)
+    sample = Sample(Iterate.start(contacts, spins, strength, SLACK * float(slips.mean())), unit)
     descent.samples = [sample]
     while not sample.done and sample.steps < MOST_STEPS:
         descent.advance(MOST_STEPS - sample.steps)
-    settled, own, count = sample.resolved, np.arange(len(friction)), len(friction)
+    settled, steps, second = sample.resolved, sample.steps, sign[system.packing.contact[system.contact, 1]]
     answer = settled or sample.iterate
-    second = sign[system.packing.contact[system.contact[own], 1]]  # (A, C)
 
     def across(vectors: Arrays) -> np.ndarray:
         """(d, A), along the tangents."""
-        whole = np.zeros((second.shape[1], 1, count))
+        whole = np.zeros((second.shape[1], 1, len(friction)))
         contacts.scatter_vectors(vectors, whole, 0)
         return np.einsum("tek,ek,ke->te", system.across, second, whole[:, 0])
 
-    def masks(of: Arrays) -> np.ndarray:
-        whole = np.zeros((1, count), dtype=bool)
+    def everywhere(of: Arrays) -> np.ndarray:
+        """(A,), 0 for contacts that feel no component which moves."""
+        whole = np.zeros((1, len(friction)), dtype=of.parts[0].dtype)
         contacts.scatter(of, whole, 0)
         return whole[0]
 
-    spin, slip = sign[system.moved >= 0] * answer.spins, across(answer.difference)
-    speed = np.linalg.norm(slip, axis=0)
-    point = Point(spin, slip, speed, across(-answer.dual), friction, np.zeros(count))
+    spin, bound = sign[system.moved >= 0] * answer.spins, everywhere(sample.iterate.bound)
+    held = unit * across(-answer.dual)
+    point = Point(spin, across(answer.difference), bound, held, friction, np.zeros(len(friction)))
     if settled is None:
-        return point, None, np.zeros(count, dtype=bool), sample.steps
-    return point, masks(settled.slipping), masks(settled.ties | settled.critical), sample.steps
+        return point, None, None, steps
+    return point, everywhere(settled.slipping), everywhere(settled.ties | settled.critical), steps
