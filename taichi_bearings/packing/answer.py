@@ -219,7 +219,8 @@ def _states(system: System, found: Found, judgement: PackingJudgement) -> np.nda
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
-    if not law.flows:
+    unproven = judgement.states.proven[system.contact] == UNPROVEN
+    if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own
     return state
