@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from taichi_bearings import packing as packings
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.packing import Packing, solve_packing
+from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
@@ -250,8 +249,8 @@ for _name, _row in CONTACTS.items():
 MOST_ROWS = 20  # of a table in a notebook
 
 
-class PackingResult(packings.PackingResult):
-    __doc__ = packings.PackingResult.__doc__
+class PackingResult(PackingSolution):
+    __doc__ = PackingSolution.__doc__
 
     def save(self, path: str | Path, force: bool = False) -> Path:
         """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.

@@ -12,7 +12,7 @@ FLOOR = {
     "interrupts": 0, "memory": 0, "dissection": 0,
     "plain_files": 1, "compiler": 2, "checksums": 2, "hdf5": 2, "options": 2, "lattice": 2, "runtime": 3,
     "verifier": 3, "fields": 4, "launch": 4,
-    "kernels": 5, "numerics": 6, "scene": 7, "proof": 8, "packing": 8, "conic": 9, "quantities": 9,
+    "kernels": 5, "numerics": 6, "scene": 7, "proof": 8, "conic": 8, "packing": 9, "quantities": 9,
     "solvers": 10, "analysis": 11, "files": 12, "plots": 13, "runs": 14, "export": 15, "view": 15, "scans": 15,
     "api": 16,
 }  # fmt: skip

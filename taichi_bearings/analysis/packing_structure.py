@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra, maximum_flow
 
 from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow, within_reach
-from taichi_bearings.packing import PackingResult
+from taichi_bearings.packing import PackingSolution
 from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.proof.contact_state import ContactState
 
@@ -27,11 +27,11 @@ CUT_BITS = 50  # of the weight of all contacts, in whole units
 class PackingStructure:
     """slipless : (E,) contacts that count as slipless."""
 
-    result: PackingResult
+    result: PackingSolution
     slipless: np.ndarray
 
     @classmethod
-    def of(cls, result: PackingResult, threshold: float | None = None) -> "PackingStructure":
+    def of(cls, result: PackingSolution, threshold: float | None = None) -> "PackingStructure":
         """threshold : slip, length/time, up to which contacts count as slipless; the states of the result if None."""
         acts = result.state != ContactState.DRIVEN
         return cls(result, acts & (result.state == 0 if threshold is None else result.slip <= threshold))
@@ -166,7 +166,7 @@ class Interface:
     unique: bool
 
     @classmethod
-    def of(cls, result: PackingResult, node: np.ndarray) -> "Interface | None":
+    def of(cls, result: PackingSolution, node: np.ndarray) -> "Interface | None":
         packing, (first, second) = result.packing, result.packing.contact.T
         odd, sign = odd_parts(packing.spheres, first, second)
         held = packing.kind.holding_force(packing.coefficients)

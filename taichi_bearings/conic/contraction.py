@@ -67,6 +67,12 @@ def _begins(owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.unique(owner, return_index=True)
 
 
+def order_by_place(first: np.ndarray, second: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Of elimination of unknowns at these places, (D, unknowns), that are coupled pair by pair: nested dissection."""
+    graph = coupled(np.arange(place.shape[1]), first, second)
+    return np.concatenate([part.nodes for part in dissected(graph, place, OWN_LEAF_UNKNOWNS)])
+
+
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
@@ -156,8 +162,7 @@ class Contraction:
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
         first, second = (end - own.start for end in self.system.couplings())
         inside = (first >= 0) & (first < size)
-        graph = coupled(np.arange(size), first[inside], second[inside])
-        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], OWN_LEAF_UNKNOWNS)])
+        return order_by_place(first[inside], second[inside], centre[:, own])
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""

@@ -31,14 +31,15 @@ def polished(
     friction: Arrays,
     spins: Pair,
     difference: Arrays,
-    top: Pair,
+    top: Pair | None,
     chosen: np.ndarray,
 ) -> tuple[Pair, Arrays, Arrays, np.ndarray]:
     """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance; and the
     samples (samples,), of those chosen, in which no slip is lost.
 
     matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
-    may be more precise than those of the spins. top : imposed on the top above each unknown of a sample.
+    may be more precise than those of the spins. top : imposed on the top above each unknown of a sample; None where
+    imposed spins are doubles.
     """
     system, owners = _PreciseSystem(tied, top), tied.owners
     rough = chosen & owners.any(difference.length() < SLIP_IN_SPINS)
@@ -99,16 +100,18 @@ class _PreciseSystem:
     """Differences and torques of a contracted system, in twice the precision.
 
     imposed : a group each, the places in (d, n) where imposed spins add anything to the differences, and what: -1
-    or 1 times the jump.
+    or 1 times the jump, where that is no double.
     """
 
-    def __init__(self, tied: Contraction, top: Pair) -> None:
+    def __init__(self, tied: Contraction, top: Pair | None) -> None:
         self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
-        self.top = np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number))
+        self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
         self.imposed = Grouped(map(self._imposed, tied.whole.groups, tied.system.groups, tied.kept))
 
     def _imposed(self, before: ContactGroup, group: ContactGroup, kept: np.ndarray) -> tuple[Places, Pair]:
         places = np.nonzero(group.offset)
+        if self.top is None:
+            return places, exactly(group.offset[places])
         spin = np.maximum(before.below, before.above)[:, kept][places]
         times = _multiples(group.offset[places], self.top[0][spin])
         return places, (times * self.top[0][spin], times * self.top[1][spin])
@@ -144,6 +147,8 @@ class _PreciseSystem:
 
     def expanded(self, unknown: Pair) -> Pair:
         """Spins of the whole system: equal within each tied set, and just those imposed where it is tied to a plane."""
+        if self.top is None:
+            return self._tied.expanded(unknown)
         times = _multiples(self._tied.imposed, self.top[0])
         high, low = (np.append(part, 0.0)[self._tied.number] for part in unknown)
         return high + times * self.top[0], low + times * self.top[1]

@@ -109,13 +109,13 @@ class Surroundings:
     """What samples of one lattice share. system : of each; order : of elimination of its unknowns.
 
     matrix : of one of them, or of several at once. top : imposed on the top above each spin of a sample, in twice
-        the precision.
+        the precision; None where imposed spins are doubles.
     """
 
     system: ContactSystem
     order: np.ndarray
     matrix: NewtonMatrix
-    top: Pair
+    top: Pair | None
 
 
 def resolve(
@@ -373,7 +373,7 @@ class _Slipping:
     def dual(self) -> Arrays:
         return -self.friction * self.difference / self.difference.length()
 
-    def resolved(self, top: Pair) -> list[Resolved | None]:
+    def resolved(self, top: Pair | None) -> list[Resolved | None]:
         """The minima of samples that are balanced, in twice the precision where that can be had."""
         if not self.balanced.any():
             return [None] * self.samples

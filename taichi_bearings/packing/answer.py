@@ -10,7 +10,8 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.central_path import balanced, followed, viscous_spins
+from taichi_bearings.packing.axes import followed_along_axes
+from taichi_bearings.packing.central_path import Point, balanced, followed, viscous_spins
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.polish import polished
@@ -29,7 +30,7 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PackingResult:
+class PackingSolution:
     """What was found for a packing. Contacts between driven spheres, or with no coefficient, are left out of `power`.
 
     power : energy/time. potential : what is minimised; the power, but for "coulomb-viscous". lower_bound : rigorous, on
@@ -92,19 +93,22 @@ class PackingResult:
 
 @dataclass(frozen=True)
 class Found:
-    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found.
+    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found; and
+    there ties : (A,) those that are not the same at all minima, if that is known. steps : factorisations.
     everywhere : u (N, C) of all spheres, where a method moves all."""
 
     spins: np.ndarray
     force: np.ndarray
     method: str
     slips: np.ndarray | None = None
+    ties: np.ndarray | None = None
+    steps: int = 0
     everywhere: np.ndarray | None = None
 
 
 def solve_packing(
     packing: Packing, tolerance: float = 1e-8, system_of: Callable[[Packing], System] = System.of
-) -> PackingResult:
+) -> PackingSolution:
     """The state of least dissipation. tolerance : proven relative gap at which it counts as certified.
     system_of : finds the system, perhaps out of one that is known.
 
@@ -118,12 +122,10 @@ def solve_packing(
     runtime.current()
     with one_thread():
         system = system_of(packing)
-        matrix = NewtonMatrix(system)
-        found = _found(system, matrix)
-        return judged(system, matrix, found, tolerance, begun)
+        return judged(system, _found(system), tolerance, begun)
 
 
-def _found(system: System, matrix: NewtonMatrix) -> Found:
+def _found(system: System) -> Found:
     law, of = system.packing.kind, system.coefficients
     if not system.unknowns or not system.offset.any():
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
@@ -134,15 +136,33 @@ def _found(system: System, matrix: NewtonMatrix) -> Found:
     )
     fastest = float(np.abs(system.offset).max())
     if not held.any():
+        matrix = NewtonMatrix(system)
         spins = viscous_spins(system, matrix, viscosity)
-        return Found(spins, viscosity * system.difference(spins), "linear-solver")
+        return Found(spins, viscosity * system.difference(spins), "linear-solver", steps=matrix.factorisations)
     largest = float(max(held.max(), viscosity.max() * fastest))
-    scaled = replace(system, offset=system.offset / fastest)
-    point = followed(scaled, matrix, held / largest, viscosity * fastest / largest, CLOSEST)
-    exact = polished(point, scaled, matrix)
+    units = np.exp2(np.round(np.log2([fastest, largest])))  # dividing by them rounds nothing
+    fastest, largest = units.tolist()
+    scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
+    point, slips, ties, steps = _at_minimum(scaled, held / largest, viscosity * fastest / largest)
+    return Found(point.spins * fastest, point.force * largest, "interior-point", slips, ties, steps)
+
+
+def _at_minimum(
+    system: System, friction: np.ndarray, viscosity: np.ndarray
+) -> tuple[Point, np.ndarray | None, np.ndarray | None, int]:
+    """Spins and forces; the contacts that slip, (A,), if the states are settled, and those that tie, if known; steps.
+
+    friction, viscosity : (A,).
+    """
+    found = None if viscosity.any() else followed_along_axes(system, friction)
+    if found is not None and found[1] is not None:
+        return found
+    matrix = NewtonMatrix(system)
+    point, steps = (found[0], found[3]) if found else (followed(system, matrix, friction, viscosity, CLOSEST), 0)
+    exact = polished(point, system, matrix)
     slips = None if exact is None else exact[1]
-    point = balanced(point, scaled, matrix) if exact is None else exact[0]
-    return Found(point.spins * fastest, point.force * largest, "interior-point", slips=slips)
+    point = balanced(point, system, matrix) if exact is None else exact[0]
+    return point, slips, None, steps + matrix.factorisations
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
@@ -153,7 +173,7 @@ def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
     return spin
 
 
-def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float, begun: float) -> PackingResult:
+def judged(system: System, found: Found, tolerance: float, begun: float) -> PackingSolution:
     """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
     packing, law = system.packing, system.packing.kind
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
@@ -167,13 +187,13 @@ def judged(system: System, matrix: NewtonMatrix, found: Found, tolerance: float,
     bounds, proven = judgement.bounds, judgement.states.proven
     acts = judgement.network.acts
     state = np.where(acts, np.where(proven == UNPROVEN, _states(system, found, judgement), proven), DRIVEN)
-    return PackingResult(
+    return PackingSolution(
         packing, bounds.power, bounds.objective, bounds.lower_bound, bounds.gap, bounds.proof,
         (Status.CERTIFIED if bounds.gap <= tolerance else Status.STALLED).value, found.method, spin,
         judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),
-        judgement.driven_power, system.motions.number if system.motions.counted else None, judgement.largest_torque,
+        judgement.driven_power, system.motions, judgement.largest_torque,
         perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound,
-        matrix.factorisations,
+        found.steps,
     )  # fmt: skip
 
 
@@ -202,7 +222,8 @@ def _states(system: System, found: Found, judgement: PackingJudgement) -> np.nda
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
-    if not law.flows:
-        own[tied(system, found.force, own)] = UNDECIDED
+    unproven = judgement.states.proven[system.contact] == UNPROVEN
+    if not law.flows and (unproven & (own == SLIPPING)).any():
+        own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own
     return state

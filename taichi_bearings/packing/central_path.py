@@ -5,6 +5,7 @@ first entry never changes, so bounds t are eliminated contact by contact. Scalin
 corrector of Mehrotra (Andersen, Christiansen, Conn & Overton, SIAM J. Sci. Comput. 22, 2000).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -224,12 +225,12 @@ def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled
     m0 = (1 + 2 * (scaling.a1**2).sum(axis=0)) / scaling.eta**2
     m1 = 2 * scaling.a0 * scaling.a1 / scaling.eta**2
 
-    def solved(q0: np.ndarray, q1: np.ndarray) -> tuple[np.ndarray, ...]:
+    def solved(q0: np.ndarray, q1: np.ndarray, solve: Callable = matrix.refined) -> tuple[np.ndarray, ...]:
         """Steps of spins, slips, bounds and frictions that leave no torque, for W^-2 ds + dz = q."""
         rest = m1 * q0 / m0 - q1
         force = point.force + outside.pull
         force[:, inside] += rest
-        step = matrix.refined(-system.torques(force))
+        step = solve(-system.torques(force))
         change = system.change(step)
         own = change[:, inside]
         return step, change, (q0 - (m1 * own).sum(axis=0)) / m0, np.einsum("tse,se->te", soft, own) + rest
@@ -241,7 +242,7 @@ def stepped(point: Point, system: System, matrix: NewtonMatrix, settled: Settled
 
     product = friction * bound - (held * slip).sum(axis=0)
     mean = float(product.mean()) if len(inside) else 0.0
-    _, change, wider, harder = solved(-friction, held)
+    _, change, wider, harder = solved(-friction, held, matrix.solve)
     one, two = (min(1.0, length) for length in lengths(change, wider, harder))
     after = friction * (bound + one * wider) - ((held + two * harder) * (slip + one * change[:, inside])).sum(axis=0)
     target = mean * min(1.0, max(float(after.mean()) / mean, 0.0)) ** 3 if mean > 0 else 0.0

@@ -15,6 +15,7 @@ from scipy.linalg.lapack import dpstrf
 
 from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.packing.packing import Packing
 
 LEAF_SPHERES = 8
 NO_PIVOT, SURELY_ONE = 1e-10, 1e-9  # squares of slips over spins: what is eliminated, and what is surely not rounding
@@ -50,7 +51,6 @@ class Motions:
     fronts: tuple[_Front, ...]
     unknowns: int
     whole: bool = True  # False where some that elimination found slip
-    further: int = 0  # motions of spins that are not among the unknowns
 
     @property
     def counted(self) -> bool:
@@ -58,7 +58,7 @@ class Motions:
 
     @property
     def number(self) -> int:
-        return len(self.held) + self.further
+        return len(self.held)
 
     def basis(self, shares: np.ndarray | None = None) -> np.ndarray:
         """The motions (unknowns, number), one for each unknown held: 1 there, 0 at the others; or sums with these
@@ -73,24 +73,30 @@ class Motions:
         return found
 
 
-def order_of(graph: sparse.csr_array, place: np.ndarray) -> list[tuple[np.ndarray, list[int]]]:
-    """Parts of a graph of spheres (n, n) with places (n, D): numbers of the spheres and of the children of each."""
-    return [(part.nodes, part.children) for part in dissected(graph.tocsr(), place.T, LEAF_SPHERES)]
+Parts = list[tuple[np.ndarray, list[int]]]
+"""Of a graph of spheres: numbers of the spheres and of the children of each."""
 
 
-def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, place: np.ndarray) -> Motions:
+def order_of(packing: Packing, contact: np.ndarray, free: np.ndarray) -> Parts:
+    """An order of elimination of all spheres from their centres, by contacts (A,) between those that are free, (N,)."""
+    first, second = np.sort(packing.contact[contact[free[packing.contact[contact]].all(axis=1)]], axis=1).T
+    size = (packing.spheres,) * 2
+    once = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=size)
+    graph = sparse.csr_array(once + once.T)
+    return [(part.nodes, part.children) for part in dissected(graph, packing.center.T, LEAF_SPHERES)]
+
+
+def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) -> Motions:
     """The kernel of the slips (rows, unknowns) that spins make.
 
-    sphere : (unknowns,) that each belongs to. place : (spheres, D).
+    sphere : (unknowns,) that each belongs to. parts : an order of the spheres, in which those of a contact are above
+    each other.
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
     matrix = (slips.T @ slips).tocsr()
     matrix.sort_indices()
-    own_of = _unknowns_of(sphere, len(place))
-    graph = touching(matrix, sphere, len(place))
-    parts, position = order_of(graph, place), np.empty(matrix.shape[0], dtype=np.int64)
-    nodes = [np.concatenate([own_of[i] for i in own] or [np.zeros(0, np.int64)]) for own, _ in parts]
+    nodes, position = unknowns_of(sphere, parts), np.empty(matrix.shape[0], dtype=np.int64)
     position[np.concatenate(nodes)] = np.arange(matrix.shape[0])
     held, fronts, least = [], [], np.inf
     waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}
@@ -127,21 +133,13 @@ def _slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.
     return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
 
 
-def touching(matrix: sparse.csr_array, sphere: np.ndarray, spheres: int) -> sparse.csr_array:
-    """Graph of the spheres whose unknowns a matrix couples, (spheres, spheres), without loops."""
-    entries = matrix.tocoo()
-    row, column = sphere[entries.row], sphere[entries.col]
-    apart = row != column
-    ones = np.ones(int(apart.sum()), dtype=np.int8)
-    graph = sparse.csr_array((ones, (row[apart], column[apart])), shape=(spheres, spheres))
-    graph.sum_duplicates()
-    graph.sort_indices()
-    return graph
-
-
-def _unknowns_of(sphere: np.ndarray, spheres: int) -> list[np.ndarray]:
-    order = np.argsort(sphere, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(sphere, minlength=spheres))[:-1])
+def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
+    """Numbers of the unknowns of each part."""
+    order, own = np.concatenate([spheres for spheres, _ in parts]), [len(spheres) for spheres, _ in parts]
+    place, part = np.empty(len(order), dtype=np.int64), np.repeat(np.arange(len(own)), own)
+    place[order] = np.arange(len(order))
+    by_place = np.argsort(place[sphere], kind="stable")
+    return np.split(by_place, np.cumsum(np.bincount(part[place[sphere]], minlength=len(own)))[:-1])
 
 
 def _eliminated(

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.numerics.cholesky import Cholesky, NotPositiveDefinite
-from taichi_bearings.packing.motions import order_of, touching
+from taichi_bearings.packing.motions import unknowns_of
 from taichi_bearings.packing.system import System
 
 RAISED_DIAGONALS = (0.0, 1e-15, 1e-13, 1e-11)  # relative additions to the diagonal, tried one after the other
@@ -18,7 +18,11 @@ class NewtonMatrix:
         self.system, self.factorisations = system, 0
         first, second, source, contact = _pairs(system)
         apart = first != second
-        self.cholesky = Cholesky(system.unknowns, lambda: _order(system), (first[apart], second[apart]))
+        self.cholesky = Cholesky(
+            system.unknowns,
+            lambda: np.concatenate(unknowns_of(system.sphere, system.parts())),
+            (first[apart], second[apart]),
+        )
         components = system.moved.shape[1]
         size = components * (components + 1) // 2
         entry = self.cholesky.pattern.entry(first, second)
@@ -100,13 +104,3 @@ def _pairs(system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
             found.append((unknown[at, a], unknown[at, b], source, at))
     first, second, source, contact = (np.concatenate(part) for part in zip(*found, strict=True))
     return first, second, source, contact
-
-
-def _order(system: System) -> np.ndarray:
-    """Of elimination, (unknowns,)."""
-    there, sphere = np.unique(system.sphere, return_inverse=True)
-    graph = touching((system.transposed @ system.matrix).tocsr(), sphere, len(there))
-    order = np.argsort(sphere, kind="stable")
-    own = np.split(order, np.cumsum(np.bincount(sphere))[:-1])
-    parts = order_of(graph, system.packing.center[there])
-    return np.concatenate([own[i] for nodes, _ in parts for i in nodes])

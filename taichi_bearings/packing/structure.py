@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
 
-from taichi_bearings.packing.motions import MOST_UNKNOWNS, slipless_motions
+from taichi_bearings.packing.motions import MOST_UNKNOWNS, order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import odd_parts, slips_of
 
@@ -103,8 +103,8 @@ def slipless_number(packing: Packing, free: np.ndarray) -> tuple[int | None, str
         return unknowns - int((sizes > RANK * sizes.max(initial=0.0)).sum()), "singular values"
     if unknowns > MOST_UNKNOWNS:
         return None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
-    number = np.cumsum(free) - 1
-    motions = slipless_motions(slips, np.repeat(number[free], components), packing.center[free])
+    sphere, parts = np.repeat(np.flatnonzero(free), components), order_of(packing, contact, free)
+    motions = slipless_motions(slips, sphere, parts)
     if not motions.counted:
         return None, "not decided: some motions slip by little more than rounding"
     return motions.number, "elimination"

@@ -1,13 +1,14 @@
 """What there is to find: the free spins that contacts with driven ones reach, and the slips that they make."""
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.packing.motions import Motions, slipless_motions
+from taichi_bearings.packing.motions import Parts, order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing
 
 
@@ -46,15 +47,17 @@ class System:
     """The contacts that act, (A,), and the unknowns: spins of free spheres, by component, that have to be found.
 
     packing. contact : (A,) numbers of contacts with a coefficient and a free end, in parts that touch a driven sphere.
-    moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : of them, before they
-    were held. sphere : (unknowns,). known : (N, C), u of spheres and components that are no unknowns. matrix : K.
-    offset : b, (d, A), of the known spins. coefficients : (A,) each.
+    moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : number of slipless ones
+    before some were held; None if undecided. parts : an order of the spheres, worked out once. sphere : (unknowns,).
+    known : (N, C), u of spheres and components that are no unknowns. matrix : K. offset : b, (d, A), of the known
+    spins. coefficients : (A,) each.
     """
 
     packing: Packing
     contact: np.ndarray
     moved: np.ndarray
-    motions: Motions
+    motions: int | None
+    parts: Callable[[], Parts]
     sphere: np.ndarray
     known: np.ndarray
     matrix: sparse.csr_array
@@ -73,22 +76,18 @@ class System:
             joined[label[end[free[end] & ~free[other]]]] = True
         moves = free & joined[label]
         contact = contact[moves[first] | moves[second]]
-        components = 1 if packing.dimension == 2 else 3
-        known, settled, further = _without_slip(packing, contact, moves)
-        moved = np.full((packing.spheres, components), -1)
-        wanted = moves[:, None] & ~settled
-        moved[wanted] = np.arange(wanted.sum())
-        matrix = slips_of(packing, contact, moved)
-        sphere = np.nonzero(wanted)[0]
-        number = np.cumsum(moves) - 1
-        motions = replace(slipless_motions(matrix, number[sphere], packing.center[moves]), further=further)
-        keep = np.ones(matrix.shape[1], dtype=bool)
-        keep[motions.held] = False
-        again = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
+        known, wanted, number = _without_slip(packing, contact, moves)
+        moved, parts = _numbered(wanted), cache(partial(order_of, packing, contact, moves))
+        if number is None:
+            found = slipless_motions(slips_of(packing, contact, moved), np.nonzero(wanted)[0], parts())
+            number = found.number if found.counted else None
+            wanted &= ~np.isin(moved, found.held)
+            moved = _numbered(wanted)
         spins = known[packing.contact[contact]].sum(axis=1)  # (A, C)
         offset = np.einsum("tek,ek->te", tangents(packing.normal[contact]), spins)  # type: ignore[index]
         of = tuple(values[contact] for values in packing.coefficients)
-        return cls(packing, contact, again[moved], motions, sphere[keep], known, matrix[:, keep], offset, of)
+        matrix = slips_of(packing, contact, moved)
+        return cls(packing, contact, moved, number, parts, np.nonzero(wanted)[0], known, matrix, offset, of)
 
     @property
     def unknowns(self) -> int:
@@ -126,33 +125,43 @@ def along_axes(packing: Packing, contact: np.ndarray) -> bool:
     return packing.dimension == 2 or bool(((normal != 0).sum(axis=1) == 1).all())
 
 
-def _without_slip(packing: Packing, contact: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """u (N, C) of driven spheres and of components that slip nowhere; which those are, (C,); and their motions.
+def _numbered(wanted: np.ndarray) -> np.ndarray:
+    """Number of each True one, -1 of the others."""
+    return np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
+
+
+def _without_slip(
+    packing: Packing, contact: np.ndarray, moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int | None]:
+    """u (N, C) of driven spheres and of components that slip nowhere; mask (N, C) of what is to be found; and how many
+    motions slip nowhere, one spin of each held at 0; None where normals are oblique.
 
     Where normals lie along the axes, components meet in the norms of the slips alone, so a component that can turn
     without any slip does so at a minimum: along it no driven spheres of a part differ but by the sign of a sublattice.
+    A part without driven spheres and odd loops has a motion.
     """
-    known, components = packing.imposed.copy(), packing.imposed.shape[1]
-    settled, further = np.zeros(components, dtype=bool), 0
-    if packing.dimension == 2 or not along_axes(packing, contact):
-        return known, settled, further
-    for k in range(components):
+    known, wanted = packing.imposed.copy(), np.tile(moves[:, None], packing.imposed.shape[1])
+    if not along_axes(packing, contact):
+        return known, wanted, None
+    number, held = 0, packing.driven >= 0
+    for k in range(wanted.shape[1]) if packing.dimension == 3 else ():
         ends = packing.contact[contact[packing.normal[contact, k] == 0]]  # type: ignore[index]
         odd, sign = odd_parts(packing.spheres, *ends.T)
         label = _components(packing.spheres, *ends.T)
-        turned, held = sign * packing.imposed[:, k], packing.driven >= 0
+        turned = sign * packing.imposed[:, k]
         low, high = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
         np.minimum.at(low, label[held], turned[held])
         np.maximum.at(high, label[held], turned[held])
-        stuck = odd[held] & (turned[held] != 0)
-        if (low < high).any() or stuck.any():
-            continue
-        settled[k] = True
         loose = np.isinf(low)
-        value = np.where(loose, 0.0, low)[label] * np.where(odd, 0.0, sign)
-        known[moves, k] = value[moves]
-        further += len(np.unique(label[moves & loose[label] & ~odd]))
-    return known, settled, further
+        turning = np.flatnonzero(moves & loose[label] & ~odd)
+        first = turning[np.unique(label[turning], return_index=True)[1]]
+        number += len(first)
+        if (low < high).any() or (odd[held] & (turned[held] != 0)).any():
+            wanted[first, k] = False
+        else:
+            wanted[:, k] = False
+            known[moves, k] = (np.where(loose, 0.0, low)[label] * np.where(odd, 0.0, sign))[moves]
+    return known, wanted, number
 
 
 def odd_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,9 +27,7 @@ def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
         parts = (sparse.diags_array(across[t, slipping]) @ system.matrix[t * count + slipping] for t in range(d))
         rows.append(sum(parts))
     found = np.zeros(count, dtype=bool)
-    there, sphere = np.unique(system.sphere, return_inverse=True)
-    slips = sparse.csr_array(sparse.vstack(rows))
-    motions = slipless_motions(slips, sphere, system.packing.center[there])
+    motions = slipless_motions(sparse.csr_array(sparse.vstack(rows)), system.sphere, system.parts())
     if not motions.number:
         return found
     if motions.number > MOST_TIES:

@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing, PackingResult
+from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS, colour_bar
 from taichi_bearings.plots.page import PAGE, VIEW, Page
 from taichi_bearings.plots.power import POWER_COLOURS
@@ -23,7 +23,7 @@ SHADE = 0.55  # of the colour of spheres that lie farthest behind
 
 
 @in_our_style
-def draw_packing(result: PackingResult, kind: str = "spins", page: Page = PAGE) -> Figure:
+def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE) -> Figure:
     """kind : "spins", the surface speed of every sphere and, of discs, slipping contacts in black; "power", of slipping
     contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim."""
     if kind not in PACKING_FIGURES:
@@ -72,7 +72,7 @@ def _named(packing: Packing) -> str:
     return f"{packing.spheres:,} {what}, {str(packing.law).replace('coulomb', 'Coulomb')}"
 
 
-def _speed(result: PackingResult) -> tuple[np.ndarray, float]:
+def _speed(result: PackingSolution) -> tuple[np.ndarray, float]:
     """Surface speeds (N,), and the largest imposed one, or 1."""
     packing = result.packing
     surface = result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]

@@ -19,7 +19,7 @@ from taichi_bearings.files.whole_file import attributes_of, put, write_hdf5
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
-from taichi_bearings.packing import Packing, PackingResult, solve_packing
+from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES, found_in, plain
@@ -82,7 +82,7 @@ class PackingRun:
     """A solved packing. path : of the directory or the file that has the run, if any. command : what made it."""
 
     settings: RunSettings
-    result: PackingResult
+    result: PackingSolution
     path: Path | None = None
     command: str = ""
     interrupted: bool = False
@@ -213,7 +213,7 @@ ON_DEVICE = ("arch", "precision", "threads")
 
 def solved_packing(
     settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System] = System.of
-) -> PackingResult:
+) -> PackingSolution:
     """The answer of the method that the settings name. system_of : see :func:`solve_packing`."""
     if settings.method == "auto":
         return solve_packing(packing, settings.tolerance, system_of)
@@ -225,7 +225,7 @@ def solved_packing(
     return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
 
 
-def _fill(result: PackingResult, file: h5py.File) -> None:
+def _fill(result: PackingSolution, file: h5py.File) -> None:
     for name, values in result.packing.arrays().items():
         put(file, f"packing/{name}", values, *PACKING_ARRAYS[name])
     put(file, "spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
@@ -236,7 +236,7 @@ def _fill(result: PackingResult, file: h5py.File) -> None:
     put(file, "contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
 
 
-def columns_of_packing(result: PackingResult) -> tuple[dict[str, Finding], dict[str, Finding]]:
+def columns_of_packing(result: PackingSolution) -> tuple[dict[str, Finding], dict[str, Finding]]:
     """What is known of the spheres (N, ...) and of the contacts (E, ...), by name, for other programs."""
     packing, spin = result.packing, result.spin
     if packing.dimension == 2:  # along z
@@ -307,7 +307,7 @@ def read_packing_run(run: Path) -> PackingRun:
         sets: dict[str, Any] = {name: _whole(path, file, stored, packing) for name, stored in names.items()}
         number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
         motions, columns = attributes["slipless_motions"], [name for name in CHECK_ROWS if f"history/{name}" in file]
-        result = PackingResult(
+        result = PackingSolution(
             packing=packing,
             potential=float(attributes.get("potential", number["power"])),
             proof=str(attributes["proof"]),

@@ -80,7 +80,7 @@ def solve(
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         compiled = time.perf_counter()
-        course = _Course(scene, method, stop, recording, checkpoints, interrupt)
+        course = Course(scene, method, stop, recording, checkpoints, interrupt)
         with stage("solving") as solving:
             status, progress, seconds = course.follow([solving.tell, *monitors])
         with stage("proving contact states"):
@@ -110,7 +110,7 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
             raise ValueError(f"{name} has {found.dtype} of shape {found.shape}, not {like.dtype} of {like.shape}")
 
 
-class _Course:
+class Course:
     """The loop of :func:`solve` from the start, or from a checkpoint, to the end."""
 
     def __init__(

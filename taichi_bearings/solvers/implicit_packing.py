@@ -4,7 +4,7 @@ The unknowns of a stage are w = S^-1 u of the free spheres, S^2 = unit inertia R
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy import sparse
 
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
-from taichi_bearings.packing.motions import Motions
+from taichi_bearings.packing.motions import order_of
 from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.system import System, slips_of
 from taichi_bearings.solvers.dynamics import RestWatch
@@ -35,10 +35,10 @@ class Stages:
         moved = np.full((packing.spheres, c), -1)
         moved[free] = np.arange(len(free) * c).reshape(-1, c)
         matrix = slips_of(packing, network.acting, moved)
-        none = Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), matrix.shape[1])
         offset, of = network.differences(packing.imposed.T[:, None])[:, 0], tuple(v[0] for v in network.contact)
-        sphere = np.repeat(free, c)
-        system = System(packing, network.acting, moved, none, sphere, packing.imposed, matrix, offset, of)
+        parts = partial(order_of, packing, network.acting, ~network.lattice.is_driven)
+        sphere, known = np.repeat(free, c), packing.imposed
+        system = System(packing, network.acting, moved, None, parts, sphere, known, matrix, offset, of)
         return cls(system, np.repeat(scale, c))
 
     @cached_property

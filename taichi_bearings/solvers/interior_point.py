@@ -12,16 +12,14 @@ margin, which the central path drives apart.
 """
 
 import threading
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import Path, balance, flowing
+from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.contact_system import (
     ContactSystem,
     above_free_spins,
@@ -29,10 +27,11 @@ from taichi_bearings.conic.contact_system import (
     lattice_system,
     place_free_spins,
 )
+from taichi_bearings.conic.descent import DISTANT_GAP, LEAST_GAP, Descent, Sample
 from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.resolution import DECIDED_RATIO, Resolved, Surroundings, resolve
+from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
@@ -44,37 +43,14 @@ from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_b
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import InteriorPoint
-from taichi_bearings.stages import stage
 
-LEAST_GAP = 1e-13  # relative gap at which double precision ends
-# relative gap from which settling is tried, and factor to the next trial in large samples
-SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
-# in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
-FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 0.55
-DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
 # steps that small samples may take from one look at where they are to the next; mostly all they need
 STEPS_AT_ONCE = 64
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
-LAST_SETTLING_GAP = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 
 
-@dataclass
-class _Sample:
-    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured."""
-
-    iterate: Iterate
-    unit: float
-    steps: int = 0
-    gap: float = np.inf  # relative
-    done: bool = False
-    at_end: bool = False  # its states are to be settled before it goes on
-    before: Iterate | None = None  # where it then was a step before, if that is known
-    tried: float = np.inf  # relative gap at the last trial to settle the states
-    resolved: Resolved | None = None
-
-
-def _states(samples: Sequence[_Sample]) -> Arrays:
+def _states(samples: Sequence[Sample]) -> Arrays:
     """Contact states (R * n,) a group, one sample after the other."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     settled = [
@@ -96,7 +72,7 @@ def _states(samples: Sequence[_Sample]) -> Arrays:
     return together([f if s.resolved is None else next(known) for f, s in zip(each_found, samples, strict=True)])
 
 
-_Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix | None]
+_Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
 
 
 def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
@@ -116,12 +92,12 @@ def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
 def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
     top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
     system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
-    if not top.any():  # nothing turns, and nothing is to be solved
+    if not top.any():  # nothing turns
         return system, order, None
     return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)
 
 
-class InteriorPointMethod:
+class InteriorPointMethod(Descent):
     """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
 
     def __init__(self, options: InteriorPoint) -> None:
@@ -134,13 +110,14 @@ class InteriorPointMethod:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         top, self.unit = scene.driving.top_in_units(self.spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
-        self.system, self.order, matrix = _skeleton(scene.lattice, self.spin_axes, top[0].tobytes())
-        self.top = above_free_spins(top, scene.lattice)
-        if matrix is not None:
-            self.matrix = matrix
+        self.system, order, matrix = _skeleton(scene.lattice, self.spin_axes, top[0].tobytes())
+        shared = Surroundings(self.system, order, matrix, above_free_spins(top, scene.lattice))
+        small, settles = scene.lattice.sites < BATCHED_SITES, scene.law.is_rate_independent
+        super().__init__(shared, scene.lattice.sites, small, settles, self.options.settle)
+        if self.frustrated:
             compile_passes()  # all before the clock starts
             matrix.compile()  # the last sample may be alone
-            if self._small and scene.replicas > 1:
+            if small and scene.replicas > 1:
                 matrix.compile(LANES)
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
 
@@ -150,7 +127,7 @@ class InteriorPointMethod:
         inside = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         return free_spins(inside / (self.unit or 1.0))
 
-    def _sample(self, replica: int, spins: np.ndarray) -> _Sample:
+    def _sample(self, replica: int, spins: np.ndarray) -> Sample:
         scene = self.scene
         friction, viscosity = self.system.gather(scene.positive_coefficient, replica), None
         strength = friction
@@ -162,10 +139,10 @@ class InteriorPointMethod:
         if beside is not None and self.frustrated:
             viscosity = flow / unit
             with suppress(NotPositiveDefinite), one_thread():
-                spins = flowing(self.system, viscosity, self.matrix, spins)
+                spins = flowing(self.system, viscosity, self.shared.matrix, spins)
         slack = 1.0 / (scene.lattice.shape[-1] - 1)
         start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
-        return _Sample(start, unit)
+        return Sample(start, unit)
 
     @property
     def iteration(self) -> int:
@@ -173,122 +150,10 @@ class InteriorPointMethod:
 
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
-        if self._small and self.options.settle:
+        if self.small and self.options.settle:
             return iteration + STEPS_AT_ONCE
         far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
         return iteration + (2 if far else 1)
-
-    def advance(self, steps: int) -> None:
-        """As many of every sample that is not done. Where one leaves, another takes its place beside the others.
-
-        Samples near the end of their paths wait for others: together their states are settled in half the time.
-        """
-        waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
-        together = self._small and len(waiting) > 1
-        path, going = Path(self.matrix, LANES if together else 1), dict[int, tuple[_Sample, int]]()
-        at_end: list[tuple[_Sample, int]] = []
-        with one_thread():  # fronts are shared among threads here, not inside the library
-            try:
-                while waiting or going or at_end:
-                    if len(at_end) >= path.samples or not (waiting or going):
-                        some, at_end = at_end[: path.samples], at_end[path.samples :]
-                        self._settle([sample for sample, _ in some])
-                        waiting += [(sample, last) for sample, last in some if not sample.done and sample.steps < last]
-                        continue
-                    for place in [place for place in range(path.samples) if place not in going][: len(waiting)]:
-                        going[place] = waiting.popleft()
-                        path.put(place, going[place][0].iterate)
-                    taken = path.step()
-                    for place, (sample, last) in list(going.items()):
-                        self._judge(sample, path, place, bool(taken[place]))
-                        if sample.done or sample.at_end or sample.steps == last:
-                            self._leave(path, place, going.pop(place)[0])
-                        if sample.at_end:
-                            at_end.append((sample, last))
-            finally:
-                for place, (sample, _) in going.items():
-                    self._leave(path, place, sample)
-
-    def _leave(self, path: Path, place: int, sample: _Sample) -> None:
-        if not sample.done:
-            sample.iterate = path.iterate(place)
-        path.put(place, None)
-
-    @property
-    def settles_at(self) -> float:
-        """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
-        large ones none is, and a step costs more than to follow the last decades of the path that much further."""
-        return (
-            min(SETTLING_GAP_FACTOR / self.scene.lattice.sites**3, FIRST_SETTLING_GAP) if self._small else SETTLING_GAP
-        )
-
-    @property
-    def _small(self) -> bool:
-        return self.scene.lattice.sites < BATCHED_SITES
-
-    def _judge(self, sample: _Sample, path: Path, place: int, taken: bool) -> None:
-        """See where a step of a sample has led, and whether to try to settle its states."""
-        gap = self._gap(sample, path, place) if taken else np.nan
-        sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
-        sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
-        sample.at_end = sample.gap < max(
-            self._near(sample), LAST_SETTLING_GAP if self._settles and sample.done else 0.0
-        )
-        if sample.done or sample.at_end:
-            sample.iterate = path.iterate(place) if accepted else path.before(place)
-        if sample.at_end:
-            sample.before = path.before(place) if accepted else None
-
-    @property
-    def _settles(self) -> bool:
-        """Slips of any size are met with a force where it depends on the rate: there are no contacts at rest to be
-        found."""
-        return self.scene.law.is_rate_independent
-
-    def _near(self, sample: _Sample) -> float:
-        """Relative gap from which the states of a sample are to be settled; 0 if never. In small samples that is tried
-        once, and where the path ends: the last decades are followed each time, and tell no more from closer by."""
-        again = 0.0 if self._small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
-        return min(self.settles_at, again) if self._settles else 0.0
-
-    @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
-    def _gap(self, sample: _Sample, path: Path, place: int) -> float:
-        """Relative gap of a sample after a step, with the price of torques that are left. Its forces are balanced where
-        nothing else keeps it from being settled. Not finite if it cannot be told."""
-        gap = path.gap(place)
-        price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
-        if not price > max(gap, LEAST_GAP):
-            return gap
-        if self._settles and self.options.settle:
-            if not gap < self._near(sample):
-                return gap + price
-            if gap > LEAST_GAP and price < LAST_SETTLING_GAP:
-                return gap
-        try:
-            balanced = balance(path.iterate(place), self.matrix)
-        except NotPositiveDefinite:
-            return np.nan
-        path.put(place, balanced)
-        return balanced.gap
-
-    def _settle(self, samples: list[_Sample]) -> None:
-        lattice = Surroundings(self.system, self.order, self.matrix, self.top)
-        with stage("settling contact states"):
-            resolved = resolve([s.iterate for s in samples], [s.before for s in samples], lattice, self._small)
-        for sample, found in zip(samples, resolved, strict=True):
-            sample.tried, sample.at_end, sample.before = sample.gap, False, None
-            if found is None:
-                continue
-            if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):
-                sample.resolved = found
-            sample.done |= found.sure
-
-    def _misses(self, sample: _Sample, found: Resolved) -> tuple[bool, bool, float]:
-        """What a settled state misses, the most important first: balanced forces that bear the load, certainty, and the
-        gap with what torques on the spheres take from the bound, at most: the more where coefficients differ by many
-        decades, the further the path goes."""
-        settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
-        return not found.borne, not found.sure, settled.gap + settled.price_of_torques
 
     def progress(self) -> Progress:
         scene = self.scene

@@ -14,12 +14,12 @@ from taichi_bearings.interrupts import Interrupt
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingResult, judged
+from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingSolution, judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, choose_time_step
-from taichi_bearings.solvers.drive import Monitor, _Course
+from taichi_bearings.solvers.drive import Course, Monitor
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
@@ -180,7 +180,7 @@ def follow_packing(
     density: Any = None,
     monitors: Sequence[Monitor] = (),
     **options: Any,
-) -> PackingResult:
+) -> PackingSolution:
     """A dynamics or descent of a packing, by its name or with its options.
 
     start, density : see :class:`Network`. options : `iterations`, `time_limit`, `duration`, `record`, `arch`,
@@ -211,7 +211,7 @@ def follow_packing(
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         scene: Any = network
-        course = _Course(scene, built, stop, recording, None, interrupt)
+        course = Course(scene, built, stop, recording, None, interrupt)
         status, last, seconds = course.follow(monitors)
         found = _answer(network, course, row.name, tolerance, begun)
     cut_short = "duration" in stops and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
@@ -229,14 +229,14 @@ def _times(record: Any) -> np.ndarray:
         raise InputError(f"record is {shown(record)}; it must be times or as log:start,stop,count") from None
 
 
-def _answer(network: Network, course: _Course, name: str, tolerance: float, begun: float) -> PackingResult:
+def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingSolution:
     """The best state and the best forces; `force` and the states of parts that nothing drives are those of now."""
-    (system, matrix), best = network.proof, course.best
+    system, best = network.proof[0], course.best
     last = best.progress
     value, forces = network.bound(last.force if last.proof is None else last.proof, last.staggered, whole=True)
     proof = forces if value > best.bound[0] else best.proof
     found = Found(np.zeros(system.unknowns), proof[:, 0, network.of_system], name, everywhere=last.staggered[:, 0].T)
-    result = judged(system, matrix, found, tolerance, begun)
+    result = judged(system, found, tolerance, begun)
     force, state = result.force.copy(), result.state.copy()
     force[network.acting] = vector_length(last.force)[0]
     loose = np.setdiff1d(network.acting, system.contact)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic import resolution
+from taichi_bearings.conic import descent, resolution
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Grouped, apart, each, isotropic, one_by_one, side_by_side, together, where
@@ -13,7 +13,6 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import dissect, tuning
 from taichi_bearings.numerics.cholesky.fronts import analyse
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.solvers import interior_point
 from tests.scenes import make_scene
 from tests.solvers.test_interior_point import minimum_of
 
@@ -145,9 +144,9 @@ def test_values_go_side_by_side_and_back(system):
 def test_a_block_is_settled_in_one_go(monkeypatch):
     """Those that need a second trial go through it together, too."""
     trials, looks = [], []
-    slipping, resolve = resolution._Slipping, interior_point.resolve
+    slipping, resolve = resolution._Slipping, descent.resolve
     monkeypatch.setattr(resolution, "_Slipping", lambda of, *more: trials.append(len(of)) or slipping(of, *more))
-    monkeypatch.setattr(interior_point, "resolve", lambda of, *more: looks.append(len(of)) or resolve(of, *more))
+    monkeypatch.setattr(descent, "resolve", lambda of, *more: looks.append(len(of)) or resolve(of, *more))
     assert minimum_of(make_scene((6, 6, 6), seeds=range(8))).states_proven.all()
     assert looks == [8]
     assert len(trials) <= 2

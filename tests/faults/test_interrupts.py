@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings import interrupts
+from taichi_bearings.conic import descent
 from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.run_file import read_run_file
@@ -103,11 +104,11 @@ def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
 
 
 def test_settling_is_given_up_where_it_factorises_and_the_minimum_stays(monkeypatch, needs_f64):
-    settle, undisturbed = interior_point.resolve, minimum()
-    monkeypatch.setattr(interior_point, "resolve", lambda *given: (strike(), settle(*given))[1])
+    settle, undisturbed = descent.resolve, minimum()
+    monkeypatch.setattr(descent, "resolve", lambda *given: (strike(), settle(*given))[1])
     found = minimum()
     assert found.interrupted
-    assert found.gap.max() < interior_point.FIRST_SETTLING_GAP  # from which small samples are settled
+    assert found.gap.max() < descent.FIRST_SETTLING_GAP  # from which small samples are settled
     assert undisturbed.states_proven.all()
     assert not found.states_proven.any()
     assert (abs(found.power - undisturbed.power) <= found.gap * found.power).all()

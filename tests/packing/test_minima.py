@@ -8,6 +8,8 @@ import pytest
 from scipy.optimize import linprog
 
 import taichi_bearings as tb
+from taichi_bearings.conic import descent
+from taichi_bearings.packing import answer
 from tests.packing.twins import clarabel_least, random_packing
 
 LAWS = ("coulomb", "coulomb-viscous", "viscous")
@@ -178,6 +180,36 @@ def test_a_lattice_given_as_packing_has_the_same_minimum(shape, options):
     assert np.array_equal(found.state[known], state[known])
     if not (state == 2).any():
         assert np.abs(found.slip - slip).max() < 1e-7  # with viscosity the square root of the gap
+
+
+def scattered(seed):
+    """A cubic block in which four bodies of a few spheres each turn otherwise, with friction over four decades."""
+    packing, draw = tb.Packing.lattice("cubic", (5, 6, 5), seed=seed), np.random.default_rng(seed)
+    driven, spin = np.full(packing.spheres, -1), np.zeros((packing.spheres, 3))
+    some = draw.choice(packing.spheres, 12, replace=False)
+    driven[some] = np.arange(12) % 4
+    spin[some] = draw.normal(size=(4, 3))[driven[some]]
+    friction = 10 ** draw.uniform(-4, 0, packing.contacts)
+    return tb.Packing(**packing.arrays() | {"driven": driven, "spin": spin, "friction": friction})
+
+
+@pytest.mark.parametrize("unsettled", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_networks_along_the_axes_have_the_minimum_of_any_other(seed, unsettled, monkeypatch):
+    """Also where the path of lattices is followed, and does not settle the states."""
+    packing = scattered(seed)
+    if unsettled:
+        monkeypatch.setattr(descent, "resolve", lambda iterates, *_: [None] * len(iterates))
+    own = tb.solve(packing)
+    monkeypatch.setattr(answer, "followed_along_axes", lambda *_: None)
+    other = tb.solve(packing)
+    assert own.status == "certified"
+    assert own.gap < 1e-12
+    assert own.power == pytest.approx(other.power, rel=1e-12)
+    known = (own.state != 2) & (other.state != 2)
+    assert np.array_equal(own.state[known], other.state[known])
+    assert (own.proven == 2).sum() <= (other.proven == 2).sum()
+    assert own.slipless_motions == other.slipless_motions
 
 
 def test_odd_rings_are_half_of_their_double_cover():

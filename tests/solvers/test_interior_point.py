@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic import resolution
+from taichi_bearings.conic import descent, resolution
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
@@ -229,7 +229,7 @@ def test_a_sample_with_slips_of_all_sizes_is_settled_by_the_path_at_once(monkeyp
     """Seed 31 of 16^3: of 3641 slipping contacts 724 seem to stick at the end of the path, and one slips by 1e-17."""
     looks, asked = [], []
     resolve, bear = resolution.resolve, resolution.bear
-    monkeypatch.setattr(interior_point, "resolve", lambda *of: looks.append(1) or resolve(*of))
+    monkeypatch.setattr(descent, "resolve", lambda *of: looks.append(1) or resolve(*of))
     monkeypatch.setattr(resolution, "bear", lambda *of: asked.append(1) or bear(*of))
     solution = minimum_of(make_scene((16, 16, 16), seeds=(31,)))
     assert solution.states_proven[0]
@@ -240,7 +240,7 @@ def test_a_sample_with_slips_of_all_sizes_is_settled_by_the_path_at_once(monkeyp
 @pytest.fixture
 def as_large(monkeypatch):
     """Small samples are settled as large ones are."""
-    monkeypatch.setattr(interior_point.InteriorPointMethod, "_small", False)
+    monkeypatch.setattr(interior_point, "BATCHED_SITES", 0)
 
 
 @pytest.mark.usefixtures("as_large")

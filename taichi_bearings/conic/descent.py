@@ -1,0 +1,146 @@
+"""Samples of one system on their way along the central path, until the states of their contacts are settled."""
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taichi_bearings.conic.central_path import Path, balance
+from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.resolution import Resolved, Surroundings, resolve
+from taichi_bearings.kernels.elimination import LANES
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.stages import stage
+
+LEAST_GAP = 1e-13  # relative gap at which double precision ends
+# relative gap from which settling is tried, and factor to the next trial in large samples
+SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
+# in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
+FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 0.55
+DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
+LAST_SETTLING_GAP = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
+
+
+@dataclass
+class Sample:
+    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured."""
+
+    iterate: Iterate
+    unit: float
+    steps: int = 0
+    gap: float = np.inf  # relative
+    done: bool = False
+    at_end: bool = False  # its states are to be settled before it goes on
+    before: Iterate | None = None  # where it then was a step before, if that is known
+    tried: float = np.inf  # relative gap at the last trial to settle the states
+    resolved: Resolved | None = None
+
+
+class Descent:
+    """See the module docstring. samples : all of them; each is done where nothing is left to gain for it."""
+
+    samples: list[Sample]
+
+    def __init__(self, shared: Surroundings, spheres: int, small: bool, settles: bool, asked: bool = True) -> None:
+        """shared : by all samples. small : samples are treated as small ones, several side by side. settles : slips of
+        any size are met with the same force, so that there are contacts at rest to be found. asked : they are wanted,
+        and not a bound alone."""
+        self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
+
+    def advance(self, steps: int) -> None:
+        """As many of every sample that is not done. Where one leaves, another takes its place beside the others.
+
+        Samples near the end of their paths wait for others: together their states are settled in half the time.
+        """
+        waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
+        together = self.small and len(waiting) > 1
+        path, going = Path(self.shared.matrix, LANES if together else 1), dict[int, tuple[Sample, int]]()
+        at_end: list[tuple[Sample, int]] = []
+        with one_thread():  # fronts are shared among threads here, not inside the library
+            try:
+                while waiting or going or at_end:
+                    if len(at_end) >= path.samples or not (waiting or going):
+                        some, at_end = at_end[: path.samples], at_end[path.samples :]
+                        self._settle([sample for sample, _ in some])
+                        waiting += [(sample, last) for sample, last in some if not sample.done and sample.steps < last]
+                        continue
+                    for place in [place for place in range(path.samples) if place not in going][: len(waiting)]:
+                        going[place] = waiting.popleft()
+                        path.put(place, going[place][0].iterate)
+                    taken = path.step()
+                    for place, (sample, last) in list(going.items()):
+                        self._judge(sample, path, place, bool(taken[place]))
+                        if sample.done or sample.at_end or sample.steps == last:
+                            self._leave(path, place, going.pop(place)[0])
+                        if sample.at_end:
+                            at_end.append((sample, last))
+            finally:
+                for place, (sample, _) in going.items():
+                    self._leave(path, place, sample)
+
+    def _leave(self, path: Path, place: int, sample: Sample) -> None:
+        if not sample.done:
+            sample.iterate = path.iterate(place)
+        path.put(place, None)
+
+    @property
+    def settles_at(self) -> float:
+        """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
+        large ones none is, and a step costs more than to follow the last decades of the path that much further."""
+        return min(SETTLING_GAP_FACTOR / self.spheres**3, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
+
+    def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
+        """See where a step of a sample has led, and whether to try to settle its states."""
+        gap = self._gap(sample, path, place) if taken else np.nan
+        sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
+        sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
+        sample.at_end = sample.gap < max(self._near(sample), LAST_SETTLING_GAP if self.settles and sample.done else 0.0)
+        if sample.done or sample.at_end:
+            sample.iterate = path.iterate(place) if accepted else path.before(place)
+        if sample.at_end:
+            sample.before = path.before(place) if accepted else None
+
+    def _near(self, sample: Sample) -> float:
+        """Relative gap from which the states of a sample are to be settled; 0 if never. In small samples that is tried
+        once, and where the path ends: the last decades are followed each time, and tell no more from closer by."""
+        again = 0.0 if self.small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
+        return min(self.settles_at, again) if self.settles else 0.0
+
+    @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
+    def _gap(self, sample: Sample, path: Path, place: int) -> float:
+        """Relative gap of a sample after a step, with the price of torques that are left. Its forces are balanced where
+        nothing else keeps it from being settled. Not finite if it cannot be told."""
+        gap = path.gap(place)
+        price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
+        if not price > max(gap, LEAST_GAP):
+            return gap
+        if self.settles and self.asked:
+            if not gap < self._near(sample):
+                return gap + price
+            if gap > LEAST_GAP and price < LAST_SETTLING_GAP:
+                return gap
+        try:
+            balanced = balance(path.iterate(place), self.shared.matrix)
+        except NotPositiveDefinite:
+            return np.nan
+        path.put(place, balanced)
+        return balanced.gap
+
+    def _settle(self, samples: list[Sample]) -> None:
+        with stage("settling contact states"):
+            resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
+        for sample, found in zip(samples, resolved, strict=True):
+            sample.tried, sample.at_end, sample.before = sample.gap, False, None
+            if found is None:
+                continue
+            if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):
+                sample.resolved = found
+            sample.done |= found.sure
+
+    def _misses(self, sample: Sample, found: Resolved) -> tuple[bool, bool, float]:
+        """What a settled state misses, the most important first: balanced forces that bear the load, certainty, and the
+        gap with what torques on the spheres take from the bound, at most: the more where coefficients differ by many
+        decades, the further the path goes."""
+        settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
+        return not found.borne, not found.sure, settled.gap + settled.price_of_torques
