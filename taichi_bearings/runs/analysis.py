@@ -75,6 +75,7 @@ class Analysis:
             "spin_top": solution.scene.imposed[0],
             "spin_bottom": solution.scene.imposed[1],
             "shape": list(solution.scene.lattice.shape),
+            **{name: list(value) for name in ("periodic", "top", "bottom") if (value := getattr(solution.scene, name))},
             "version": VERSION,
             "seconds": time.perf_counter() - began,
         }

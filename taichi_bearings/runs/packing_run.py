@@ -28,7 +28,7 @@ from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
 from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
-from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
+from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, TOLD, RunSettings, parse_toml
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
@@ -132,7 +132,7 @@ class PackingRun:
             "coefficients": None,
             "run": None if self.path is None else str(self.path),
         }
-        return {
+        return self.settings.driving | {
             key: None if isinstance(value, float) and not np.isfinite(value) else value
             for key, value in numbers.items()
         }
@@ -226,8 +226,9 @@ def _write(folder: Path, found: PackingRun) -> None:
     kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
     stored = RunSettings(**{**kept, "packing": "run.h5"})
     origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
+    numbers = {key: value for key, value in found.summary.items() if key not in TOLD}  # which led to the arrays
     with stage("writing"):
-        write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, found.summary | origin))
+        write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, numbers | origin))
         write_text(folder / "scene.toml", stored.to_toml())
         full = found.summary | {"settings": found.settings.described, "versions": versions()}
         write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")

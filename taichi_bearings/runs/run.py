@@ -33,7 +33,7 @@ from taichi_bearings.runs.run_directory import (
     run_directory,
 )
 from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
-from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.settings import TOLD, RunSettings, parse_toml, settings_table
 from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients, short_name
@@ -172,6 +172,7 @@ class Run:
         """The numbers of the run, as in `--json` of `run`."""
         running = self.solution.running
         return summarise(self) | {
+            **self.settings.driving,
             "arch": running.arch,
             "precision": running.precision,
             "threads": running.threads,
@@ -517,7 +518,8 @@ def _draw(found: Run) -> None:
 def write_state(file: Path, found: Run, stored: RunSettings) -> None:
     """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
     origin = {"command": found.command, "scene": stored.to_toml()}
-    write_run_file(file, found.solution, found.summary | origin | versions())
+    numbers = {key: value for key, value in found.summary.items() if key not in TOLD}  # which the scene holds
+    write_run_file(file, found.solution, numbers | origin | versions())
 
 
 def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folder: Path) -> RunSettings:
