@@ -28,7 +28,7 @@ from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES
 from taichi_bearings.runs.run import publish, rescued, versions, with_figures, write_histogram
 from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory, writable_folder
 from taichi_bearings.runs.run_file import RUN_SCHEMA, RUN_VERSION
-from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, TOLD, RunSettings, parse_toml
+from taichi_bearings.runs.settings import DRIVING_KEYS, OF_DRIVEN, OF_PACKINGS, RunSettings, parse_toml
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import law_named
@@ -226,7 +226,7 @@ def _write(folder: Path, found: PackingRun) -> None:
     kept = {key: value for key, value in found.settings.given.items() if key not in LED_TO_ARRAYS}
     stored = RunSettings(**{**kept, "packing": "run.h5"})
     origin = {"command": found.command, "scene": stored.to_toml(), **versions()}
-    numbers = {key: value for key, value in found.summary.items() if key not in TOLD}  # which led to the arrays
+    numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which led to the arrays
     with stage("writing"):
         write_hdf5(folder / "run.h5", lambda file: _fill(file, found.result, numbers | origin))
         write_text(folder / "scene.toml", stored.to_toml())

@@ -33,7 +33,7 @@ from taichi_bearings.runs.run_directory import (
     run_directory,
 )
 from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
-from taichi_bearings.runs.settings import TOLD, RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml, settings_table
 from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients, short_name
@@ -518,7 +518,7 @@ def _draw(found: Run) -> None:
 def write_state(file: Path, found: Run, stored: RunSettings) -> None:
     """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
     origin = {"command": found.command, "scene": stored.to_toml()}
-    numbers = {key: value for key, value in found.summary.items() if key not in TOLD}  # which the scene holds
+    numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which the scene holds
     write_run_file(file, found.solution, numbers | origin | versions())
 
 

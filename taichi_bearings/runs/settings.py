@@ -82,7 +82,7 @@ OF_PACKINGS = (
     "initial", "iterations", "time_limit", "duration", "record", "arch", "precision", "threads",
 )  # fmt: skip
 """Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
-TOLD = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
+DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
 
@@ -289,7 +289,7 @@ class RunSettings:
     def driving(self) -> dict[str, Any]:
         """What closes and drives the run where that is not as usual, by key, as JSON has it."""
         given = self.given
-        return {key: list(v) if isinstance(v := given[key], tuple) else v for key in TOLD if key in given}
+        return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
         """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""
