@@ -41,7 +41,7 @@ from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.ramp import Ramp
-from taichi_bearings.solvers.table import METHODS, MethodOptions, OperatorSplitting, fastest
+from taichi_bearings.solvers.table import METHODS, CundallStrack, MethodOptions, OperatorSplitting, fastest
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
 
@@ -262,15 +262,17 @@ def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]
 def _rigid_top(job: Job, ramp: Ramp) -> Any:
     """The dynamics of a top under a torque, which knows the motion of strength 1."""
     from taichi_bearings.solvers.drive import uninterrupted
+    from taichi_bearings.solvers.implicit_rigid_top import ImplicitRigidTopMethod
     from taichi_bearings.solvers.rigid_top import RigidTopMethod
 
+    kind: Any = RigidTopMethod if isinstance(job.method.options, CundallStrack) else ImplicitRigidTopMethod
     options: Any = dict.fromkeys(("torque", "iterations", "duration", "record", "snapshots"))
     settings = replace(job.settings, method="auto", **options)
     again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
     solution = uninterrupted(again(job.scene))
     friction = by_friction(solution, again)
     known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
-    return RigidTopMethod(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
+    return kind(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
 
 
 def _same_of(job: Job, settings: RunSettings, scene: Scene) -> Job:
