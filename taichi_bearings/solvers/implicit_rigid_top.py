@@ -16,7 +16,7 @@ from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers.implicit_cundall_strack import GAMMA, ImplicitCundallStrackMethod
-from taichi_bearings.solvers.rigid_top import UnderTorque
+from taichi_bearings.solvers.rigid_top import UnderTorque, over
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,12 @@ class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
         own = lattice_system(scene.lattice, axes, scene.top_spin(axes))
         self.system = WithTop(own, self.share * own.offset)
         self.amplitude, self.angle, self.start = np.zeros((3, scene.replicas))
-        holds, terminal = scene.strength * float(scene.coefficient.max()), abs(self.ramp.stop) / self.known.power.min()
-        fastest = holds / np.sqrt(self.options.stiffness * self.inertia) if scene.law.holds else terminal
-        self._begin(nothing, fastest)  # spins at which inertia stretches a spring to what friction holds
+        if scene.law.holds:  # the spin at which inertia stretches a spring to what friction holds
+            strongest = scene.strength * float(scene.coefficient.max())
+            fastest = strongest / float(np.sqrt(self.options.stiffness * self.inertia))
+        else:  # that of the steady motion
+            fastest = float(over(np.full(scene.replicas, abs(self.ramp.stop)), self.known.power).max())
+        self._begin(nothing, fastest)
 
     def driven(self, staggered: np.ndarray) -> np.ndarray:
         return staggered
