@@ -65,10 +65,11 @@ def _describe_packing(report: dict[str, Any], times: str) -> str:
 def describe(report: dict[str, Any], times: str) -> str:
     """The report for people, section by section; of several samples mean and range. times : where the time went."""
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
+    from taichi_bearings.words import driving_words
 
     shape, seeds, spans = "x".join(map(str, report["shape"])), report["seed"], report["spans"]
     several = isinstance(seeds, list)
-    lines = [f"{shape} {report['law']}, {report['method']}; contact states: {_states(report)}"]
+    lines = [f"{shape} {report['law']}, {report['method']}{driving_words(report)}; contact states: {_states(report)}"]
     ended = [report["status"]] if isinstance(report["status"], str) else report["status"]
     if open_ends := [status for status in ended if status != "certified"]:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")

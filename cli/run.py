@@ -11,7 +11,7 @@ from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.verify import describe as describe_verdict
 
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.words import counted, undecided_kinds
+from taichi_bearings.words import counted, driving_words, undecided_kinds
 
 
 @click.command(cls=SettingsCommand)
@@ -120,7 +120,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
     """A short summary for people. times : where the time went."""
     shape = "x".join(map(str, summary["shape"]))
     status = summary["status"] if isinstance(summary["status"], str) else ", ".join(sorted(set(summary["status"])))
-    lines = [f"{shape} {summary['law']}, {summary['method']}: {status}"]
+    lines = [f"{shape} {summary['law']}, {summary['method']}{driving_words(summary)}: {status}"]
     if summary["coefficients"]:
         lines.append(f"  coefficients from {summary['coefficients']}")
     seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
@@ -165,7 +165,7 @@ def describe_packing(summary: dict[str, Any], times: str) -> str:
         states = f"of {summary['contacts'] - summary['unproven']:,} contacts it is proven what they are called"
     lines = [
         f"{summary['spheres']:,} spheres, {summary['driven_spheres']:,} of them driven, {summary['law']}, "
-        f"{summary['method']}: {summary['status']}",
+        f"{summary['method']}{driving_words(summary)}: {summary['status']}",
         f"  P = {summary['power']:.12g}, {proven}; of {summary['contacts']:,} contacts "
         f"{summary['slipping']:,} slip, {summary['slipless']:,} do not, {others}",
         f"  {states}; slipless motions beside: {free}",

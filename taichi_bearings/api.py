@@ -315,7 +315,7 @@ def solve(
     start : spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
         `Result.spin`.
     callback : hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
-    options : `torque` on the top instead of its spin, force*length, or of `CundallStrack` "start:stop:step", which adds
+    options : `torque` on the top instead of its spin, force*length, of springs in time "start:stop:step" too; adds
         `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
         `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the simulated times `record` of
         the rows of the history and `snapshots` of spins that are kept, as numbers or as "log:start,stop,count";

@@ -1,7 +1,7 @@
 """Numbers and mistyped words in sentences for people."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 LIKE_LETTERS = 0.6  # share of the letters that a mistyped word has in common with what was meant
@@ -56,3 +56,23 @@ def undecided_kinds(undecided: int, critical: int, tied: int) -> list[str]:
     none."""
     kinds = ((critical, "critical"), (tied, "tied"), (undecided - critical - tied, "undecided"))
     return [f"{number:,} {kind}" for number, kind in kinds if number]
+
+
+def driving_words(values: Mapping[str, Any]) -> str:
+    """What closes and drives a run, by name as its options are, as the end of a list; empty where that is as usual.
+
+    >>> driving_words({"periodic": ["x", "y"], "top": [1.0, 1.0, 0.0, 0.2], "bottom": [0.5], "driven": None})
+    ', periodic x,y, top 1,1,0;0.2, bottom 0.5'
+    """
+    told = []
+    for name in ("periodic", "top", "bottom", "driven"):
+        value = values.get(name)
+        parts = [f"{part:g}" if isinstance(part, float | int) else part for part in listed(value)]
+        if value:
+            told.append(f", {name} {','.join(parts[:3])}{';' * (len(parts) > 3)}{';'.join(parts[3:])}")
+    return "".join(told)
+
+
+def listed(value: Any) -> list[Any]:
+    """One value or several."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -77,9 +77,11 @@ class Axis:
     patience: float = 1.0
 
 
-def make_quantities(shape: Sequence[int], law: str, draw: Callable[..., np.ndarray], seed: int) -> dict[str, Any]:
+def make_quantities(
+    shape: Sequence[int], law: str, draw: Callable[..., np.ndarray], seed: int, periodic: tuple[int, ...] = ()
+) -> dict[str, Any]:
     """The coefficients of each kind that the law has, by their name in a Scene."""
-    lattice, found = Lattice(tuple(shape)), dict[str, Any]()
+    lattice, found = Lattice(tuple(shape), periodic=periodic), dict[str, Any]()
     for stream, name in zip(range(len(law_named(law).quantities)), ("coefficients", "viscosity"), strict=False):
         rng = np.random.default_rng([seed, 1 + stream])
         found[name] = tuple(draw(rng, lattice.contact_shape(axis)) for axis in range(lattice.dimension))
@@ -204,10 +206,29 @@ def _rate(case: Case, value: float, row: Row) -> Case:
 
 
 def _common_state(case: Case, value: float, row: Row) -> Case:
-    """A bearing state added to both planes, and so to all spins: as from an origin far away."""
-    top, bottom = (1.0, 0.5, 0.0, 0.5), (value,) * 4
-    added = tuple(one + value for one in top)
+    """A bearing state added to both planes, and so to all spins: as from an origin far away along x, and at the second
+    sphere along y, where A cancels C y."""
+    top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
+    added = tuple(one + other for one, other in zip(top, bottom, strict=True))
     return replace(case, scene=replace(case.scene, top=added, bottom=bottom))
+
+
+def _pivot(case: Case, value: float, row: Row) -> Case:
+    """The top turns about its second sphere along x, but for so small a part of what A cancels there."""
+    return replace(case, scene=replace(case.scene, top=(value - 1.0, 1.0, 0.0, 1.0), bottom=(0.0,) * 4))
+
+
+RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 decades": ((2, 6), (2, 2, 4)),
+         "of 2, 18 decades": ((2, 6), (2, 2, 4))}  # fmt: skip
+
+
+def _rings(case: Case, value: str, row: Row) -> Case:
+    """All sides but the height closed."""
+    names, decades = ("x", "y")[: row.dimension - 1], {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
+    draw = partial(_log_uniform, value=decades) if decades else _uniform
+    closed = tuple(range(row.dimension - 1))
+    quantities = make_quantities(RINGS[value][row.dimension - 2], row.law, draw, 7, closed)
+    return replace(case, scene=replace(case.scene, periodic=names, **quantities))
 
 
 SIDES = {
@@ -290,6 +311,9 @@ AXES = {
         Axis("rate", "C of the top", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12), _rate, lambda row: row.dimension == 3),
         Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _common_state,
              lambda row: row.dimension == 3),
+        Axis("pivot", "part of A that cancels nothing", (0.1, 1e-4, 1e-8, 1e-12, 2.0**-52, 0.0), _pivot,
+             lambda row: row.dimension == 3),
+        Axis("rings", "periodic sides", tuple(RINGS), _rings),
         Axis("sides", "spheres", tuple(SIDES), _sides, patience=5.0),
         Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _option("stiffness"),
              lambda row: _holds(row) and _owns("stiffness")(row)),
@@ -334,7 +358,7 @@ class Cell:
         return AXES[self.axis].change(base, self.value, self.row)
 
 
-QUICK = 23  # of so many cells the short sweep takes one
+QUICK = 25  # of so many cells the short sweep takes one
 FIRST = {"sides": 3, "drift": 1}  # values that it takes of axes that need patience
 
 

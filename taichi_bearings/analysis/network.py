@@ -12,6 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
+from taichi_bearings.analysis.winding import winding
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_bodies
 from taichi_bearings.proof.contact_state import ContactState
@@ -102,6 +103,19 @@ class SliplessNetwork:
     def spanning_fraction(self) -> float:
         """Share of the free spheres that belong to the piece that joins the planes; 0 if none does."""
         return float(self.spanning[~self.lattice.is_driven].mean())
+
+    def winding(self, axis: int) -> np.ndarray:
+        """True, shape N, for spheres of pieces in which a closed way of slipless contacts goes around this axis. No way
+        leads along a driven plane, which would go around in any case."""
+        over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.lattice.shape[axis] - 1)
+        return winding(self.lattice.sites, self.ends, over_the_side.astype(int)).reshape(self.lattice.shape)
+
+    def winds_around(self, axis: int, spanning: bool = False) -> bool | None:
+        """Whether slipless contacts, or those of the piece that joins the planes, go around this axis; None where it is
+        not periodic."""
+        if axis not in self.lattice.periodic:
+            return None
+        return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
 
     @cached_property
     def shortest_path(self) -> np.ndarray:

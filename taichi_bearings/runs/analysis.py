@@ -74,6 +74,7 @@ class Analysis:
             "threshold": solution.slip_threshold if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
             **{name: SAMPLES[name].of(answered) for name in TOLD_OF_ANSWER},
+            **{name: list(value) for name in ("periodic", "top", "bottom") if (value := getattr(solution.scene, name))},
             "seconds": time.perf_counter() - began,
         }
 

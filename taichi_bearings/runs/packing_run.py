@@ -133,7 +133,7 @@ class PackingRun:
             "coefficients": None,
             "run": None if self.path is None else str(self.path),
         }
-        return {key: plain(value) for key, value in numbers.items()}
+        return self.settings.driving | {key: plain(value) for key, value in numbers.items()}
 
     @property
     def histogram(self) -> PowerHistogram:

@@ -34,7 +34,7 @@ from taichi_bearings.runs.run_directory import (
     run_directory,
 )
 from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
-from taichi_bearings.runs.settings import RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml, settings_table
 from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients, short_name
@@ -42,7 +42,14 @@ from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.ramp import Ramp
-from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, OperatorSplitting, fastest
+from taichi_bearings.solvers.table import (
+    METHODS,
+    CundallStrack,
+    InteriorPoint,
+    MethodOptions,
+    OperatorSplitting,
+    fastest,
+)
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
 
@@ -184,6 +191,7 @@ class Run:
         """The numbers of the run, as in `--json` of `run`."""
         running = self.solution.running
         return summarise(self) | {
+            **self.settings.driving,
             **{name: getattr(running, name) for name in ("arch", "precision", "threads")},
             "coefficients": self.settings.coefficients,
             "run": None if self.path is None else str(self.path),
@@ -271,15 +279,17 @@ def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]
 def _rigid_top(job: Job, ramp: Ramp) -> Any:
     """The dynamics of a top under a torque, which knows the motion of strength 1."""
     from taichi_bearings.solvers.drive import uninterrupted
+    from taichi_bearings.solvers.implicit_rigid_top import ImplicitRigidTopMethod
     from taichi_bearings.solvers.rigid_top import RigidTopMethod
 
+    kind: Any = RigidTopMethod if isinstance(job.method.options, CundallStrack) else ImplicitRigidTopMethod
     options: Any = dict.fromkeys(("torque", "iterations", "duration", "record", "snapshots"))
     settings = replace(job.settings, method="auto", **options)
     again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
     solution = uninterrupted(again(job.scene))
     friction = by_friction(solution, again)
     known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
-    return RigidTopMethod(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
+    return kind(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
@@ -477,7 +487,8 @@ def write_run(folder: Path, found: "Run | PackingRun") -> None:
 def write_state(file: Path, found: "Run | PackingRun", stored: RunSettings) -> None:
     """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
     origin = {"command": found.command, "scene": stored.to_toml()}
-    found.write_answer(file, found.summary | origin | versions())
+    numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which the scene holds
+    found.write_answer(file, numbers | origin | versions())
 
 
 @contextlib.contextmanager

@@ -82,6 +82,7 @@ OF_PACKINGS = (
     "initial", "iterations", "time_limit", "duration", "record", "arch", "precision", "threads",
 )  # fmt: skip
 """Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
+DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
 
@@ -277,6 +278,12 @@ class RunSettings:
         """The keys whose values are not the defaults, with these values."""
         table = settings_table()
         return {key: value for key, value in self.values.items() if value != table[key].default}
+
+    @property
+    def driving(self) -> dict[str, Any]:
+        """What closes and drives the run where that is not as usual, by key, as JSON has it."""
+        given = self.given
+        return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
         """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""

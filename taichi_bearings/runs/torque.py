@@ -35,7 +35,7 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
     """InputError for settings that say how fast the top turns, or where the bottom may not, and for a torque in time
     without a dynamics or a dynamics without a duration or from another start than rest."""
     if Ramp.of(settings.torque).rises and not method.is_dynamics:
-        raise InputError(f"torque is {settings.torque}, which grows in time; it needs --method cundall-strack")
+        raise InputError(f"torque is {settings.torque}, which grows in time; it needs a dynamics with springs")
     if method.is_dynamics and settings.duration is None:
         raise InputError(f"torque is {settings.torque}, and duration is not given; a dynamics needs how long it acts")
     if method.is_dynamics and settings.initial not in ("linear", "zero"):

@@ -15,7 +15,7 @@ from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.plain_files import read_json, read_lines
 from taichi_bearings.scans.parts import journals_in
 from taichi_bearings.scans.plan import count_samples
-from taichi_bearings.words import counted
+from taichi_bearings.words import counted, driving_words, listed
 
 RUN_KIND, SCAN_KIND = "run", "scan"
 OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
@@ -28,6 +28,10 @@ FURTHER = {
     "power_normalised": float,
     "states_proven": bool,
     "coefficients": str,
+    "periodic": str,
+    "top": float,
+    "bottom": float,
+    "driven": str,
 }  # or None
 LARGEST_NUMBER = 1e300  # of a number
 
@@ -164,7 +168,7 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
     if "power" not in values:
         return "unfinished; `bearings run --resume` goes on from its checkpoint"
     powers, gaps, states, proven, seeds = (
-        _listed(values[k]) for k in ("power", "gap", "status", "states_proven", "seed")
+        listed(values[k]) for k in ("power", "gap", "status", "states_proven", "seed")
     )
     seed = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]}-{seeds[-1]}"
     seed = "coefficients given" if values["coefficients"] else seed
@@ -174,7 +178,8 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
     gap = f"gap {max(known):.1e}" if len(known) == len(powers) else "no gap"
     decided = "states proven" if all(value is True for value in proven) else "states not proven"
     status = ", ".join(f"{many} {state}" if len(states) > 1 else state for state, many in Counter(states).items())
-    return f"{_shape(values)} {values['law']}, {values['method']}, {seed}: {status}; {power}, {gap}, {decided}"
+    what = f"{_shape(values)} {values['law']}, {values['method']}, {seed}{driving_words(values)}"
+    return f"{what}: {status}; {power}, {gap}, {decided}"
 
 
 def _words_of_scan(values: Mapping[str, Any]) -> str:
@@ -190,7 +195,3 @@ def _shape(values: Mapping[str, Any]) -> str:
     if values.get("spheres"):
         return f"{counted(values['spheres'], 'sphere')},"
     return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")
-
-
-def _listed(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [value]

@@ -64,11 +64,16 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         self.system: Any = lattice_system(scene.lattice, axes, scene.top_spin(axes))
         self._begin(scene.staggered_spin(spin, axes))
 
-    def _begin(self, staggered: np.ndarray) -> None:
-        """From these spins (C, R, *N), with springs that nothing stretches."""
-        scene, options, axes = self.scene, self.options, self.spin_axes
-        self.spin_scale = float(np.abs(staggered).max()) or 1.0
-        self.staggered = scene.impose_driving(staggered, axes)
+    def driven(self, staggered: np.ndarray) -> np.ndarray:
+        """The spins (C, R, *N) with those that are imposed."""
+        return self.scene.impose_driving(staggered, self.spin_axes)
+
+    def _begin(self, staggered: np.ndarray, spin_scale: float = 0.0) -> None:
+        """From these spins (C, R, *N), with springs that nothing stretches. spin_scale : what counts as large, 1/time,
+        if not the largest of them."""
+        options = self.options
+        self.spin_scale = spin_scale or float(np.abs(staggered).max()) or 1.0
+        self.staggered = self.driven(staggered)
         self._set_stage()
         self.elongation, self.force = np.zeros((2, *self.differences(staggered).shape))
         for replica, spins in enumerate(self.free_spins(self.staggered)):

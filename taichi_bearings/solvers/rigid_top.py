@@ -1,7 +1,8 @@
 """Cundall–Strack dynamics of a torque on the top, which turns as one body: a(t) times its bearing state of strength 1.
 
 I_a da/dt = T(t) - what the contacts hold, with I_a the sum over the spheres of the top of I |state|^2, integrated by
-Gear's method as all spins are. The bottom and all spheres are at rest at first.
+Gear's method as all spins are, or by implicit steps (implicit_rigid_top.py). The bottom and all spheres are at rest at
+first.
 
 When does it start to turn? Once it has turned farther than springs and friction let it under SAFE of the safe load,
 since it was last no faster than a ramp that needs all its way up to that load for this angle (docs/scenes.md).
@@ -9,6 +10,7 @@ since it was last no faster than a ramp that needs all its way up to that load f
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from taichi_bearings.kernels.rigid_top import BODY_NUMBERS, RigidTopSteps
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
-from taichi_bearings.solvers.table import CundallStrack
+from taichi_bearings.solvers.dynamics import SpringDynamics
 
 SAFE = 0.99  # of the safe load, at which a top is told from one that does not turn
 
@@ -34,26 +36,31 @@ def over(value: np.ndarray, torque: np.ndarray) -> np.ndarray:
     return np.divide(value, torque, out=np.zeros_like(value), where=torque > 0)
 
 
-class RigidTopMethod(CundallStrackMethod):
-    """rate : of the torque, force length/time. known : the motion of strength 1, which the run answers with. friction :
-    the same with friction alone. softness : (R,), the angle that tells a top that turns, over the safe load."""
+class UnderTorque(SpringDynamics[Any]):
+    """What the explicit and the implicit steps of such a top share.
 
-    stepping = staticmethod(lru_cache(RigidTopSteps))
+    rate : of the torque, force length/time. known : the motion of strength 1, which the run answers with. friction :
+    the same with friction alone. softness : (R,), the angle that tells a top that turns, over the safe load.
+    """
 
-    def __init__(self, options: CundallStrack, rate: float, ramp: Ramp, known: Solution, friction: Solution) -> None:
+    def __init__(self, options: Any, rate: float, ramp: Ramp, known: Solution, friction: Solution) -> None:
         super().__init__(options)
-        self.ramp, self.rate, self.known, self.friction = ramp, rate, known, friction
+        self.ramp, self.rate, self.friction = ramp, rate, friction
+        self.known: Solution = known
         self.limit = safe_angle(friction, options.stiffness)
         self.softness = over(self.limit, friction.lower_bound)
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
-        self.held = lattice.is_driven & (np.arange(lattice.shape[-1]) == 0)
+    def take_state(self, scene: Scene) -> None:
+        """state_of_top : (C, 1, *plane), of strength 1. body_inertia : I_a."""
         self.state_of_top = scene.top_spin(self.spin_axes)[:, None]
-        self.body_inertia = self.inertia * float((scene.top_spin(lattice.all_spin_axes) ** 2).sum())
-        body = self.options.gear_order + 1 + len(BODY_NUMBERS)
-        self.spec = (*spec, ("state", len(self.spin_axes)), ("first", 1), ("body", body))
-        return self.spec
+        self.body_inertia = self.inertia * float((scene.top_spin(scene.lattice.all_spin_axes) ** 2).sum())
+
+    def torque(self, time: Any) -> Any:
+        return self.ramp.start + self.rate * time
+
+    def turning(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(R,) each: amplitude; whether the top has turned too far to rest; time since which it turns."""
+        raise NotImplementedError
 
     def _delay(self) -> np.ndarray:
         """(R,) about how late the moment of yield comes, time."""
@@ -61,6 +68,34 @@ class RigidTopMethod(CundallStrackMethod):
         inertia = self.inertia * (motion.spin.reshape(replicas, -1) ** 2).sum(axis=1)
         viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
         return np.sqrt(2 * inertia * self.softness) + viscous * self.softness
+
+    def findings(self) -> dict[str, np.ndarray]:
+        _, turns, start = self.turning()
+        when = {"torque_at_yield": self.torque(start), "time_at_yield": start}
+        when["torque_at_yield_error"] = abs(self.rate) * self._delay()
+        return super().findings() | {name: np.where(turns, value, np.nan) for name, value in when.items()}
+
+    def progress(self) -> Progress:
+        """As ever, but that no bound is claimed for a motion of any strength."""
+        found = super().progress()
+        torque = np.full(self.scene.replicas, self.torque(self.time))
+        columns = {"torque": torque, "amplitude": self.turning()[0]}
+        found = replace(found, findings=self.findings(), columns=columns)
+        return replace(found, lower_bound=0 * torque, proof=0 * found.force)
+
+
+class RigidTopMethod(UnderTorque, CundallStrackMethod):
+    """By explicit steps."""
+
+    stepping = staticmethod(lru_cache(RigidTopSteps))
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+        spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
+        self.held = lattice.is_driven & (np.arange(lattice.shape[-1]) == 0)
+        self.take_state(scene)
+        body = self.options.gear_order + 1 + len(BODY_NUMBERS)
+        self.spec = (*spec, ("state", len(self.spin_axes)), ("first", 1), ("body", body))
+        return self.spec
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         self.body_at_start = [np.zeros(scene.replicas)]
@@ -109,17 +144,6 @@ class RigidTopMethod(CundallStrackMethod):
         work = self.scene.lattice.radius * self.time_step * self._of_body("work")
         return replace(found, kinetic=kinetic, injected=work)
 
-    def findings(self) -> dict[str, np.ndarray]:
-        start = self.time_step * self._of_body("start")
+    def turning(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         turns = self._of_body("angle") > self._of_body("limit")
-        when = {"torque_at_yield": self.ramp.start + self.rate * start, "time_at_yield": start}
-        when["torque_at_yield_error"] = abs(self.rate) * self._delay()
-        return super().findings() | {name: np.where(turns, value, np.nan) for name, value in when.items()}
-
-    def progress(self) -> Progress:
-        """As ever, but that no bound is claimed for a motion of any strength."""
-        found = super().progress()
-        torque = np.full(self.scene.replicas, self.ramp.start + self.rate * self.time)
-        columns = {"torque": torque, "amplitude": self._of_body("amplitude")}
-        found = replace(found, findings=self.findings(), columns=columns)
-        return replace(found, lower_bound=0 * torque, proof=0 * found.force)
+        return self._of_body("amplitude"), turns, self.time_step * self._of_body("start")

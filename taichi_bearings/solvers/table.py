@@ -269,6 +269,8 @@ class Springs(Motion):
     sticking and slipping, and no free sphere feels more than this share of the typical friction torque.
     """
 
+    takes_torque = True
+
     stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
     damping: float = material(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length")
     slipping_spring: str = material(
@@ -297,7 +299,6 @@ class CundallStrack(Springs):
 
     name = "cundall-strack"
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
-    takes_torque = True
     colour, marker = "#8C6BB1", ">"
     solves = _laws()
 

@@ -76,18 +76,6 @@ def test_sheets_bound_the_minimum_from_both_sides(seed):
     assert best.lower_bound <= (of_x + of_y) * (1 + 1e-12)
 
 
-def test_adding_one_state_to_both_sides_changes_nothing():
-    first, second = (
-        solve(Scene.random((4, 4, 4), seed=3, periodic="x,y", top=top, bottom=bottom))
-        for top, bottom in (
-            ((1.0, 0.5, 0.0, 0.25), (0.0, 0.0, 0.0, 0.0)),
-            ((3.0, 0.25, 1.0, 0.75), (2.0, -0.25, 1.0, 0.5)),
-        )
-    )
-    assert first.power == pytest.approx(second.power, rel=1e-13)
-    assert all((a == b).all() for a, b in zip(first.state, second.state, strict=True))
-
-
 @pytest.mark.parametrize(
     ("shape", "periodic", "sentence"),
     [

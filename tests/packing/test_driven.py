@@ -57,6 +57,35 @@ def test_minima_are_those_of_another_solver_in_the_laboratory(kind, cells, drive
     assert found.lower_bound <= clarabel_least(packing)[0] * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("rate", [1e-12, 1e-6, 1.0, 1e6, 1e12])
+@pytest.mark.parametrize("cells", [(4, 5), (4, 3, 4)])
+def test_walls_that_meet_planes_in_states_of_any_size(cells, rate):
+    """Four bodies, each in a state of its own: C, and A that cancels it at the second sphere along x; in 3D periodic
+    along y. Contacts between bodies count apart, and by hand."""
+    flat = len(cells) == 2
+    built = tb.Packing.lattice("square" if flat else "cubic", cells, periodic=() if flat else "y", seed=2)
+    arrays, place = built.arrays() | {"driven": built.driven.copy()}, np.rint(built.center).astype(int)
+    for body, axis, side in ((2, 0, 0), (3, 0, cells[0] - 1), (0, -1, 0), (1, -1, cells[-1] - 1)):
+        arrays["driven"][place[:, axis] == side] = body
+    sign = 1.0 - 2 * (place.sum(axis=1) % 2)
+    rates = np.array([0.0, rate, -rate, 1.0, 0.0])[arrays["driven"]]
+    turns = np.array([[0, 0, 0], [-rate, 1, 0], [rate, 0, 1], [-1, 0.5, 0], [0, 0, 0]])[arrays["driven"]]
+    spin = turns[:, :1].ravel() + 0.7 * rates if flat else turns + rates[:, None] * place
+    arrays["spin"] = sign * spin if flat else sign[:, None] * spin
+    packing = tb.Packing(**arrays)
+    found, unit = tb.solve(packing), max(1.0, rate)  # the minimum is linear in all states together
+    power = unit * clarabel_least(tb.Packing(**arrays | {"spin": arrays["spin"] / unit}))[0]
+    assert found.status == "certified"
+    assert found.power == pytest.approx(power, rel=1e-8)
+    assert found.lower_bound <= power * (1 + 1e-9)
+    (first, second), u = packing.contact.T, packing.imposed
+    slip = np.cross(u[first] + u[second], packing.normal) if not flat else u[first] + u[second]
+    between = (packing.driven[packing.contact] >= 0).all(axis=1)
+    lost = (packing.coefficients[0] * np.linalg.norm(slip, axis=1))[between].sum()
+    assert found.driven_power == pytest.approx(lost, rel=1e-12)
+    assert lost > 0
+
+
 def test_a_shaft_is_round_and_its_walls_are_square():
     packing = tb.Packing.lattice("cubic", (7, 7, 2), driven="shaft:2", radius=1.5)
     far = np.linalg.norm(packing.center[:, :2] / 3 - 3, axis=1)

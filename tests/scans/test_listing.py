@@ -12,6 +12,8 @@ import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import write_text
+from taichi_bearings.runs.packing_run import run_packing
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.listing import entries
 from taichi_bearings.scans.plan import count_samples, read_plan
 from tests.cli.commands import bearings
@@ -67,6 +69,22 @@ def test_runs_and_scans_are_told_newest_first(outputs):
     assert "5 of 24 samples, 2 failed; 5 certified" in scan.words()
     assert entries(outputs / "one")[0] == one
     assert count_samples(outputs / "scan" / "scan.toml")[0] == len(read_plan(outputs / "scan" / "scan.toml").samples)
+
+
+def test_a_line_names_what_closes_and_drives_a_run_where_that_is_unusual(outputs, tmp_path):
+    scene = tb.Scene.random((4, 4, 4), seed=1, periodic="x,y", top=(1.0, -0.5, 0.0, 0.2))
+    tb.solve(scene, threads=1).save(tmp_path / "a")
+    run_packing(RunSettings(shape=(4, 4, 4), driven="walls", bottom=(0.5, 0.0, 0.0), figures="none"), tmp_path / "b")
+    walls, sides = entries(tmp_path)
+    assert ", seed 1, periodic x,y, top 1,-0.5,0;0.2, bottom 0,0,0;0: certified; P = " in sides.words()
+    assert ", seed 0, bottom 0.5,0,0;0, driven walls: certified; P = " in walls.words()
+    assert sides.as_dict()["periodic"] == ["x", "y"]
+    assert (sides.values["top"], sides.values["driven"], walls.values["driven"]) == ([1, -0.5, 0, 0.2], None, "walls")
+    report = tb.analyse(tb.load(tmp_path / "a")).report
+    assert (report["periodic"], report["top"], report["bottom"]) == (["x", "y"], [1, -0.5, 0, 0.2], [0, 0, 0, 0])
+    assert set(report) >= {"winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y"}
+    assert "winds_x" not in tb.analyse(tb.load(outputs / "one")).report
+    assert "periodic x,y, top 1" in bearings("analyse", tmp_path / "a", "--no-figures").stdout.splitlines()[0]
 
 
 DAMAGE = {

@@ -69,18 +69,6 @@ def test_the_spin_of_the_top_is_not_lost_beside_a_far_faster_bottom():
     assert scene.imposed[0] == pytest.approx(np.linalg.norm(corner), rel=1e-15)
 
 
-@pytest.mark.parametrize("method", ["interior-point", "operator-splitting", "rigid-limit"])
-def test_a_state_that_is_added_to_both_planes_changes_nothing(method):
-    own = {"top": (1.0, 0.5, 0.0, 0.25), "bottom": (0.0, 0.0, 0.0, 0.0)}
-    more = {name: tuple(np.add(state, (4.0, -8.0, 2.0, 2.0)).tolist()) for name, state in own.items()}
-    found = [
-        solve(Scene.random((3, 4, 4), seed=5, **driving), method=method, tolerance=1e-6) for driving in (own, more)
-    ]
-    assert found[1].power == pytest.approx(found[0].power, rel=1e-12 if method == "interior-point" else 1e-6)
-    if method == "interior-point":
-        assert all((new == old).all() for new, old in zip(found[1].state, found[0].state, strict=True))
-
-
 @pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)], ids=str)
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])
 def test_spins_about_an_axis_are_one_case_of_it(shape, law):

@@ -7,6 +7,8 @@ import pytest
 from taichi_bearings_studies.stress.truth import SLIPLESS, SLIPPING, layered, least
 
 import taichi_bearings as tb
+from tests.agreement.laboratory import laboratory_minimum
+from tests.agreement.winding import shortest_ring
 from tests.cuts import all_cuts
 
 
@@ -57,6 +59,16 @@ def test_a_sphere_between_two_lubricated_contacts_by_hand():
     potential = 2 * (1 * 2 + 2 * 4 / 2 + 3 * 2 + 1 * 4 / 2)
     assert encloses(least(scene), potential)
     assert layered(scene).upper == potential
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_on_periodic_sides_it_is_that_of_the_shortest_ring_and_of_clarabel(seed):
+    for shape in ((4, 6), (2, 5)):
+        scene = tb.Scene.random(shape, seed=seed, periodic="x", normal_force=2.0)  # times 2 R omega_T = 1
+        assert encloses(least(scene), shortest_ring(*scene.coefficients), 1e-14)
+    for shape in ((4, 2, 4), (2, 2, 4)):
+        scene = tb.Scene.random(shape, seed=seed, periodic="x,y", top=(1.0, 0.3, 0.0, 0.25 * seed))
+        assert float(least(scene).upper) == pytest.approx(laboratory_minimum(scene).objective, rel=1e-8)
 
 
 def test_nothing_is_lost_where_top_and_bottom_turn_alike():
