@@ -94,19 +94,24 @@ def missing_samples(
         record, wishes = records.get(sample.key), plan.wishes
         if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
             return False
-        return not wishes.get("keep_states") or _is_whole(state_path(folder / STATES, sample.key))
+        return not wishes.get("keep_states") or _is_whole(
+            state_path(folder / STATES, sample.key), sample.settings.is_packing
+        )
 
     return [sample for sample in parts.part_of(plan, part).samples if not is_kept(sample)], records
 
 
-def _is_whole(state: Path) -> bool:
+def _is_whole(state: Path, is_packing: bool) -> bool:
     """True if the full state of a sample can be read and its checksums match; one that is damaged is named."""
     if not state.is_file():
         return False
-    from taichi_bearings.runs.packing_run import is_packing_run, read_packing_run
-
     try:
-        (read_packing_run if is_packing_run(state) else read_run_file)(state)
+        if is_packing:
+            from taichi_bearings.runs.packing_run import read_packing_run
+
+            read_packing_run(state)
+        else:
+            read_run_file(state)
     except FileError as error:
         _say(f"a kept state counts as missing: {error}")
         return False
