@@ -55,29 +55,18 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     points = [("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3) for size in sizes]
     points += [("free", FREE, height) for height in tall]
     most = PER_SEED * effort.samples
-    blocks = []
-    for kind, length, height in points:
-        wanted = max(BLOCK, most if length <= 64 else most // 2 if length <= 128 else most // 4)
-        blocks += [
-            (kind, length, height, min(BLOCK, wanted - first), effort.seed + first) for first in range(0, wanted, BLOCK)
-        ]
-    found: dict[tuple[str, int, int], dict[str, list[float]]] = {}
-    for block, numbers in zip(blocks, drawn(draw, blocks, folder / "exponents.jsonl"), strict=True):
-        kept = found.setdefault(block[:3], {"weight": [], "middle": []})
-        for name in kept:
-            kept[name] += numbers[name]
-    held = {length: found["held", length, height] for kind, length, height in points if kind == "held"}
-    weight = {length: np.array(of["weight"]) for length, of in held.items()}
-    middle = {length: np.array(of["middle"]) for length, of in held.items()}
-    free = {height: skewness(found["free", FREE, height]["weight"]) for height in tall}
-    own = {length: skewness(values) for length, values in weight.items()}
-    rows = [["held", L, h, len(weight[L]), weight[L].mean(), weight[L].std(), middle[L].std(), *own[L]]
-            for _, L, h in points[: len(sizes)]]  # fmt: skip
-    for height in tall:
-        values, at = np.array(found["free", FREE, height]["weight"]), np.array(found["free", FREE, height]["middle"])
-        rows.append(["free", FREE, height, len(values), values.mean(), values.std(), at.std(), *free[height]])
+    wanted = {
+        point: max(BLOCK, most if point[1] <= 64 else most // 2 if point[1] <= 128 else most // 4) for point in points
+    }
+    found = drawn(draw, wanted, BLOCK, effort.seed, folder / "exponents.jsonl")
+    skewed = {point: skewness(of["weight"]) for point, of in found.items()}
+    rows = [[*point, len(of["weight"]), of["weight"].mean(), of["weight"].std(), of["middle"].std(), *skewed[point]]
+            for point, of in found.items()]  # fmt: skip
     names = ["ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error"]
     write_csv(folder / "exponents.csv", names, rows)
+    weight, middle = ({p[1]: of[name] for p, of in found.items() if p[0] == "held"} for name in ("weight", "middle"))
+    own = {length: of for (kind, length, _), of in skewed.items() if kind == "held"}
+    free = {height: of for (kind, _, height), of in skewed.items() if kind == "free"}
     theta, zeta = exponent(weight), exponent(middle)
     with stage("drawing"):
         save_both(draw_exponents(weight, middle, theta, zeta, own, free, FREE), folder, "exponents")
@@ -106,7 +95,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
             heights=list(free),
             length=FREE,
             exact=GUMBEL,
-            samples=len(found["free", FREE, tall[-1]]["weight"]),
+            samples=wanted["free", FREE, tall[-1]],
         ),
     ]
 

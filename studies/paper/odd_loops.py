@@ -81,35 +81,23 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     turned = max(sizes) if effort.quick else TURNED
     points = [(size, odd, 0.0) for size in sizes for odd in numbers]
     points += [(turned, odd, bottom) for bottom in BOTTOMS[1:] for odd in numbers]
-    blocks = []
-    for size, odd, bottom in points:
-        wanted = max(BLOCK, round(effort.samples * sizes[size]))
-        blocks += [
-            (size, odd, bottom, min(BLOCK, wanted - first), effort.seed + first) for first in range(0, wanted, BLOCK)
-        ]
-    found: dict[tuple[int, int, float], dict[str, list[float]]] = {}
-    for block, given in zip(blocks, drawn(draw, blocks, folder / "odd-loops.jsonl"), strict=True):
-        kept = found.setdefault(block[:3], {"rolling": [], "resting": [], "power": []})
-        for name in kept:
-            kept[name] += given[name]
+    wanted = {point: max(BLOCK, round(effort.samples * sizes.get(point[0], 1.0))) for point in points}
+    found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
     rows = []
-    for (size, odd, bottom), of in found.items():
-        several = [np.array(of[name]) for name in ("rolling", "resting", "power")]
-        errors = [values.std(ddof=1) / len(values) ** 0.5 for values in several]
-        rows.append([size, odd, bottom, len(several[0]), *(x for v, e in zip(several, errors, strict=True)
-                                                           for x in (v.mean(), e))])  # fmt: skip
+    for point, of in found.items():
+        told = [number for values in of.values() for number in (values.mean(), values.std(ddof=1) / len(values) ** 0.5)]
+        rows.append([*point, wanted[point], *told])
     names = [f"{name}{ending}" for name in ("rolling", "resting", "power_over_rest") for ending in ("", "_error")]
     write_csv(folder / "odd-loops.csv", ["size", "odd", "omega_bottom", "samples", *names], rows)
-    rolling = {size: {odd: np.array(found[size, odd, 0.0]["rolling"]) for odd in numbers if odd} for size in sizes}
-    none = {size: np.array(found[size, 0, 0.0]["rolling"]) for size in sizes}
+    rolling = {size: {odd: found[size, odd, 0.0]["rolling"] for odd in numbers if odd} for size in sizes}
+    none = {size: found[size, 0, 0.0]["rolling"] for size in sizes}
     few = min(odd for odd in numbers if odd >= 8)
-    stopped = {size: np.array(found[size, few, 0.0]["rolling"]) for size in sizes}
+    stopped = {size: found[size, few, 0.0]["rolling"] for size in sizes}
     ruled = collapse(rolling)
     nearest = min(RULES, key=lambda name: abs(RULES[name] - ruled.value))
-    resting = {bottom: np.array(found[turned, max(numbers), bottom]["resting"]) for bottom in BOTTOMS}
+    resting = {bottom: found[turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
     with stage("drawing"):
         save_both(draw_odd_loops(rolling, none, ruled, resting), folder, "odd-loops")
-    count = sum(len(of["rolling"]) for of in found.values())
     return [
         judge("odd-loops.few", {"without": means(none), "stopped": means(stopped)}, few=few,
               bare={f"L = {L}": {"share": values} for L, values in none.items()},
@@ -117,7 +105,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
               least=min(means(none).values()), most=max(means(stopped).values()),
               samples=min(map(len, none.values()))),
         judge("odd-loops.rule", {"exponent": ruled.value, "error": ruled.error, "others": RULES}, nearest=nearest,
-              misfit=ruled.misfit, landscape=RULES["landscape"], density=RULES["density"], samples=count),
+              misfit=ruled.misfit, landscape=RULES["landscape"], density=RULES["density"], samples=sum(wanted.values())),
         judge("odd-loops.equal", {"resting": means(resting)}, odd=max(numbers), size=turned,
               rest={f"omega_B / omega_T = {bottom:g}": {"share": values} for bottom, values in resting.items()},
               equal=float(resting[1.0].mean()), samples=len(resting[1.0])),
