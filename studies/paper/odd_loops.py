@@ -89,6 +89,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
         rows.append([*point, wanted[point], *told])
     names = [f"{name}{ending}" for name in ("rolling", "resting", "power_over_rest") for ending in ("", "_error")]
     write_csv(folder / "odd-loops.csv", ["size", "odd", "omega_bottom", "samples", *names], rows)
+    count = sum(wanted.values())
     rolling = {size: {odd: found[size, odd, 0.0]["rolling"] for odd in numbers if odd} for size in sizes}
     none = {size: found[size, 0, 0.0]["rolling"] for size in sizes}
     few = min(odd for odd in numbers if odd >= 8)
@@ -105,7 +106,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
               least=min(means(none).values()), most=max(means(stopped).values()),
               samples=min(map(len, none.values()))),
         judge("odd-loops.rule", {"exponent": ruled.value, "error": ruled.error, "others": RULES}, nearest=nearest,
-              misfit=ruled.misfit, landscape=RULES["landscape"], density=RULES["density"], samples=sum(wanted.values())),
+              misfit=ruled.misfit, landscape=RULES["landscape"], density=RULES["density"], samples=count),
         judge("odd-loops.equal", {"resting": means(resting)}, odd=max(numbers), size=turned,
               rest={f"omega_B / omega_T = {bottom:g}": {"share": values} for bottom, values in resting.items()},
               equal=float(resting[1.0].mean()), samples=len(resting[1.0])),
