@@ -99,9 +99,11 @@ def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
 
 
 def written(value: Any) -> Any:
-    """A value of a setting as a table holds it: a list such as a shape becomes ``10x10``."""
+    """A value of a setting as a table holds it: a list such as a shape becomes ``10x10``, one of axes ``x,y``."""
     if isinstance(value, tuple):
-        return "x".join(format(part, ".12g") if isinstance(part, float) else str(part) for part in value)
+        return ("," if all(isinstance(part, str) for part in value) else "x").join(
+            format(part, ".12g") if isinstance(part, float) else str(part) for part in value
+        )
     return value
 
 
