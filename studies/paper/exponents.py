@@ -30,7 +30,7 @@ BLOCK = 100  # samples that are drawn together
 SIZES, QUICK_SIZES = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256), (8, 12, 16, 24, 32, 48)
 TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes of length FREE
 FREE = 16
-LONG = 32  # length of cuts whose weights are compared with the law of Tracy and Widom
+LONG = 96  # length of cuts whose weights are compared with the law of Tracy and Widom
 PER_SEED = 20  # samples of a held length for each of `Effort.samples`, fewer where they are large
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
 

@@ -32,7 +32,7 @@ SIZES, QUICK_SIZES = {16: 1.0, 32: 1.0, 64: 0.5, 128: 0.1}, {8: 1.0, 16: 1.0}  #
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
 TURNED = 16  # L of the samples in which the bottom turns
-RULES = {"number": 0.0, "landscape": 1 / 3, "line": 1.0, "density": 2.0}  # what might rule -> exponent a of n / L^a
+LANDSCAPE, DENSITY = 1 / 3, 2.0  # a of n / L^a, if the fluctuation of interfaces rules, or the density
 
 
 def network(size: int, odd: int, bottom: float, seed: int) -> Packing:
@@ -95,7 +95,6 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     few = min(odd for odd in numbers if odd >= 8)
     stopped = {size: found[size, few, 0.0]["rolling"] for size in sizes}
     ruled = collapse(rolling)
-    nearest = min(RULES, key=lambda name: abs(RULES[name] - ruled.value))
     resting = {bottom: found[turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
     with stage("drawing"):
         save_both(draw_odd_loops(rolling, none, ruled, resting), folder, "odd-loops")
@@ -105,8 +104,8 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
               after={f"L = {L}": {"share": values} for L, values in stopped.items()},
               least=min(means(none).values()), most=max(means(stopped).values()),
               samples=min(map(len, none.values()))),
-        judge("odd-loops.rule", {"exponent": ruled.value, "error": ruled.error, "others": RULES}, nearest=nearest,
-              misfit=ruled.misfit, landscape=RULES["landscape"], density=RULES["density"], samples=count),
+        judge("odd-loops.rule", {"exponent": ruled.value, "error": ruled.error, "misfit": ruled.misfit},
+              landscape=LANDSCAPE, density=DENSITY, samples=count),
         judge("odd-loops.equal", {"resting": means(resting)}, odd=max(numbers), size=turned,
               rest={f"omega_B / omega_T = {bottom:g}": {"share": values} for bottom, values in resting.items()},
               equal=float(resting[1.0].mean()), samples=len(resting[1.0])),

@@ -33,11 +33,11 @@ def draw_odd_loops(
         panels[0].axhline(none[L].mean(), color=color, lw=0.6, ls=":")
         for axes, x in ((panels[0], n), (panels[1], n / L**ruled.value)):
             axes.errorbar(x, mean, error, fmt="o-", ms=3, lw=0.8, color=color, label=f"L = {L}")
-    panels[0].set(xscale="log", xlabel="odd contacts n", ylabel="share of discs that roll", ylim=(0, 0.7))
+    panels[0].set(xscale="log", xlabel="odd contacts n", ylabel="share of discs that roll", ylim=(0, 0.85))
     panels[0].set_xticks(n, [str(number) for number in n])
     panels[0].minorticks_off()
     panels[0].set_title("(a) dotted: no odd contact")
-    panels[0].legend(loc="upper right")
+    panels[0].legend(loc="upper right", ncols=2)
     panels[1].set(xscale="log", xlabel=f"$n / L^{{{ruled.value:.2f}}}$", ylim=(0, None))
     panels[1].set_title("(b) the sizes together")
     bottoms = np.array(list(resting))
