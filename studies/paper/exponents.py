@@ -30,7 +30,7 @@ BLOCK = 100  # samples that are drawn together
 SIZES, QUICK_SIZES = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256), (8, 12, 16, 24, 32, 48)
 TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes of length FREE
 FREE = 16
-LONG = 96  # length of cuts whose weights are compared with the law of Tracy and Widom
+LONG, QUICK_LONG = 96, 32  # length of cuts whose weights are compared with the law of Tracy and Widom
 PER_SEED = 20  # samples of a held length for each of `Effort.samples`, fewer where they are large
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
 
@@ -51,7 +51,7 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
 
 def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     """Write exponents.png, .pdf and .csv into `folder`; returns the claims with their verdicts."""
-    sizes, tall = (QUICK_SIZES, QUICK_TALL) if effort.quick else (SIZES, TALL)
+    sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
     points = [("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3) for size in sizes]
     points += [("free", FREE, height) for height in tall]
     most = PER_SEED * effort.samples
@@ -71,7 +71,7 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     with stage("drawing"):
         save_both(draw_exponents(weight, middle, theta, zeta, own, free, FREE), folder, "exponents")
     count = sum(map(len, weight.values()))
-    together = {length: values for length, values in own.items() if length >= LONG}
+    together = {length: values for length, values in own.items() if length >= long}
     share = np.array([1 / error**2 for _, error in together.values()])
     pinned = float(np.average([value for value, _ in together.values()], weights=share))
     return [

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.stats import chi2, skew
 
 RESAMPLES = 400
 EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
@@ -118,8 +118,5 @@ def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     """With its standard error, from the disorder."""
     found = np.asarray(values, dtype=float)
     rng = np.random.default_rng(0)
-
-    def of(x: np.ndarray) -> float:
-        return float(((x - x.mean()) ** 3).mean() / x.std() ** 3)
-
-    return of(found), float(np.std([of(rng.choice(found, len(found))) for _ in range(RESAMPLES)], ddof=1))
+    several = [skew(rng.choice(found, len(found))) for _ in range(RESAMPLES)]
+    return float(skew(found)), float(np.std(several, ddof=1))

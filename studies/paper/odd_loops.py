@@ -38,23 +38,16 @@ LANDSCAPE, DENSITY = 1 / 3, 2.0  # a of n / L^a, if the fluctuation of interface
 def network(size: int, odd: int, bottom: float, seed: int) -> Packing:
     """A square lattice with `odd` contacts across diagonals at random places; the top turns with 1."""
     rng = np.random.default_rng([seed, size, odd])
-    disc = np.arange(size**2).reshape(size, size)
+    disc, bare = np.arange(size**2).reshape(size, size), Packing.lattice("square", (size, size))
     x, y = np.divmod(rng.choice((size - 1) ** 2, odd, replace=False), size - 1)
     rising = rng.random(odd) < 0.5
-    contact = np.concatenate([
-        np.stack([disc[:-1].ravel(), disc[1:].ravel()], axis=1),
-        np.stack([disc[:, :-1].ravel(), disc[:, 1:].ravel()], axis=1),
-        np.stack([np.where(rising, disc[x, y], disc[x, y + 1]), np.where(rising, disc[x + 1, y + 1], disc[x + 1, y])],
-                 axis=1),
-    ])  # fmt: skip
-    place = np.stack(np.divmod(np.arange(size**2), size), axis=1).astype(float)
-    step = place[contact[:, 1]] - place[contact[:, 0]]
-    driven = np.full((size, size), -1)
-    driven[:, 0], driven[:, -1] = 0, 1
-    sign = 1.0 - 2.0 * (place.sum(axis=1) % 2)
+    low, high = np.where(rising, disc[x, y], disc[x, y + 1]), np.where(rising, disc[x + 1, y + 1], disc[x + 1, y])
+    contact = np.concatenate([bare.contact, np.stack([low, high], axis=1)])
+    step = bare.center[contact[:, 1]] - bare.center[contact[:, 0]]
+    turn = 1.0 - 2.0 * (bare.center.sum(axis=1) % 2)  # neighbours turn in opposite ways
     return Packing(
-        center=place, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None], driven=driven.ravel(),
-        spin=sign * np.where(driven.ravel() == 1, 1.0, bottom), friction=rng.uniform(*FRICTION, len(contact)),
+        center=bare.center, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None], driven=bare.driven,
+        spin=turn * np.where(bare.driven == 1, 1.0, bottom), friction=rng.uniform(*FRICTION, len(contact)),
     )  # fmt: skip
 
 

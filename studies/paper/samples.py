@@ -71,14 +71,30 @@ def measured(chosen: Sequence[RunSettings], numbers: Numbers, journal: Path) -> 
     known = read_journal(journal)
     missing = [sample for sample in samples if sample.key not in known]
     costs = {sample.key: seconds_of(sample.settings, structure=True) for sample in missing}
-    with Journal(journal) as kept, closing(_records(missing, numbers)) as records:
-        for _, record in zip(each(missing, "sample", lambda sample: costs[sample.key]), records, strict=False):
+    known |= kept_in(journal, _records(missing, numbers), missing, "sample", lambda sample: costs[sample.key])
+    return [known[sample.key]["numbers"] for sample in samples]
+
+
+def kept_in(
+    journal: Path,
+    records: Generator[dict[str, Any], None, None],
+    missing: Sequence[Any],
+    name: str,
+    work: Callable[[Any], float] | None = None,
+) -> dict[str, Any]:
+    """The records of what is missing by key, each kept in the journal as it comes until all are there.
+
+    name, work : see :func:`taichi_bearings.stages.each`. Raises BearingsError if one has no result.
+    """
+    found = {}
+    with Journal(journal) as kept, closing(records):
+        for _, record in zip(each(missing, name, work), records, strict=False):
             if record["scalars"]["status"] == FAILED:
                 raise BearingsError(f"sample {record['key']} of the study has no result: {record['scalars']['error']}")
             kept.append([record])
-            known[record["key"]] = record
+            found[record["key"]] = record
     journal.unlink()
-    return [known[sample.key]["numbers"] for sample in samples]
+    return found
 
 
 def _records(samples: Sequence[Sample], numbers: Numbers) -> Generator[dict[str, Any], None, None]:

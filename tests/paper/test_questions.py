@@ -108,7 +108,7 @@ def test_skewness_and_its_error():
 def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(exponents, "QUICK_SIZES", (4, 6, 8))
     monkeypatch.setattr(exponents, "QUICK_TALL", (8, 16))
-    monkeypatch.setattr(exponents, "LONG", 6)
+    monkeypatch.setattr(exponents, "QUICK_LONG", 6)
     monkeypatch.setattr(odd_loops, "QUICK_SIZES", {4: 1.0, 6: 1.0})
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
     monkeypatch.setattr(runtime, "available_threads", lambda: 1)
@@ -118,3 +118,8 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     assert {claim.verdict for claim in claims} >= {"too few samples"}
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {f"{name}.{ending}" for name in ("exponents", "odd-loops") for ending in ("csv", "pdf", "png")}
+
+
+def test_long_cuts_are_among_those_that_are_drawn():
+    assert max(exponents.SIZES) >= exponents.LONG
+    assert max(exponents.QUICK_SIZES) >= exponents.QUICK_LONG
