@@ -11,7 +11,7 @@ import secrets
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -88,7 +88,7 @@ def read_whole(path: Path, most: int) -> bytes:
     return content
 
 
-def read_lines(path: Path) -> Iterator[bytes]:
+def read_lines(path: Path) -> Generator[bytes, None, None]:
     """The lines of a regular file with their ends; of one that is too long nothing but an end. None without a file."""
     try:
         with opened(path) as file:

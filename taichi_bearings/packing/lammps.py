@@ -5,7 +5,8 @@ one by one, and only numbers that are there take memory.
 """
 
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -40,13 +41,15 @@ def read_dumps(
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
     if isinstance(columns, str) or len(columns) not in (2, 3):
         raise InputError(f"columns is {shown(columns)}; it must be two or three names of columns of {contacts}")
-    frame = _Frame(atoms, "ATOMS", step, MOST_SPHERES)
-    axes = [name if "x" in frame.names else f"{name}u" for name in "xyz"[:dimension]]
-    size = "radius" if "radius" in frame.names else "diameter"
     rates = list(SPIN if dimension == 3 else SPIN[2:]) if spin is None else []
     kinds = ["type"] if driven_types is not None else []
-    table = frame.columns(["id", *kinds, size, *axes, *rates], whole=1 + len(kinds))
-    table = table[np.argsort(table[:, 0], kind="stable")]
+
+    def wanted(names: Sequence[str]) -> list[str]:
+        axes = [name if "x" in names else f"{name}u" for name in "xyz"[:dimension]]
+        return ["id", *kinds, "radius" if "radius" in names else "diameter", *axes, *rates]
+
+    frame = _Frame(atoms, "ATOMS", step, MOST_SPHERES, wanted, whole=1 + len(kinds))
+    table = frame.table[np.argsort(frame.table[:, 0], kind="stable")]
     number, (radius, *place) = table[:, 0].astype(np.int64), table[:, 1 + len(kinds) : 2 + len(kinds) + dimension].T
     if (twice := number[1:] == number[:-1]).any():
         raise FileError(f"{atoms} has atom {number[1:][twice][0]} twice at timestep {frame.step}")
@@ -54,7 +57,7 @@ def read_dumps(
         raise FileError(f"{atoms} has numbers that are not finite at timestep {frame.step}")
     body = _bodies(number, driven, driven_types, table[:, 1].astype(np.int64))
     found: dict[str, Any] = {"center": np.column_stack(place), "driven": body}
-    found["radius"] = radius * (1.0 if size == "radius" else 0.5)
+    found["radius"] = radius * (1.0 if "radius" in frame.names else 0.5)
     found["spin"] = _imposed(body, spin, dimension) if spin is not None else table[:, -len(rates) :]
     if dimension == 2:
         found["spin"] = found["spin"].reshape(-1)
@@ -65,7 +68,7 @@ def _contacts(
     path: Path, columns: Sequence[str], frame: "_Frame", number: np.ndarray, center: np.ndarray, radius: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Contacts, normals and, of a third column, normal forces, of atoms with these numbers (N,), at the same time."""
-    rows = _Frame(path, "", frame.step, MOST_CONTACTS).columns(list(columns), whole=2)
+    rows = _Frame(path, "", frame.step, MOST_CONTACTS, lambda _: list(columns), whole=2).table
     rows = rows[rows[:, 2] != 0] if len(columns) > 2 else rows
     ids = rows[:, :2].astype(np.int64)
     where = np.minimum(np.searchsorted(number, ids), len(number) - 1)
@@ -111,15 +114,28 @@ def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.nd
 
 
 class _Frame:
-    """One timestep of a dump. names : of its columns. sides : (3,), lengths of periodic sides of the box, else 0."""
+    """One timestep of a dump. names : of its columns. sides : (3,), lengths of periodic sides of the box, else 0.
 
-    def __init__(self, path: Path, items: str, step: int | None, most: int) -> None:
+    table : (count, columns), the columns that `wanted` says of their names; the first `whole` are whole numbers.
+    """
+
+    lines: Iterator[bytes]
+
+    def __init__(
+        self, path: Path, items: str, step: int | None, most: int, wanted: Callable[[Sequence[str]], list[str]],
+        whole: int,
+    ) -> None:  # fmt: skip
         if not path.is_file():
             raise FileError(f"{path} does not exist or is not a file")
         self.path, self.line = path, 0
-        self.lines: Iterator[bytes] = read_lines(path)
-        self.step, start = self._last(step)
-        self.lines, self.line = islice(read_lines(path), start, None), start
+        with closing(read_lines(path)) as self.lines:  # an error may be kept, and with it an open file
+            self.step, start = self._last(step)
+        with closing(read_lines(path)) as lines:
+            self.lines, self.line = islice(lines, start, None), start
+            self._read_header(items, most)
+            self.table = self._columns(wanted(self.names), whole)
+
+    def _read_header(self, items: str, most: int) -> None:
         self._next("a timestep")
         kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
         if items and kind != items:
@@ -183,8 +199,7 @@ class _Frame:
             raise self._wrong(f"{width} numbers, ids and types whole") from None
         return numbers
 
-    def columns(self, names: list[str], whole: int) -> np.ndarray:
-        """Numbers of the named columns, (count, names); the first `whole` are whole numbers."""
+    def _columns(self, names: list[str], whole: int) -> np.ndarray:
         if lacking := [name for name in names if self.names.count(name) != 1]:
             raise FileError(f"{self.path} must have one column {lacking[0]}; it has {' '.join(self.names)}")
         places, values = [self.names.index(name) for name in names], array("d")

@@ -1,6 +1,7 @@
 """Dumps of LAMMPS: numbers by hand, a packing there and back, and files of strangers."""
 
 import contextlib
+import os
 
 import numpy as np
 import pytest
@@ -146,6 +147,16 @@ def test_what_is_asked_for_must_be_there(tmp_path):
     ]:
         with pytest.raises(tb.InputError, match=words):
             read(tmp_path, **others)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts the open files of Linux")
+def test_an_error_that_is_kept_keeps_no_file_open(tmp_path):
+    kept, before = [], os.listdir("/proc/self/fd")
+    for atoms, contacts in ((ATOMS.replace("1.75", "x"), CONTACTS), (ATOMS, CONTACTS.replace("2.5", "x"))):
+        with pytest.raises(tb.InputError) as found:
+            read(tmp_path, atoms, contacts)
+        kept.append(found)
+    assert len(os.listdir("/proc/self/fd")) == len(before)
 
 
 def test_damaged_dumps_are_one_sentence_or_a_right_answer(tmp_path):
