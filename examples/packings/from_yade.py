@@ -1,7 +1,7 @@
 """Spheres and contacts of a YADE simulation: call save("packing.npz", {id: body}) in a script or console of yade.
 
-Run with YADE 2023.02a. Only contacts between spheres are kept; a contact across a
-periodic side keeps its normal. bodies : the driven bodies by id of sphere; their spins are those of the simulation.
+Run with YADE 2023.02a. Only contacts between spheres are kept; a contact across a periodic side keeps its normal.
+bodies : the driven bodies by id of sphere; their spins are those of the simulation.
 """
 
 import numpy as np
