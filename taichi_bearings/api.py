@@ -259,7 +259,7 @@ class PackingResult(PackingSolution):
         """
         settings = RunSettings(packing="run.h5", law=str(self.packing.law))
         with run_directory(Path(path), force) as directory:
-            found = runs.publish(directory, PackingRun(settings, self, command="taichi_bearings.solve"))
+            found = runs.publish(directory, PackingRun(settings, (self,), command="taichi_bearings.solve"))
         assert found.path is not None
         return found.path
 
@@ -389,7 +389,8 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
 
 
 def load(path: str | Path) -> Any:
-    """A :class:`Result`, or of a packing a :class:`PackingResult`, of a run directory or its run.h5, whatever wrote it.
+    """A :class:`Result`, or of a packing a :class:`PackingResult` (of several replicas a list of them), of a run
+    directory or its run.h5, whatever wrote it.
 
     FileError if it is missing, damaged or was changed.
     """
@@ -397,7 +398,8 @@ def load(path: str | Path) -> Any:
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
     stored = read_run(Path(path))
     if isinstance(stored, PackingRun):
-        return PackingResult(**vars(stored.result))
+        found = [PackingResult(**vars(result)) for result in stored.results]
+        return found if len(found) > 1 else found[0]
     command = str(stored.attributes.get("command", ""))
     place = stored.path.parent if stored.path.name == "run.h5" else stored.path
     return Result(runs.Run(runs.settings_of(stored), stored.solution, path=place, command=command))

@@ -130,7 +130,7 @@ def analyse(
     from taichi_bearings.runs.figures import FIGURES
 
     with stage("reading"):
-        run = read_run(path, replica)
+        run = read_run(path)
     target = file_of(path) if out is None else out / "analysis.h5"
     pictures = [target.parent / f"{name}.png" for name in (("network",) if isinstance(run, PackingRun) else FIGURES)]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
