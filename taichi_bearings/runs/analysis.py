@@ -136,7 +136,7 @@ def analyse(
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
         if isinstance(run, PackingRun):
-            report, arrays, draw = analysed(run, threshold)
+            report, arrays, draw = analysed(run, threshold, replica)
         else:
             ended = [status.value for status in Run(settings_of(run), run.solution).status]
             found = Analysis(run.solution, ended, threshold, replica)

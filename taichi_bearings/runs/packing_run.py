@@ -35,12 +35,13 @@ from taichi_bearings.runs.run_file import (
     scene_settings,
 )  # fmt: skip
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings
+from taichi_bearings.runs.structure_report import BOTTLENECK_ROWS
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions
-from taichi_bearings.stages import stage
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted, shown
 
@@ -122,12 +123,12 @@ class PackingRun:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, as in `--json` of `run`; of several replicas lists where they may differ."""
-        each = [self.sample(replica)._numbers for replica in range(len(self.results))]
-        numbers = each[0] if len(each) == 1 else {key: [one[key] for one in each] for key in each[0]}
-        if len(each) > 1:
-            numbers |= {key: each[0][key] for key in ALIKE} | {"seconds": sum(numbers["seconds"])}
+        ones = [self.sample(replica)._numbers for replica in range(len(self.results))]
+        numbers = ones[0] if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}
+        if len(ones) > 1:
+            numbers |= {key: ones[0][key] for key in ALIKE} | {"seconds": sum(numbers["seconds"])}
         pairs = zip(self.results, self.settings.seeds, strict=True)
-        said = [f"what is proven of the least power{_of(seed, len(each))}: {result.proof}"
+        said = [f"what is proven of the least power{_of(seed, len(ones))}: {result.proof}"
                 for result, seed in pairs if result.proof != "proven"]  # fmt: skip
         path = None if self.path is None else str(self.path)
         return self.settings.driving | numbers | {"warnings": said, "coefficients": None, "run": path}
@@ -386,22 +387,28 @@ def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict
 
 
 def analysed(
-    found: PackingRun, threshold: float | None = None
+    found: PackingRun, threshold: float | None = None, replica: int = 0
 ) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[[str], Any]]:
-    """Report, arrays and what draws the figures of the structure. threshold : as of runs.analysis.Analysis."""
+    """Report, arrays of each replica and what draws the figures of one. threshold : as of runs.analysis.Analysis."""
     from taichi_bearings.plots.packing import draw_packing
 
-    began = perf_counter()
+    began, drawn = perf_counter(), found.sample(replica)
     if threshold is not None and not 0 < threshold < np.inf:
         raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-    with stage("analysing"):
-        structure = PackingStructure.of(found.result, threshold)
+    numbers, arrays = [], []
+    for result in each(found.results, "analysing", alike):
+        structure = PackingStructure.of(result, threshold)
         of_spheres, of_contacts = _of_structure(structure)
+        if structure.bodies == 2:
+            of_contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
+        numbers.append(structure.numbers)
+        arrays.append(of_spheres | of_contacts)
+    together = {key: [one[key] for one in numbers] for key in numbers[0]} if len(numbers) > 1 else numbers[0]
     states = "decided" if threshold is None else "threshold"
-    told = ("status", "method", "law", "shape", "spheres", "contacts", "version")
-    report = structure.numbers | {"threshold": threshold, "states": states}
+    told = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "version")
+    report = together | {"threshold": threshold, "states": states}
     report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
-    return report, [of_spheres | of_contacts], partial(draw_packing, found.result)
+    return report, arrays, partial(draw_packing, drawn.result)
 
 
 def is_packing_run(run: Path) -> bool:
