@@ -263,12 +263,12 @@ class PackingResult(PackingSolution):
         assert found.path is not None
         return found.path
 
-    def plot(self, kind: str = "spins", page: "Page | None" = None) -> "Figure":
-        """A figure: "spins", "power" or "network". page : how it is printed."""
-        from taichi_bearings.plots.packing import draw_packing
+    def plot(self, kind: str = "spins", time: float | None = None, page: "Page | None" = None) -> "Figure":
+        """A figure: "spins", "power" or "network". time, page : as of :meth:`Result.plot`."""
         from taichi_bearings.plots.page import PAGE
+        from taichi_bearings.runs.figures import draw_figure_of_packing
 
-        return draw_packing(self, kind, page or PAGE)
+        return draw_figure_of_packing(self, kind, time, page or PAGE)
 
 
 OPTIONS = (
