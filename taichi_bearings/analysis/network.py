@@ -114,7 +114,7 @@ class ContactNetwork:
         return self._share(self.spanning)
 
     @property
-    def disjoint_paths(self) -> int | None:
+    def disjoint_paths(self) -> Any:
         """Number of paths between the two driven bodies that share no contact, as many as there are, and the fewest
         contacts whose removal parts them (Menger); None with more or fewer bodies."""
         return int(maximum_flow(self.graph(), *self.held).flow_value) if len(self.held) == 2 else None

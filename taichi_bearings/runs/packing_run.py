@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from taichi_bearings import runtime
 from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
@@ -91,7 +92,7 @@ class PackingRun:
     path: Path | None = None
     command: str = ""
     interrupted: bool = False
-    start: np.ndarray | None = None
+    start: Any = None
 
     @property
     def result(self) -> PackingSolution:
@@ -192,17 +193,17 @@ class PackingJob:
 
     settings: RunSettings
     packings: tuple[Packing, ...]
-    start: np.ndarray | None
+    start: Any = None
 
     @classmethod
     def of(cls, settings: RunSettings) -> "PackingJob":
         """Raises InputError or FileError."""
         packings, named = packings_of(settings), settings.initial
-        from_file = named not in STARTS and Path(named).exists()
-        start = read_arrays(Path(named), ["spin"])["spin"] if from_file else None
-        of_all = packings[0].spin.shape
-        if start is not None and start.shape not in (of_all, (len(packings), *of_all)):
-            raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {of_all}")
+        if named in STARTS or not Path(named).exists():
+            return cls(settings, packings)
+        start, one = read_arrays(Path(named), ["spin"])["spin"], packings[0].spin.shape
+        if start.shape not in (one, (len(packings), *one)):
+            raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {one}")
         return cls(settings, packings, start)
 
     def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
@@ -216,17 +217,16 @@ class PackingJob:
             write_arrays(folder / "initial_spin.npz", {"spin": self.start})
         return RunSettings(**{**kept, "packing": name})
 
-    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None) -> PackingRun:
+    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> PackingRun:
         """The replicas one after another, each as alone. Ctrl-C leaves those that were begun."""
         count, found = len(self.packings), list[PackingSolution]()
         written = [None] * count if checkpoints is None else checkpoints.of_each(count)
         for number, (packing, own) in enumerate(zip(self.packings, written, strict=True)):
-            several = self.start is not None and self.start.shape != packing.spin.shape
-            start = self.start[number] if several and self.start is not None else self.start
+            start = self.start[number] if np.ndim(self.start) > packing.spin.ndim else self.start
+            told = {} if self.settings.method == "auto" else {"monitors": monitors, "checkpoints": own}
             try:
                 with stage("solving"):
-                    others = {"start": start, "monitors": monitors, "checkpoints": own}
-                    found.append(solved_packing(self.settings, packing, **others))
+                    found.append(solved_packing(self.settings, packing, start=start, **told, **others))
             except KeyboardInterrupt:
                 if not found:
                     raise
@@ -236,8 +236,11 @@ class PackingJob:
         return PackingRun(self.settings, tuple(found), start=self.start)
 
 
-def row_of_packing(settings: RunSettings) -> type[MethodOptions]:
+def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
     return InteriorPoint if settings.method == "auto" else METHODS[settings.method]
+
+
+STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
 
 
 def packing_of(settings: RunSettings) -> Packing:
@@ -245,17 +248,27 @@ def packing_of(settings: RunSettings) -> Packing:
     return packings_of(settings)[0]
 
 
-def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
-    """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
-    lacks, drawn from seeds; or lattices with other driven bodies than planes."""
+def refuse_unused(settings: RunSettings) -> None:
+    """InputError for what a packing, its method or its law does not use."""
     given = settings.given
     used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
-    if strange := [key for key in given if key not in (*used, *options_of(row_of_packing(settings)))]:
+    if strange := [key for key in given if key not in (*used, *options_of(method_of_packing(settings)))]:
         raise InputError(
             f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
         )
     if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
+    if settings.method != "auto":
+        from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
+
+        row_of_packing(settings.method)
+
+
+def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
+    """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
+    lacks, drawn from seeds; or lattices with other driven bodies than planes."""
+    refuse_unused(settings)
+    given = settings.given
     if settings.packing is None:
         return tuple(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
     found = Packing.read(settings.packing)
@@ -285,7 +298,7 @@ def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
 
 def unused_of_packing(settings: RunSettings) -> dict[str, str]:
     """The given keys that the method or the law does not use, each with a sentence that says so."""
-    found = settings.unused(row_of_packing(settings))
+    found = settings.unused(method_of_packing(settings))
     strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if settings.method == "auto" else ()
     return found | {key: f"{key} is given, but method auto of a packing does not use it" for key in sorted(strange)}
 
@@ -311,7 +324,6 @@ def _lattice(settings: RunSettings) -> Packing:
     return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)
 
 
-STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
 ON_DEVICE = ("arch", "precision", "threads")
 
 
@@ -319,20 +331,23 @@ def solved_packing(
     settings: RunSettings,
     packing: Packing,
     system_of: Callable[[Packing], System] = System.of,
-    start: np.ndarray | None = None,
+    start: Any = None,
     **others: Any,
 ) -> PackingSolution:
     """The answer of the method that the settings name. system_of : see :func:`solve_packing`. start : instead of the
-    one that the settings name. others : monitors and checkpoints of :func:`follow_packing`."""
+    one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
     if settings.method == "auto":
         return solve_packing(packing, settings.tolerance, system_of)
-    from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
+    from taichi_bearings.solvers.packings import follow_packing, row_of_packing  # and with it Taichi's kernels
+    from taichi_bearings.solvers.recording import Recording
+    from taichi_bearings.solvers.stopping import StopRule
 
-    row = METHODS[settings.method]
-    options = {key: value for key in options_of(row) if (value := getattr(settings, key)) is not None}
-    others |= {key: value for key in (*STOPPED_BY, *ON_DEVICE) if (value := getattr(settings, key)) is not None}
+    row, given = row_of_packing(settings.method), settings.given
+    method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
+    if device := {key: given[key] for key in ON_DEVICE if key in given}:
+        runtime.start(**device)
     first = settings.initial if start is None else start
-    return follow_packing(packing, row(**options), settings.tolerance, first, **others)
+    return follow_packing(packing, method, first, StopRule.of(settings), Recording.of(settings), **others)
 
 
 def _fill(results: Sequence[PackingSolution], file: h5py.File) -> None:

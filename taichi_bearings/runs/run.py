@@ -103,9 +103,9 @@ def row_of(settings: RunSettings) -> type[MethodOptions]:
     """The method that the settings lead to. Raises InputError for a scene that cannot be, or that it cannot solve; what
     packings cannot be, `packing_of` knows."""
     if settings.is_packing:
-        from taichi_bearings.runs.packing_run import row_of_packing
+        from taichi_bearings.runs.packing_run import method_of_packing
 
-        return row_of_packing(settings)
+        return method_of_packing(settings)
     return _row_of(replace(settings, seed=0))
 
 
@@ -246,17 +246,14 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     return Job(settings, scene, spin, method.build())
 
 
-USUAL_ITERATIONS = 1_000_000  # unless the settings say otherwise
-
-
 def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
     """Solve on the device that the settings name; starts Taichi if the method needs it.
 
     checkpoints : a solvers.drive.Checkpoints, for a dynamics.
     """
     from taichi_bearings.solvers.drive import solve
-    from taichi_bearings.solvers.recording import Recording, parse_times
-    from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+    from taichi_bearings.solvers.recording import Recording
+    from taichi_bearings.solvers.stopping import StopRule
 
     settings, method = job.settings, job.method
     ramp = None if settings.torque is None else Ramp.of(settings.torque)
@@ -265,16 +262,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     if job.method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
-    most = USUAL_ITERATIONS if settings.duration is None else UNLIMITED
-    stop = StopRule(
-        settings.tolerance,
-        most if settings.iterations is None else settings.iterations,
-        settings.time_limit or float("inf"),
-        settings.duration or float("inf"),
-    )
-    recording = Recording(
-        *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
-    )
+    stop, recording = StopRule.of(settings), Recording.of(settings)
     if ramp is not None and settings.record is None:
         recording = replace(recording, history=ramp.looks(stop.duration))
     solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)

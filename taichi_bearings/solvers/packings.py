@@ -25,8 +25,8 @@ from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.implicit_packing import ImplicitCundallStrackOfPacking
 from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
-from taichi_bearings.solvers.recording import Recording, parse_times
-from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+from taichi_bearings.solvers.recording import Recording
+from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, ImplicitCundallStrack, MethodOptions
 from taichi_bearings.stages import stage
 from taichi_bearings.words import meant, shown
@@ -158,8 +158,6 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
         return self.fields.read("force_sum") / self.averaged
 
 
-STOPS = {"iterations": "iterations", "time_limit": "seconds", "duration": "duration"}
-DEVICES, RECORDED = ("arch", "precision", "threads"), ("record", "snapshots")
 BUILT: dict[type[MethodOptions], Any] = {
     CundallStrack: CundallStrackOfPacking,
     GradientDescent: GradientDescentOfPacking,
@@ -167,47 +165,33 @@ BUILT: dict[type[MethodOptions], Any] = {
 }
 
 
-def row_of_packing(method: str | MethodOptions) -> type[MethodOptions]:
-    """The row of a method, given by its name or with its options; InputError for one that packings do not have."""
-    row = METHODS.get(method) if isinstance(method, str) else type(method)
+def row_of_packing(method: str) -> type[MethodOptions]:
+    """The row of a method; InputError for one that packings do not have."""
+    row = METHODS.get(method)
     if row is None or row not in BUILT:
         allowed = ", ".join(["auto", *(built.name for built in BUILT)])
-        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(str(method), METHODS)}")
+        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(method, METHODS)}")
     return row
 
 
 def follow_packing(
     packing: Packing,
-    method: str | MethodOptions,
-    tolerance: float = 1e-8,
-    start: str | np.ndarray = "linear",
+    method: MethodOptions,
+    start: str | np.ndarray,
+    stop: StopRule,
+    recording: Recording,
     density: Any = None,
     monitors: Sequence[Monitor] = (),
     checkpoints: Checkpoints | None = None,
-    **options: Any,
 ) -> PackingSolution:
-    """A dynamics or descent of a packing, by its name or with its options.
-
-    start, density : see :class:`Network`. monitors, checkpoints : of drive.solve. options : `iterations`,
-    `time_limit`, `duration`, `record`, `snapshots`, `arch`, `precision`, `threads`, as of scenes.
-    """
-    row = row_of_packing(method)
-    known = [*STOPS, *DEVICES, *RECORDED]
-    if strange := options.keys() - {*known}:
-        raise InputError(f"{min(strange)} is no option of a packing{meant(min(strange), known)}")
+    """A dynamics or descent of a packing. start, density : see :class:`Network`. Others : as of drive.solve."""
+    row = type(method)
     if density is not None and not row.is_dynamics:
         raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
-    stops = {STOPS[name]: value for name, value in options.items() if name in STOPS}
-    if "duration" in stops:
-        stops = {"iterations": UNLIMITED} | stops
-    stop, recording = StopRule(tolerance, **stops), Recording(*(_times(name, options.get(name)) for name in RECORDED))
-    chosen = row() if isinstance(method, str) else method
-    if devices := {name: value for name, value in options.items() if name in DEVICES}:
-        runtime.start(**devices)
     if row.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{row.name} works in the memory of the CPU; use --arch cpu")
     begun, network = perf_counter(), Network(packing)
-    built = BUILT[row](chosen, *([density] if row.is_dynamics else []))
+    built = BUILT[row](method, *([density] if row.is_dynamics else []))
     with Interrupt() as interrupt, one_thread():
         with stage("preparing"), interrupt.at_once():
             built.begin_on(network, network.start(start))
@@ -217,8 +201,8 @@ def follow_packing(
         course = Course(scene, built, stop, recording, checkpoints, interrupt)
         with stage("solving") as solving:
             status, last, seconds = course.follow([solving.tell, *monitors])
-        found = _answer(network, course, row.name, tolerance, begun)
-    cut_short = "duration" in stops and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        found = _answer(network, course, row.name, stop.tolerance, begun)
+    cut_short = np.isfinite(stop.duration) and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     if found.status != Status.CERTIFIED.value or cut_short:
         found = replace(found, status=status.value)
     columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
@@ -226,14 +210,6 @@ def follow_packing(
     snapshots = None if kept is None else Snapshots(kept.time, kept.spin[:, 0])
     found = replace(found, history=columns, snapshots=snapshots)
     return replace(found, time=last.time, seconds=seconds, iterations=last.iteration)
-
-
-def _times(name: str, given: Any) -> np.ndarray:
-    try:
-        text = given if isinstance(given, str) else ",".join(map(str, np.atleast_1d(given)))
-        return np.zeros(0) if given is None else parse_times(text)
-    except (ValueError, KeyError):
-        raise InputError(f"{name} is {shown(given)}; it must be times or as log:start,stop,count") from None
 
 
 def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingSolution:

@@ -243,9 +243,9 @@ def test_any_number_of_threads_gives_the_same_bits():
         ({"method": "cundall-strack", "density": -1.0}, "density"),
         ({"method": "gradient-descent", "density": 1.0}, "density is given, but gradient-descent has no use for it"),
         ({"method": tb.CundallStrack(inertia=1.0), "density": 1.0}, "inertia is 1 and density is given"),
-        ({"method": "cundall-strack", "torque": 1.0}, "torque is no option of a packing"),
+        ({"method": "cundall-strack", "torque": 1.0}, "torque is 1.0, but a packing does not use it"),
         ({"method": "cundall-strack", "record": "often"}, "record is 'often'"),
-        ({"iterations": 3}, "takes tolerance alone where method is auto"),
+        ({"iterations": 3}, "iterations is given, but method auto of a packing does not use it"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(arguments, sentence):
