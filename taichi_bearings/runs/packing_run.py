@@ -176,14 +176,15 @@ def _of(seed: int, replicas: int) -> str:
 
 
 def _stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays of one replica as they are, of several with a leading axis; the longest as long as all, by their ends."""
+    """Arrays of one replica as they are, of several with a leading axis; those that end sooner than the longest stay at
+    their end, and those that one does not have are not-a-number."""
     if len(each) == 1:
         return dict(each[0])
     found = {}
-    for name in each[0]:
-        longest = max(len(one[name]) for one in each)
-        filled = [np.append(v := one[name], np.repeat(v[-1:], longest - len(v), axis=0), axis=0) for one in each]
-        found[name] = np.stack(filled)
+    for name in {name: None for one in each for name in one}:
+        longest = max((one[name] for one in each if name in one), key=len)
+        given = [one.get(name, longest[:1] * np.nan) for one in each]
+        found[name] = np.stack([np.append(v, np.repeat(v[-1:], len(longest) - len(v), axis=0), axis=0) for v in given])
     return found
 
 
@@ -232,7 +233,8 @@ class PackingJob:
                     raise
             if len(found) <= number or found[-1].status == Status.INTERRUPTED.value:
                 settings = replace(self.settings, replicas=len(found))
-                return PackingRun(settings, tuple(found), interrupted=True, start=self.start)
+                start = self.start[: len(found)] if np.ndim(self.start) > packing.spin.ndim else self.start
+                return PackingRun(settings, tuple(found), interrupted=True, start=start)
         return PackingRun(self.settings, tuple(found), start=self.start)
 
 
@@ -470,7 +472,7 @@ def read_packing_run(run: Path) -> PackingRun:
                 iterations=int(own["iterations"]),
                 history=_without_repeats(history, "iteration", replica),
                 time=None if "time" not in own else float(own["time"]),
-                snapshots=Snapshots(**way) if way else None,
+                snapshots=Snapshots(**way) if way and len(way["time"]) else None,
                 **{name: values[replica] for name, values in sets.items()},
                 **number,
             ))  # fmt: skip

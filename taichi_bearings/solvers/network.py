@@ -115,7 +115,7 @@ class Network:
         packing, shape = self.packing, (self.packing.spheres, self.components)[: self.components]
         if isinstance(start, str):
             if start not in STARTS_OF_PACKINGS:
-                allowed = f"{', '.join(STARTS_OF_PACKINGS)} or an array of spins"
+                allowed = f"{', '.join(STARTS_OF_PACKINGS)} or spins of your own"
                 raise InputError(
                     f"start is {shown(start)}; of a packing it can be {allowed}{meant(start, STARTS_OF_PACKINGS)}"
                 )

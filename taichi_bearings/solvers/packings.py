@@ -169,8 +169,10 @@ def row_of_packing(method: str) -> type[MethodOptions]:
     """The row of a method; InputError for one that packings do not have."""
     row = METHODS.get(method)
     if row is None or row not in BUILT:
-        allowed = ", ".join(["auto", *(built.name for built in BUILT)])
-        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(method, METHODS)}")
+        allowed = ["auto", *(built.name for built in BUILT)]
+        raise InputError(
+            f"method is {shown(method)}; of a packing it can be {', '.join(allowed)}{meant(method, allowed)}"
+        )
     return row
 
 
