@@ -381,6 +381,10 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
     """
     found = load(result) if isinstance(result, (str, os.PathLike)) else result
     threshold = None if threshold is None else finite_number("threshold", threshold)
+    if isinstance(found, list):  # replicas of a packing
+        if sample not in range(len(found)):
+            raise InputError(f"sample is {sample}; the run has {len(found)}, counted from 0")
+        found = found[sample]
     if isinstance(found, PackingResult):
         return PackingStructure.of(found, threshold)
     run = found._run

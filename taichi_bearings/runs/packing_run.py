@@ -219,7 +219,8 @@ class PackingJob:
         return RunSettings(**{**kept, "packing": name})
 
     def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> PackingRun:
-        """The replicas one after another, each as alone. Ctrl-C leaves those that were begun."""
+        """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from
+        which the others can go on, it is a KeyboardInterrupt unless all were."""
         count, found = len(self.packings), list[PackingSolution]()
         written = [None] * count if checkpoints is None else checkpoints.of_each(count)
         for number, (packing, own) in enumerate(zip(self.packings, written, strict=True)):
@@ -232,6 +233,8 @@ class PackingJob:
                 if not found:
                     raise
             if len(found) <= number or found[-1].status == Status.INTERRUPTED.value:
+                if len(found) < count and checkpoints is not None:
+                    raise KeyboardInterrupt
                 settings = replace(self.settings, replicas=len(found))
                 start = self.start[: len(found)] if np.ndim(self.start) > packing.spin.ndim else self.start
                 return PackingRun(settings, tuple(found), interrupted=True, start=start)
