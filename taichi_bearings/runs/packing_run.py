@@ -200,6 +200,10 @@ class PackingJob:
     def of(cls, settings: RunSettings) -> "PackingJob":
         """Raises InputError or FileError."""
         packings, named = packings_of(settings), settings.initial
+        if settings.method != "auto":
+            from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
+
+            row_of_packing(settings.method)
         if named in STARTS or not Path(named).exists():
             return cls(settings, packings)
         start, one = read_arrays(Path(named), ["spin"])["spin"], packings[0].spin.shape
@@ -263,10 +267,6 @@ def refuse_unused(settings: RunSettings) -> None:
         )
     if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
-    if settings.method != "auto":
-        from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
-
-        row_of_packing(settings.method)
 
 
 def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
@@ -283,7 +283,7 @@ def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
     if samples != {settings.replicas}:
         held = counted(samples.pop(), "sample")
         raise InputError(f"replicas is {settings.replicas}, but {settings.packing} holds {held}")
-    drawn = {"friction", "viscosity"}.intersection(("friction", "viscosity")[: 1 + len(_drawn_viscosity(settings))])
+    drawn = set(("friction", "viscosity")[: 1 + len(_drawn_viscosity(settings))])
     if settings.replicas > 1 and 1 not in axes.values() and drawn <= found.keys() and settings.initial != "random":
         raise InputError(
             f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "
