@@ -56,8 +56,8 @@ def _describe_packing(report: dict[str, Any], times: str) -> str:
     lines += [
         f"  {line}"
         for name, value in report.items()
-        if name in COLUMNS and name not in ("status", "method", "law", "shape", "version", "seconds")
-        for line in _lines(COLUMNS[name].text, value, several=False)
+        if name in COLUMNS and name not in ("status", "method", "law", "shape", "seed", "version", "seconds")
+        for line in _lines(COLUMNS[name].text, value, isinstance(report["seed"], list) and isinstance(value, list))
     ]
     return "\n".join([*lines, times, *report["files"]])
 

@@ -93,9 +93,8 @@ def _plot_run(
 ) -> None:
     from taichi_bearings.errors import InputError
     from taichi_bearings.files.whole_file import refuse_ending
-    from taichi_bearings.plots.packing import draw_packing
     from taichi_bearings.plots.style import ENDINGS, save, save_small
-    from taichi_bearings.runs.figures import draw_figure
+    from taichi_bearings.runs.figures import draw_figure, draw_figure_of_packing
     from taichi_bearings.runs.packing_run import PackingRun, read_run
     from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_directory import claimed
@@ -107,9 +106,7 @@ def _plot_run(
     refuse_ending(out, *ENDINGS)
     stored = read_run(run)
     if isinstance(stored, PackingRun):
-        if page.planes or time is not None or replica:
-            raise InputError(f"{run} is a run of a packing, whose figures take --width, --dpi and --view alone")
-        draw = partial(draw_packing, stored.result, kind, page)
+        draw = partial(draw_figure_of_packing, stored.sample(replica).result, kind, time, page)
     else:
         slowest = settings_of(stored).slip_threshold
         draw = partial(draw_figure, kind, stored.solution, replica, time, slowest, page)

@@ -111,8 +111,6 @@ def _task(
         raise InputError(f"out is {stored_out!r}; it must be a text")
     out = out or stored_out
     settings = RunSettings.from_mapping(values | given, scene or "the options")
-    if settings.is_packing:
-        from taichi_bearings.runs.packing_run import run_packing as run  # type: ignore[assignment]
     return partial(run, settings, Path(out) if out else None, force), out
 
 
@@ -155,24 +153,39 @@ def describe(summary: dict[str, Any], times: str) -> str:
 
 def describe_packing(summary: dict[str, Any], times: str) -> str:
     """A short summary of a packing."""
+    seeds = summary["seed"] if isinstance(summary["seed"], list) else [summary["seed"]]
+    each = [summary]
+    if len(seeds) > 1:
+        each = [{key: values[n] if isinstance(values, list) and len(values) == len(seeds) else values
+                 for key, values in summary.items()} for n in range(len(seeds))]  # fmt: skip
+    lines = [
+        f"{summary['spheres']:,} spheres, {summary['driven_spheres']:,} of them driven, {summary['law']}, "
+        f"{summary['method']}{driving_words(summary)}: {', '.join(sorted({one['status'] for one in each}))}"
+    ]
+    shown = each if len(seeds) <= 11 else each[:10]
+    for seed, one in zip(seeds, shown, strict=False):
+        lines += _packing_lines(one, f"seed {seed}: " if len(seeds) > 1 else "")
+    lines += [f"  ... and {len(each) - len(shown)} more seeds, in summary.json"] if len(shown) < len(each) else []
+    return "\n".join([*lines, f"  {times}", f"  run: {summary['run']}", *_picture(summary)])
+
+
+def _packing_lines(summary: dict[str, Any], label: str) -> list[str]:
+    """Of one replica."""
     within = "exactly" if summary["gap"] == 0 else f"within {summary['gap']:.1e}"
     proven = {"proven": f"proven {within}"}.get(summary["proof"], f"{within}, {summary['proof']}")
-    others = _others(summary["undecided"], summary["critical"], 0)
     motions = summary["slipless_motions"]
     free = "not decided" if motions is None else f"{motions:,}"
     states = "the contact states are proven"
     if summary["unproven"]:
         states = f"of {summary['contacts'] - summary['unproven']:,} contacts it is proven what they are called"
     lines = [
-        f"{summary['spheres']:,} spheres, {summary['driven_spheres']:,} of them driven, {summary['law']}, "
-        f"{summary['method']}{driving_words(summary)}: {summary['status']}",
-        f"  P = {summary['power']:.12g}, {proven}; of {summary['contacts']:,} contacts "
-        f"{summary['slipping']:,} slip, {summary['slipless']:,} do not, {others}",
+        f"  {label}P = {summary['power']:.12g}, {proven}; of {summary['contacts']:,} contacts "
+        f"{summary['slipping']:,} slip, {summary['slipless']:,} do not, "
+        f"{_others(summary['undecided'], summary['critical'], 0)}",
         f"  {states}; slipless motions beside: {free}",
     ]
-    if summary["driven_power"]:
-        lines.append(f"  contacts between driven spheres dissipate {summary['driven_power']:.12g} beside")
-    return "\n".join([*lines, f"  {times}", f"  run: {summary['run']}", *_picture(summary)])
+    beside = f"  contacts between driven spheres dissipate {summary['driven_power']:.12g} beside"
+    return [*lines, beside] if summary["driven_power"] else lines
 
 
 def _picture(summary: dict[str, Any]) -> list[str]:

@@ -20,11 +20,11 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.packing import Packing, PackingSolution, solve_packing
+from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import PackingRun, read_run
+from taichi_bearings.runs.packing_run import PackingJob, PackingRun, read_run, refuse_unused
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
@@ -259,16 +259,16 @@ class PackingResult(PackingSolution):
         """
         settings = RunSettings(packing="run.h5", law=str(self.packing.law))
         with run_directory(Path(path), force) as directory:
-            found = runs.publish(directory, PackingRun(settings, self, command="taichi_bearings.solve"))
+            found = runs.publish(directory, PackingRun(settings, (self,), command="taichi_bearings.solve"))
         assert found.path is not None
         return found.path
 
-    def plot(self, kind: str = "spins", page: "Page | None" = None) -> "Figure":
-        """A figure: "spins", "power" or "network". page : how it is printed."""
-        from taichi_bearings.plots.packing import draw_packing
+    def plot(self, kind: str = "spins", time: float | None = None, page: "Page | None" = None) -> "Figure":
+        """A figure: "spins", "power" or "network". time, page : as of :meth:`Result.plot`."""
         from taichi_bearings.plots.page import PAGE
+        from taichi_bearings.runs.figures import draw_figure_of_packing
 
-        return draw_packing(self, kind, page or PAGE)
+        return draw_figure_of_packing(self, kind, time, page or PAGE)
 
 
 OPTIONS = (
@@ -327,13 +327,12 @@ def solve(
     if isinstance(scene, Packing):
         if callback is not None:
             raise InputError("callback is given; a packing takes none")
-        if not isinstance(method, str) or method != "auto":
-            from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
-
-            return PackingResult(**vars(follow_packing(scene, method, tolerance, start, **options)))
-        if options or not isinstance(start, str) or start != "linear":
-            raise InputError("of the arguments of solve a packing takes tolerance alone where method is auto")
-        return PackingResult(**vars(solve_packing(scene, tolerance)))
+        density = {"density": options.pop("density")} if "density" in options else {}
+        asked = _asked(method, {"tolerance": tolerance, **options}, start)
+        settings = RunSettings(packing="run.h5", law=str(scene.law), **asked)
+        refuse_unused(settings)
+        job = PackingJob(settings, (scene,), None if isinstance(start, str) else start)
+        return PackingResult(**vars(job.solve(**density).result))
     if callback is not None and not callable(callback):
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
     monitors = [] if callback is None else [_monitor(scene, callback)]
@@ -382,6 +381,10 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
     """
     found = load(result) if isinstance(result, (str, os.PathLike)) else result
     threshold = None if threshold is None else finite_number("threshold", threshold)
+    if isinstance(found, list):  # replicas of a packing
+        if sample not in range(len(found)):
+            raise InputError(f"sample is {sample}; the run has {len(found)}, counted from 0")
+        found = found[sample]
     if isinstance(found, PackingResult):
         return PackingStructure.of(found, threshold)
     run = found._run
@@ -389,7 +392,8 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
 
 
 def load(path: str | Path) -> Any:
-    """A :class:`Result`, or of a packing a :class:`PackingResult`, of a run directory or its run.h5, whatever wrote it.
+    """A :class:`Result`, or of a packing a :class:`PackingResult` (of several replicas a list of them), of a run
+    directory or its run.h5, whatever wrote it.
 
     FileError if it is missing, damaged or was changed.
     """
@@ -397,7 +401,8 @@ def load(path: str | Path) -> Any:
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
     stored = read_run(Path(path))
     if isinstance(stored, PackingRun):
-        return PackingResult(**vars(stored.result))
+        found = [PackingResult(**vars(result)) for result in stored.results]
+        return found if len(found) > 1 else found[0]
     command = str(stored.attributes.get("command", ""))
     place = stored.path.parent if stored.path.name == "run.h5" else stored.path
     return Result(runs.Run(runs.settings_of(stored), stored.solution, path=place, command=command))
@@ -409,25 +414,31 @@ def _settings(
     """The settings of `bearings run` that solve this scene, and the spins to start from; arrays lie beside it."""
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene")
+    values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
+    values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
+    if scene.lattice.dimension == 2:
+        del values["direction"]  # which has no meaning there
+    values |= scene.drawn or {"coefficients": "run.h5"}
+    values |= _asked(method, options, start)
+    return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start)
+
+
+def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> dict[str, Any]:
+    """What is asked for of any bearing, by key."""
     for name in options:
         if name not in ("tolerance", *OPTIONS):
             raise InputError(
                 f"{name} is no option of solve, which has {', '.join(OPTIONS)}; "
                 "options of a method belong to it, as in CundallStrack(stiffness=1e6)" + meant(name, OPTIONS)
             )
-    values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
-    values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
-    if scene.lattice.dimension == 2:
-        del values["direction"]  # which has no meaning there
-    values |= scene.drawn or {"coefficients": "run.h5"}
+    values = dict[str, Any]()
     if isinstance(method, MethodOptions):
         declared = options_of(method)
         chosen = {name: getattr(method, name) for name in declared}
         values |= {name: value for name, value in chosen.items() if value != declared[name].default}
         method = method.name
     named = start if isinstance(start, str) else "initial_spin.npz"
-    values |= {"method": method, "initial": named, **options}
-    return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start)
+    return values | {"method": method, "initial": named, **options}
 
 
 def _monitor(scene: Scene, callback: Callable[[Check], bool | None]) -> Callable[[Report], bool | None]:

@@ -1,4 +1,5 @@
-"""Bottlenecks: the few links of the slipless network that carry most of what goes from bottom to top.
+"""Bottlenecks: the few links of the slipless network that carry most of what goes from bottom to top, or between the
+two driven bodies of a packing, called so too.
 
 Two ways to look for them. *Shortest paths*: a bottom sphere s and a top sphere t that slipless contacts join are a
 *pair*. Let sigma_st be the number of shortest paths from s to t and sigma_st(e) the number of those through link e.
@@ -30,7 +31,7 @@ import rustworkx
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.network import ContactNetwork
 
 LEAST_LOAD = 1e-12  # a load that is less is none
 EXACT_WORK = 200_000_000  # sources times links; beyond it a sample of the sources must do
@@ -57,13 +58,13 @@ class Betweenness:
 class Bottlenecks:
     """Loads and weak places of one sample; links (E,) and spheres (sites,) are those of `network`."""
 
-    network: SliplessNetwork
+    network: ContactNetwork
 
     @cached_property
     def backbone(self) -> np.ndarray:
         """(E,) True for links on some path from bottom to top that visits no body twice: they alone are on shortest
         paths. All False if the planes are apart."""
-        network, through = self.network, np.zeros(len(self.network.axis), dtype=bool)
+        network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
         if network.spans:
             in_piece = network.spanning.ravel()[network.ends[0]]
             low, high = network.body[network.ends[:, in_piece]]
@@ -105,12 +106,7 @@ class Bottlenecks:
     def most_loaded(self, number: int = 10) -> list[dict[str, Any]]:
         """The links that carry most pairs, the heaviest first: where they are, what they carry and whether they part
         the planes alone."""
-        columns = {
-            "contact": self.network.contact,
-            "axis": self.network.axis,
-            "share": self.share,
-            "parts_the_planes": self.parting,
-        }
+        columns = {**self.network.names, "share": self.share, "parts_the_planes": self.parting}
         rank = np.argsort(-self.share.round(12), kind="stable")
         chosen = rank[self.share[rank] > LEAST_LOAD][:number]
         return [{name: values[edge].tolist() for name, values in columns.items()} for edge in chosen]
@@ -129,13 +125,13 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
     return label
 
 
-def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
+def betweenness(network: ContactNetwork, links: np.ndarray | None = None) -> Betweenness:
     """The betweenness of one sample.
 
     links : (E,) bool, those that can lie on a shortest path (the backbone), to save work; default all. Where EXACT_WORK
     does not allow to count from all sources, the spheres of the driven plane that has fewer, some are drawn.
     """
-    sites, edges = network.lattice.sites, len(network.axis)
+    sites, edges = network.lattice.sites, network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
     starts, targets, pairs = _ends_of_pairs(network)
     is_target = np.zeros(sites, dtype=bool)
@@ -159,10 +155,10 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
     return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(drawn) == len(starts))
 
 
-def _ends_of_pairs(network: SliplessNetwork) -> tuple[np.ndarray, np.ndarray, int]:
+def _ends_of_pairs(network: ContactNetwork) -> tuple[np.ndarray, np.ndarray, int]:
     """Driven spheres joined to the other plane, as indices, of the plane that has fewer and of the other; the pairs."""
     sites = network.lattice.sites
-    ones = np.ones(len(network.axis), dtype=np.int8)
+    ones = np.ones(network.ends.shape[1], dtype=np.int8)
     label = connected_components(csr_array((ones, tuple(network.ends)), shape=(sites, sites)), directed=False)[1]
     low, high = (network.touched_of(body) for body in (0, network.bodies - 1))
     pairs = int((np.bincount(label[low], minlength=sites) * np.bincount(label[high], minlength=sites)).sum())
@@ -179,7 +175,7 @@ class _Neighbours(NamedTuple):
     link: np.ndarray
 
 
-def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
+def _neighbours(network: ContactNetwork, links: np.ndarray) -> _Neighbours:
     """Over the links of these numbers."""
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])

@@ -1,12 +1,13 @@
-"""The network of slipless contacts: what it reaches, whether it joins the driven planes, and by which paths.
+"""The network of slipless contacts: what it reaches, whether it joins the driven bodies, and by which paths.
 
-Nodes are spheres, edges are slipless contacts. Each driven plane is one body, because its spheres turn as one bearing,
-so contacts between two of its spheres are not edges and a path starts where it leaves the plane. Graph searches and
-flows are SciPy's.
+Nodes are spheres, edges are slipless contacts. Each driven body, of a lattice a plane, is one node, because its spheres
+turn as one bearing, so contacts between two of its spheres are not edges and a path starts where it leaves the body.
+Graph searches and flows are SciPy's.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -19,29 +20,31 @@ from taichi_bearings.proof.contact_state import ContactState
 
 
 @dataclass(frozen=True)
-class SliplessNetwork:
-    """Spheres of one sample and the slipless contacts that join them.
+class ContactNetwork:
+    """Spheres of one sample and the slipless contacts that join them, of a lattice or a packing.
 
-    slipless : (contacts,) bool, of all contacts of the lattice, False between two driven spheres.
+    lattice : has `ends` (2, contacts), `sites`, and `shape` N and `is_driven` (N) of the spheres.
+    slipless : (contacts,) bool, of all contacts, False between two driven spheres.
     """
 
-    lattice: Lattice
+    lattice: Any
     slipless: np.ndarray
 
     @cached_property
-    def axis(self) -> np.ndarray:
-        """Axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
-        return self.lattice.axis[self.slipless]
+    def body(self) -> np.ndarray:
+        """Node (sites,) of each sphere in the graph of bodies: 0 the first driven body, then the free spheres, then the
+        other driven bodies, of a lattice the top plane."""
+        raise NotImplementedError
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """Lower and upper sphere (2, E) of each edge, as indices in C order."""
-        return self.lattice.ends[:, self.slipless]
+        """First and second, of a lattice lower and upper, sphere (2, E) of each edge, as indices in C order."""
+        return np.asarray(self.lattice.ends[:, self.slipless])
 
-    @cached_property
-    def contact(self) -> np.ndarray:
-        """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
-        return np.stack(np.unravel_index(self.ends[0], self.lattice.shape), axis=1)
+    @property
+    def names(self) -> dict[str, np.ndarray]:
+        """What tells people which edges these are, (E, ...)."""
+        raise NotImplementedError
 
     @cached_property
     def touched(self) -> np.ndarray:
@@ -49,14 +52,14 @@ class SliplessNetwork:
         count = np.bincount(self.ends.ravel(), minlength=self.lattice.sites)
         return (count > 0).reshape(self.lattice.shape)
 
-    @cached_property
-    def body(self) -> np.ndarray:
-        """Node (sites,) of each sphere in the graph of bodies: 0 the bottom plane, the last one the top plane."""
-        return number_bodies(self.lattice.shape).ravel()
-
     @property
     def bodies(self) -> int:
-        return int(self.body[-1]) + 1
+        return int(self.body.max(initial=-1)) + 1
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Nodes of the driven bodies."""
+        return np.unique(self.body[self.lattice.is_driven.ravel()])
 
     def touched_of(self, body: int) -> np.ndarray:
         """Spheres of a body that touch a slipless contact, as indices in C order."""
@@ -76,7 +79,7 @@ class SliplessNetwork:
 
     @cached_property
     def component(self) -> np.ndarray:
-        """Label, shape N, of the connected piece of each sphere; 0 is the piece of the bottom plane."""
+        """Label, shape N, of the connected piece of each sphere; 0 is the piece of the first driven body."""
         return self.pieces()[self.body].reshape(self.lattice.shape)
 
     @property
@@ -86,23 +89,66 @@ class SliplessNetwork:
 
     @property
     def spans(self) -> bool:
-        """True if slipless contacts join the bottom and the top plane."""
-        return bool(self.component.flat[0] == self.component.flat[-1])
+        """True if slipless contacts join two driven bodies, of a lattice the bottom and the top plane."""
+        return bool(self.spanning.any())
 
-    @property
-    def reached_fraction(self) -> float:
-        """Share of the free spheres that touch a slipless contact."""
-        return float(self.touched[~self.lattice.is_driven].mean())
-
-    @property
+    @cached_property
     def spanning(self) -> np.ndarray:
-        """True for the spheres of the piece that joins the planes, shape N; nowhere if none does."""
-        return (self.component == 0) & self.spans
+        """True for the spheres of pieces that join driven bodies, shape N."""
+        label = self.pieces()
+        several = np.bincount(label[self.held], minlength=len(label)) > 1
+        return np.asarray(several[self.component])
+
+    def _share(self, chosen: np.ndarray) -> Any:
+        free = ~self.lattice.is_driven
+        return float(chosen[free].mean()) if free.any() else None
 
     @property
-    def spanning_fraction(self) -> float:
-        """Share of the free spheres that belong to the piece that joins the planes; 0 if none does."""
-        return float(self.spanning[~self.lattice.is_driven].mean())
+    def reached_fraction(self) -> Any:
+        """Share of the free spheres that touch a slipless contact; None without any."""
+        return self._share(self.touched)
+
+    @property
+    def spanning_fraction(self) -> Any:
+        """Share of the free spheres that belong to pieces that join driven bodies; None without any."""
+        return self._share(self.spanning)
+
+    @property
+    def disjoint_paths(self) -> Any:
+        """Number of paths between the two driven bodies that share no contact, as many as there are, and the fewest
+        contacts whose removal parts them (Menger); None with more or fewer bodies."""
+        return int(maximum_flow(self.graph(), *self.held).flow_value) if len(self.held) == 2 else None
+
+    def on_contacts(self, values: np.ndarray) -> np.ndarray:
+        """Values (E,) of the edges spread over all contacts, 0 elsewhere."""
+        spread = np.zeros(self.slipless.shape, dtype=values.dtype)
+        spread[self.slipless] = values
+        return spread
+
+
+@dataclass(frozen=True)
+class SliplessNetwork(ContactNetwork):
+    """That of a lattice."""
+
+    lattice: Lattice
+
+    @cached_property
+    def axis(self) -> np.ndarray:
+        """Axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
+        return self.lattice.axis[self.slipless]
+
+    @cached_property
+    def contact(self) -> np.ndarray:
+        """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
+        return np.stack(np.unravel_index(self.ends[0], self.lattice.shape), axis=1)
+
+    @cached_property
+    def body(self) -> np.ndarray:
+        return number_bodies(self.lattice.shape).ravel()
+
+    @property
+    def names(self) -> dict[str, np.ndarray]:
+        return {"contact": self.contact, "axis": self.axis}
 
     def winding(self, axis: int) -> np.ndarray:
         """True, shape N, for spheres of pieces in which a closed way of slipless contacts goes around this axis. No way
@@ -155,18 +201,6 @@ class SliplessNetwork:
     def path_planes(self) -> list[int]:
         """Number of lattice planes across each sideways axis that this path visits."""
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
-
-    @property
-    def disjoint_paths(self) -> int:
-        """Number of paths from the bottom to the top plane that share no contact, as many as there are, and the fewest
-        contacts whose removal parts the planes (Menger)."""
-        return int(maximum_flow(self.graph(), 0, self.bodies - 1).flow_value)
-
-    def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Values (E,) of the edges spread over all contacts of the lattice, 0 elsewhere."""
-        spread = np.zeros(self.slipless.shape, dtype=values.dtype)
-        spread[self.slipless] = values
-        return spread
 
 
 def network_of(lattice: Lattice, state: np.ndarray) -> SliplessNetwork:

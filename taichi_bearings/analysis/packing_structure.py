@@ -7,20 +7,49 @@ each in a bearing state s u = A + c x of its own, a contact on it slips with the
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components, dijkstra, maximum_flow
+from scipy.sparse.csgraph import connected_components, dijkstra
 
+from taichi_bearings.analysis.bottlenecks import Bottlenecks
+from taichi_bearings.analysis.network import ContactNetwork
 from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow, within_reach
-from taichi_bearings.packing import PackingSolution
+from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.quantities import STRUCTURE, plain
 
 MOST_BODIES = 50  # between which paths are looked for
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state, or each other in a domain
 CUT_BITS = 50  # of the weight of all contacts, in whole units
+OF_NETWORK = ("components", "spans", "reached_fraction", "spanning_fraction", "disjoint_paths")
+
+
+@dataclass(frozen=True)
+class PackingNetwork(ContactNetwork):
+    """That of a packing."""
+
+    @classmethod
+    def of(cls, packing: Packing, slipless: np.ndarray) -> "PackingNetwork":
+        held = packing.driven >= 0
+        spheres = {"sites": packing.spheres, "shape": held.shape, "is_driven": held, "driven": packing.driven}
+        return cls(SimpleNamespace(ends=packing.contact.T, **spheres), slipless)
+
+    @cached_property
+    def body(self) -> np.ndarray:
+        free, driven = ~self.lattice.is_driven, self.lattice.driven
+        rank, number = np.unique(driven[~free], return_inverse=True)
+        node = np.empty(len(driven), dtype=np.int64)
+        node[free] = (len(rank) > 0) + np.arange(free.sum())
+        node[~free] = np.where(number == 0, 0, free.sum() + number)
+        return node
+
+    @property
+    def names(self) -> dict[str, np.ndarray]:
+        return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
 
 
 @dataclass(frozen=True)
@@ -37,61 +66,25 @@ class PackingStructure:
         return cls(result, acts & (result.state == 0 if threshold is None else result.slip <= threshold))
 
     @cached_property
-    def node(self) -> np.ndarray:
-        """(N,) of each sphere: driven bodies first, then the free spheres."""
-        driven = self.result.packing.driven
-        bodies, number = np.unique(driven[driven >= 0], return_inverse=True)
-        node = np.empty(len(driven), dtype=np.int64)
-        node[driven >= 0] = number
-        node[driven < 0] = len(bodies) + np.arange((driven < 0).sum())
-        return node
+    def network(self) -> "PackingNetwork":
+        return PackingNetwork.of(self.result.packing, self.slipless)
+
+    @cached_property
+    def bottlenecks(self) -> Bottlenecks:
+        """Between two driven bodies."""
+        return Bottlenecks(self.network)
 
     @property
     def bodies(self) -> int:
-        return len(np.unique(self.result.packing.driven)) - int((self.result.packing.driven < 0).any())
-
-    @cached_property
-    def graph(self) -> sparse.csr_array:
-        """Of the slipless contacts: (nodes, nodes) of int32 ones, symmetric."""
-        first, second = self.node[self.result.packing.contact[self.slipless]].T
-        size = int(self.node.max()) + 1
-        ends = np.concatenate([first, second]), np.concatenate([second, first])
-        graph = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int32), ends), shape=(size, size))
-        graph.data[:] = 1  # of several contacts between two nodes one
-        return graph
-
-    @cached_property
-    def piece(self) -> np.ndarray:
-        """(N,) label of the connected piece of each sphere."""
-        label = connected_components(self.graph, directed=False)[1]
-        return np.asarray(label[self.node])
-
-    @cached_property
-    def touched(self) -> np.ndarray:
-        """(N,) True for spheres with a slipless contact."""
-        count = np.bincount(self.result.packing.contact[self.slipless].ravel(), minlength=self.result.packing.spheres)
-        return count > 0
-
-    @cached_property
-    def spanning(self) -> np.ndarray:
-        """(N,) True for spheres in pieces that hold two driven bodies or more."""
-        held = self.result.packing.driven >= 0
-        pairs = np.unique(np.stack([self.piece[held], self.node[held]]), axis=1)
-        bodies = np.bincount(pairs[0], minlength=int(self.piece.max()) + 1)
-        return np.asarray((bodies > 1)[self.piece])
+        return len(self.network.held)
 
     @cached_property
     def shortest_path(self) -> int | None:
         """Contacts of the shortest slipless path between two driven bodies; None without one."""
-        if not self.spanning.any() or self.bodies > MOST_BODIES:
+        if not self.network.spans or self.bodies > MOST_BODIES:
             return None
-        far = dijkstra(self.graph, unweighted=True, indices=np.arange(self.bodies))[:, : self.bodies]
+        far = dijkstra(self.network.graph(), unweighted=True, indices=self.network.held)[:, self.network.held]
         return int(far[~np.eye(self.bodies, dtype=bool)].min())
-
-    @cached_property
-    def disjoint_paths(self) -> int | None:
-        """Slipless paths between two driven bodies that share no contact; None with more or fewer bodies."""
-        return None if self.bodies != 2 else int(maximum_flow(self.graph, 0, 1).flow_value)
 
     @cached_property
     def domain(self) -> np.ndarray:
@@ -102,7 +95,8 @@ class PackingStructure:
         near = SAME_STATE * np.abs(u).max(initial=0.0)
         first, second = packing.contact[self.slipless | (self.result.state == ContactState.DRIVEN)].T
         held = np.flatnonzero(packing.driven >= 0)
-        leader = held[np.unique(self.node[held], return_index=True)[1]][self.node[held]]
+        _, one, of = np.unique(self.network.body[held], return_index=True, return_inverse=True)
+        leader = held[one[of]]
         ends = [np.append(first, held), np.append(second, leader)]
         apart = np.abs(u[ends[0]] + u[ends[1]]).max(axis=1, initial=0.0)
         alike = np.abs(u[held] - u[leader]).max(axis=1, initial=0.0)
@@ -114,7 +108,7 @@ class PackingStructure:
     @cached_property
     def interface(self) -> "Interface | None":
         """The lightest interface; None where there is none of two bearing states."""
-        return Interface.of(self.result, self.node) if self.bodies == 2 else None
+        return Interface.of(self.result, self.network.body) if self.bodies == 2 else None
 
     def __getattr__(self, name: str) -> Any:
         if name in (numbers := {} if name.startswith("_") else self.numbers):
@@ -126,7 +120,6 @@ class PackingStructure:
         """As `bearings analyse --json` has them, for JSON; each is an attribute too, such as `spans`."""
         packing, cut = self.result.packing, self.interface
         free, acts = packing.driven < 0, self.result.state != ContactState.DRIVEN
-        share = lambda chosen: float(chosen[free].mean()) if free.any() else None  # noqa: E731
         return {
             "power": self.result.power,
             "power_minimum_cut": None if cut is None else cut.power,
@@ -134,20 +127,17 @@ class PackingStructure:
             "cut_is_unique": None if cut is None else cut.unique,
             "cut_contacts": None if cut is None else int(cut.contacts.sum()),
             "slipless_fraction": float(self.slipless.sum() / acts.sum()) if acts.any() else None,
-            "components": len(np.unique(self.piece[self.touched])),
-            "spans": bool(self.spanning.any()),
-            "reached_fraction": share(self.touched),
-            "spanning_fraction": share(self.spanning),
+            **{name: getattr(self.network, name) for name in OF_NETWORK},
             "shortest_path": self.shortest_path,
-            "disjoint_paths": self.disjoint_paths,
             "domains": int(self.domain.max()) + 1,
             "largest_domain": int(np.bincount(self.domain[free]).max()) if free.any() else 0,
+            **{row.name: plain(row.of(self)) for row in STRUCTURE["bottlenecks"] if self.bodies == 2},
         }
 
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Of spheres (N,) and of contacts (E,): `domain`, `component`; `on_cut`, `above_cut` where there is a cut."""
-        spheres, contacts = {"domain": self.domain, "component": self.piece}, dict[str, np.ndarray]()
+        spheres, contacts = {"domain": self.domain, "component": self.network.component}, dict[str, np.ndarray]()
         if self.interface is not None:
             spheres["above_cut"], contacts["on_cut"] = self.interface.above, self.interface.contacts
         return spheres, contacts
@@ -172,7 +162,9 @@ class Interface:
         held = packing.kind.holding_force(packing.coefficients)
         if odd.any() or held is None or packing.kind.flows:
             return None
-        state = [_bearing_state(packing.center, sign[:, None] * packing.imposed, node == body) for body in (0, 1)]
+        state = [
+            _bearing_state(packing.center, sign[:, None] * packing.imposed, node == body) for body in (0, node.max())
+        ]
         if state[0] is None or state[1] is None:
             return None
         jump = _at(packing.center[first], state[1]) - _at(packing.center[first], state[0])
@@ -180,9 +172,7 @@ class Interface:
         weight = held * np.linalg.norm(across, axis=1)
         ends = node[packing.contact].T
         taken = (ends[0] != ends[1]) & (weight > 0) & (result.state != ContactState.DRIVEN)
-        order = np.append([0], np.append(np.arange(2, node.max() + 1), 1))  # the second body last
-        place = np.argsort(order)
-        ends, weight = place[ends[:, taken]], weight[taken]
+        ends, weight = ends[:, taken], weight[taken]
         total = float(weight.sum())
         if not total > 0:
             return None
@@ -202,7 +192,7 @@ class Interface:
         loose = np.ones(size, dtype=bool)
         loose[ends.ravel()] = False
         unique = bool((reached | nearest | loose).all())
-        return cls(float(weight[cut].sum()), contacts, above[place[node]], unique)
+        return cls(float(weight[cut].sum()), contacts, above[node], unique)
 
 
 def _bearing_state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarray | None:

@@ -173,6 +173,13 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
     _write(path, copy)
 
 
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write an npz file in full or not at all."""
+    whole = io.BytesIO()
+    np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
+    replace_file(path, whole.getvalue())
+
+
 def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: Any) -> None:
     """A data set with its unit and what it is."""
     stored = group.create_dataset(name, data=values, **packing)

@@ -17,7 +17,7 @@ from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.polish import polished
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
-from taichi_bearings.scene.solution import Status
+from taichi_bearings.scene.solution import Snapshots, Status
 from taichi_bearings.verifier.network_states import AT_REST
 from taichi_bearings.verifier.packing_verdict import PackingJudgement
 from taichi_bearings.verifier.samples import UNPROVEN
@@ -50,6 +50,7 @@ class PackingSolution:
     what no slip of any minimum exceeds, length/time; infinite at absent contacts.
     seconds : wall time. iterations : of the method, factorisations of an interior point.
     history : of dynamics and descent, the columns of `Result.history`. time : simulated time of a dynamics, else None.
+    snapshots : of a dynamics that was asked for them; times (S,) and spins (S, N, 3), of discs (S, N).
     """
 
     packing: Packing
@@ -75,6 +76,7 @@ class PackingSolution:
     iterations: int = 0
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
     time: float | None = None
+    snapshots: Snapshots | None = None
 
     @property
     def critical(self) -> int:

@@ -118,6 +118,12 @@ class Packing:
         pairs = zip(self.kind.quantities, given, strict=False)
         return tuple(np.asarray(v) * (self.normal_force if quantity.is_friction else 1.0) for quantity, v in pairs)
 
+    def slips(self, spin: np.ndarray) -> np.ndarray:
+        """Slip speeds (E,) of spins (N, 3), of discs (N,); length/time."""
+        u = spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
+        both = u[self.contact].sum(axis=1)
+        return np.linalg.norm(both if self.dimension == 2 else np.cross(both, np.asarray(self.normal)), axis=1)
+
     @cached_property
     def imposed(self) -> np.ndarray:
         """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time."""

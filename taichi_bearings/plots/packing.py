@@ -23,9 +23,10 @@ SHADE = 0.55  # of the colour of spheres that lie farthest behind
 
 
 @in_our_style
-def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE) -> Figure:
+def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE, note: str = "") -> Figure:
     """kind : "spins", the surface speed of every sphere and, of discs, slipping contacts in black; "power", of slipping
-    contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim."""
+    contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim.
+    note : more of the title of "spins"."""
     if kind not in PACKING_FIGURES:
         allowed = ", ".join(PACKING_FIGURES)
         raise InputError(f"the figure is {kind!r}; of a packing there are {allowed}{meant(kind, PACKING_FIGURES)}")
@@ -50,7 +51,7 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
         if flat and chosen.sum() <= MOST_LINES:
             _lines(axes, _walls(packing, chosen), site, colors="black")
         colour_bar(figure, axes, r"$R\,|\omega|$ over the largest imposed", Normalize(0, 1), SPIN_COLOURS)
-        axes.set_title(f"{_named(packing)}\n{words}slip" + (", in black" if flat else ""))
+        axes.set_title(f"{_named(packing)}{note}\n{words}slip" + (", in black" if flat else ""))
         return figure
     _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
     lines = _along(packing, seen, normal, chosen)

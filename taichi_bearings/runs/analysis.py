@@ -130,13 +130,13 @@ def analyse(
     from taichi_bearings.runs.figures import FIGURES
 
     with stage("reading"):
-        run = read_run(path, replica)
+        run = read_run(path)
     target = file_of(path) if out is None else out / "analysis.h5"
     pictures = [target.parent / f"{name}.png" for name in (("network",) if isinstance(run, PackingRun) else FIGURES)]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
         if isinstance(run, PackingRun):
-            report, arrays, draw = analysed(run, threshold)
+            report, arrays, draw = analysed(run, threshold, replica)
         else:
             ended = [status.value for status in Run(settings_of(run), run.solution).status]
             found = Analysis(run.solution, ended, threshold, replica)

@@ -1,15 +1,18 @@
 """The figures of one run by their names, whether it lies in a file or not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
+from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots.course import draw_energy, draw_history
 from taichi_bearings.plots.domains import draw_domains
 from taichi_bearings.plots.network import draw_network
+from taichi_bearings.plots.packing import draw_packing
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
@@ -79,6 +82,21 @@ def draw_snapshot(
     A contact slips as :func:`snapshot_threshold` says. InputError if the run has no snapshots or does not reach that
     time.
     """
+    at, spins = _nearest(solution, time)
+    scene, spin = solution.sample(replica).scene, spins[replica]
+    threshold = snapshot_threshold(solution, slip_threshold)
+    slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+    state = scene.lattice.by_axis(np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips))
+    unit, symbol = driving(scene)
+    when = f"$t = {at:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * at:.6g}$")
+    note = f"black: contacts that slip faster than {threshold:.1e}"
+    if scene.jump:
+        note += rf" $= {threshold / (scene.lattice.radius * scene.jump):.1g}\,R\,|\Delta\omega|$"
+    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", note)
+
+
+def _nearest(solution: Solution | PackingSolution, time: float) -> tuple[float, np.ndarray]:
+    """Time and spins of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
     if solution.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
     kept = solution.snapshots.time
@@ -88,16 +106,26 @@ def draw_snapshot(
             f"time is {time:g}; the run goes from 0 to {end:g}, with snapshots from {kept.min():g} to {kept.max():g}"
         )
     nearest = int(np.abs(kept - time).argmin())
-    scene, spin = solution.sample(replica).scene, solution.snapshots.spin[nearest, replica]
-    threshold = snapshot_threshold(solution, slip_threshold)
-    slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    state = scene.lattice.by_axis(np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips))
-    unit, symbol = driving(scene)
-    when = f"$t = {kept[nearest]:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * kept[nearest]:.6g}$")
-    note = f"black: contacts that slip faster than {threshold:.1e}"
-    if scene.jump:
-        note += rf" $= {threshold / (scene.lattice.radius * scene.jump):.1g}\,R\,|\Delta\omega|$"
-    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", note)
+    return float(kept[nearest]), solution.snapshots.spin[nearest]
+
+
+def draw_figure_of_packing(
+    result: PackingSolution, kind: str = "spins", time: float | None = None, page: Page = PAGE
+) -> Figure:
+    """The figure called `kind` of a packing, as :func:`draw_figure`. A contact slips in a snapshot of springs that is
+    faster than a thousandth of the largest imposed surface speed."""
+    if page.planes:
+        raise InputError("plane is given, but figures of packings show no planes")
+    if time is None:
+        return draw_packing(result, kind, page)
+    if kind != "spins":
+        raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
+    (at, spin), packing = _nearest(result, time), result.packing
+    slip = packing.slips(spin)
+    least = STRETCHED_SLIP * float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
+    told = np.where(slip > least, ContactState.SLIPPING, ContactState.SLIPLESS)
+    state = np.where(result.state == ContactState.DRIVEN, ContactState.DRIVEN, told).astype(np.uint8)
+    return draw_packing(replace(result, spin=spin, slip=slip, state=state), "spins", page, f", $t = {at:.6g}$")
 
 
 def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> float:

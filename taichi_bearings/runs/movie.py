@@ -7,7 +7,8 @@ import math
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,11 @@ from PIL import Image
 from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.style import in_our_style
-from taichi_bearings.runs.figures import draw_snapshot
+from taichi_bearings.runs.figures import draw_figure_of_packing, draw_snapshot
+from taichi_bearings.runs.packing_run import PackingRun, read_run
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import file_of
 from taichi_bearings.stages import alike, each, stage
 
 FILM_ENDINGS = (".mp4", ".gif")
@@ -43,18 +45,22 @@ def movie(
     if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
         raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
     with stage("reading"):
-        stored = read_run_file(run)
+        stored = read_run(run)
     ending = ending or (".gif" if encoder is None else ".mp4")
-    path = stored.path.parent / f"movie{ending}" if out is None else out
-    solution = stored.solution
+    path = file_of(run).parent / f"movie{ending}" if out is None else out
+    solution: Any = stored.sample(replica).result if isinstance(stored, PackingRun) else stored.solution
     if solution.snapshots is None:
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
-    if not 0 <= replica < solution.scene.replicas:
-        raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
-    times, threshold = np.sort(solution.snapshots.time).tolist(), settings_of(stored).slip_threshold
+    if isinstance(stored, PackingRun):
+        draw: Callable[[float], Any] = partial(draw_figure_of_packing, solution, "spins")
+    else:
+        if not 0 <= replica < solution.scene.replicas:
+            raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
+        draw = partial(draw_snapshot, solution, replica, slip_threshold=settings_of(stored).slip_threshold)
+    times = np.sort(solution.snapshots.time).tolist()
     with claimed(path, force or out is None):
         moments = each(times, "drawing snapshot", alike)
-        frames = (_picture(draw_snapshot(solution, replica, time, threshold)) for time in moments)
+        frames = (_picture(draw(time)) for time in moments)
         film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
         replace_file(path, film)
     return {"file": str(path), "bytes": path.stat().st_size, "frames": len(times), "fps": frames_per_second}

@@ -1,6 +1,6 @@
 """A run of a packing: solved from its settings, written into a run directory, and read back."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -11,11 +11,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from taichi_bearings import runtime
 from taichi_bearings.analysis.histogram import PowerHistogram, power_histogram
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.analysis_file import Finding
-from taichi_bearings.files.whole_file import attributes_of, put, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, put, write_arrays, write_hdf5
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
@@ -23,8 +24,7 @@ from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES, found_in, plain
-from taichi_bearings.runs.run import command, kept, publish, row_of
-from taichi_bearings.runs.run_directory import claimed, default_run_path, run_directory
+from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.runs.run_file import (
     NOT_IN_ALL,
     RUN_LAYOUT,
@@ -36,13 +36,15 @@ from taichi_bearings.runs.run_file import (
     scene_settings,
 )  # fmt: skip
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings
-from taichi_bearings.scene import Status
-from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.runs.structure_report import BOTTLENECK_ROWS
+from taichi_bearings.scene import Snapshots, Status
+from taichi_bearings.scene.array_files import read_arrays, read_coefficients
+from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.solvers.table import METHODS
-from taichi_bearings.stages import stage
+from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions
+from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.version import VERSION
-from taichi_bearings.words import shown
+from taichi_bearings.words import counted, shown
 
 PACKING_ARRAYS = {
     "center": ("length", "centres of the spheres"),
@@ -73,38 +75,68 @@ TOLD_OF_RESULT = (
 )  # fmt: skip
 """What a summary has of the result under the same name."""
 READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
+READ_OF_RESULT = (*TOLD_OF_RESULT, "largest_balance_residual", "time")
 SIZES = ("radius", "normal_force")
+AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
+ALIKE = ("method", "law", "shape", "spheres", "driven_spheres", "contacts", "seconds_compile", "version")
 LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}  # keys that are not kept; run.h5 has what they led to
 
 
 @dataclass(frozen=True)
 class PackingRun:
-    """A solved packing. path : of the directory or the file that has the run, if any. command : what made it."""
+    """A solved packing. results : of each replica. path : of the directory or the file that has the run, if any.
+    command : what made it. start : spins that it started from, where those are no start by name."""
 
     settings: RunSettings
-    result: PackingSolution
+    results: tuple[PackingSolution, ...]
     path: Path | None = None
     command: str = ""
     interrupted: bool = False
+    start: Any = None
+
+    @property
+    def result(self) -> PackingSolution:
+        """That of the first replica."""
+        return self.results[0]
+
+    def sample(self, replica: int) -> "PackingRun":
+        """The run of one replica; InputError if there is none of this number."""
+        if not 0 <= replica < len(self.results):
+            raise InputError(f"replica is {replica}; the run has {len(self.results)}, counted from 0")
+        settings = replace(self.settings, seed=self.settings.seed + replica, replicas=1)
+        return replace(self, settings=settings, results=self.results[replica : replica + 1])
 
     def as_interrupted(self) -> "PackingRun":
         return replace(self, interrupted=True)
 
     def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
-        """Settings that solve it again from where its file of this name is."""
-        kept = {key: value for key, value in self.settings.given.items() if key not in LED_TO_ARRAYS}
-        return RunSettings(**{**kept, "packing": name})
+        """Settings that solve it again from where its files are. name : of that with its arrays."""
+        packings = tuple(result.packing for result in self.results)
+        return PackingJob(self.settings, packings, self.start).self_contained(folder, name)
 
     def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
-        write_hdf5(file, partial(_fill, self.result), {**RUN_LAYOUT, **attributes})
+        write_hdf5(file, partial(_fill, self.results), {**RUN_LAYOUT, **attributes})
 
     @property
     def status(self) -> list[Status]:
-        return [Status(self.result.status)]
+        return [Status(result.status) for result in self.results]
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The numbers of the run, as in `--json` of `run`."""
+        """The numbers of the run, as in `--json` of `run`; of several replicas lists where they may differ."""
+        ones = [self.sample(replica)._numbers for replica in range(len(self.results))]
+        numbers = ones[0] if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}
+        if len(ones) > 1:
+            numbers |= {key: ones[0][key] for key in ALIKE} | {"seconds": sum(numbers["seconds"])}
+        pairs = zip(self.results, self.settings.seeds, strict=True)
+        said = [f"what is proven of the least power{_of(seed, len(ones))}: {result.proof}"
+                for result, seed in pairs if result.proof != "proven"]  # fmt: skip
+        path = None if self.path is None else str(self.path)
+        return self.settings.driving | numbers | {"warnings": said, "coefficients": None, "run": path}
+
+    @property
+    def _numbers(self) -> dict[str, Any]:
+        """Those of the first replica."""
         result, packing = self.result, self.result.packing
         states = np.bincount(result.state, minlength=4).tolist()
         proven = np.full(packing.contacts, ContactState.UNDECIDED) if result.proven is None else result.proven
@@ -129,44 +161,149 @@ class PackingRun:
             "version": VERSION,
             **({} if result.time is None else {"time": result.time}),
             **({} if self.settings.duration is None else {"duration": self.settings.duration}),
-            "warnings": [] if result.proof == "proven" else [f"what is proven of the least power: {result.proof}"],
-            "coefficients": None,
-            "run": None if self.path is None else str(self.path),
         }
-        return self.settings.driving | {key: plain(value) for key, value in numbers.items()}
+        return {key: plain(value) for key, value in numbers.items()}
 
     @property
     def histogram(self) -> PowerHistogram:
-        """Of the power over its slipping contacts."""
-        return power_histogram(self.result.power_per_contact[None], self.result.state[None], 0.0)
+        """Of the power over its slipping contacts, of all replicas."""
+        power, state = (np.stack([getattr(r, n) for r in self.results]) for n in ("power_per_contact", "state"))
+        return power_histogram(power, state, 0.0)
+
+
+def _of(seed: int, replicas: int) -> str:
+    return f" of seed {seed}" if replicas > 1 else ""
+
+
+def _stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays of one replica as they are, of several with a leading axis; those that end sooner than the longest stay at
+    their end, and those that one does not have are not-a-number."""
+    if len(each) == 1:
+        return dict(each[0])
+    found = {}
+    for name in {name: None for one in each for name in one}:
+        longest = max((one[name] for one in each if name in one), key=len)
+        given = [one.get(name, longest[:1] * np.nan) for one in each]
+        found[name] = np.stack([np.append(v, np.repeat(v[-1:], len(longest) - len(v), axis=0), axis=0) for v in given])
+    return found
+
+
+@dataclass(frozen=True)
+class PackingJob:
+    """A checked run that is ready to be solved. packings : of each replica. start : as of PackingRun."""
+
+    settings: RunSettings
+    packings: tuple[Packing, ...]
+    start: Any = None
+
+    @classmethod
+    def of(cls, settings: RunSettings) -> "PackingJob":
+        """Raises InputError or FileError."""
+        packings, named = packings_of(settings), settings.initial
+        if settings.method != "auto":
+            from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
+
+            row_of_packing(settings.method)
+        if named in STARTS or not Path(named).exists():
+            return cls(settings, packings)
+        start, one = read_arrays(Path(named), ["spin"])["spin"], packings[0].spin.shape
+        if start.shape not in (one, (len(packings), *one)):
+            raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {one}")
+        return cls(settings, packings, start)
+
+    def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
+        """Settings whose files lie in the run directory. With checkpoints those are there while there is no run.h5."""
+        kept = {key: value for key, value in self.settings.given.items() if key not in LED_TO_ARRAYS}
+        if self.settings.checkpoint_every is not None:
+            name = "packing.npz"
+            write_arrays(folder / name, _stacked([packing.arrays() for packing in self.packings]))
+        if self.start is not None:
+            kept["initial"] = "initial_spin.npz"
+            write_arrays(folder / "initial_spin.npz", {"spin": self.start})
+        return RunSettings(**{**kept, "packing": name})
+
+    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> PackingRun:
+        """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from
+        which the others can go on, it is a KeyboardInterrupt unless all were."""
+        count, found = len(self.packings), list[PackingSolution]()
+        written = [None] * count if checkpoints is None else checkpoints.of_each(count)
+        for number, (packing, own) in enumerate(zip(self.packings, written, strict=True)):
+            start = self.start[number] if np.ndim(self.start) > packing.spin.ndim else self.start
+            told = {} if self.settings.method == "auto" else {"monitors": monitors, "checkpoints": own}
+            try:
+                with stage("solving"):
+                    found.append(solved_packing(self.settings, packing, start=start, **told, **others))
+            except KeyboardInterrupt:
+                if not found:
+                    raise
+            if len(found) <= number or found[-1].status == Status.INTERRUPTED.value:
+                if len(found) < count and checkpoints is not None:
+                    raise KeyboardInterrupt
+                settings = replace(self.settings, replicas=len(found))
+                start = self.start[: len(found)] if np.ndim(self.start) > packing.spin.ndim else self.start
+                return PackingRun(settings, tuple(found), interrupted=True, start=start)
+        return PackingRun(self.settings, tuple(found), start=self.start)
+
+
+def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
+    return InteriorPoint if settings.method == "auto" else METHODS[settings.method]
+
+
+STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
 
 
 def packing_of(settings: RunSettings) -> Packing:
-    """The packing that the settings describe: the arrays of its file, and of the settings what that lacks; or a lattice
-    with other driven bodies than planes."""
+    """That of a single replica."""
+    return packings_of(settings)[0]
+
+
+def refuse_unused(settings: RunSettings) -> None:
+    """InputError for what a packing, its method or its law does not use."""
     given = settings.given
     used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
-    if strange := [key for key in given if key not in (*used, *options_of(row_of(settings)))]:
+    if strange := [key for key in given if key not in (*used, *options_of(method_of_packing(settings)))]:
         raise InputError(
             f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
         )
     if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
+
+
+def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
+    """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
+    lacks, drawn from seeds; or lattices with other driven bodies than planes."""
+    refuse_unused(settings)
+    given = settings.given
     if settings.packing is None:
-        return _lattice(settings)
+        return tuple(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
     found = Packing.read(settings.packing)
+    axes = {name: np.ndim(values) - AXES_OF_PACKINGS.get(name, 1) for name, values in found.items()}
+    axes["spin"] = np.ndim(found["spin"]) - (1 if np.shape(found["center"])[-1:] == (2,) else 2)
+    samples = {len(values) for name, values in found.items() if axes[name] == 1} or {settings.replicas}
+    if samples != {settings.replicas}:
+        held = counted(samples.pop(), "sample")
+        raise InputError(f"replicas is {settings.replicas}, but {settings.packing} holds {held}")
+    drawn = set(("friction", "viscosity")[: 1 + len(_drawn_viscosity(settings))])
+    if settings.replicas > 1 and 1 not in axes.values() and drawn <= found.keys() and settings.initial != "random":
+        raise InputError(
+            f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "
+            "leave out replicas, or friction from the file"
+        )
     for key, name in (("distribution", "friction"), ("viscosity", "viscosity"), *((n, n) for n in SIZES)):
         if key in given and name in found:
             raise InputError(
                 f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
             )
-    others = {key: getattr(settings, key) for key in ("law", "seed", "distribution", *SIZES)}
-    return Packing(**{**others, **_drawn_viscosity(settings), **found})
+    others = {key: getattr(settings, key) for key in ("law", "distribution", *SIZES)} | _drawn_viscosity(settings)
+    return tuple(
+        Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
+        for number, seed in enumerate(settings.seeds)
+    )
 
 
 def unused_of_packing(settings: RunSettings) -> dict[str, str]:
     """The given keys that the method or the law does not use, each with a sentence that says so."""
-    found = settings.unused(row_of(settings))
+    found = settings.unused(method_of_packing(settings))
     strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if settings.method == "auto" else ()
     return found | {key: f"{key} is given, but method auto of a packing does not use it" for key in sorted(strange)}
 
@@ -192,48 +329,53 @@ def _lattice(settings: RunSettings) -> Packing:
     return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)
 
 
-def run_packing(settings: RunSettings, out: Path | None = None, force: bool = False) -> PackingRun:
-    """Solve a packing and write its run directory: run.h5, summary.json, scene.toml, power_histogram.csv and figures.
-
-    Raises InputError or FileError before anything is computed or overwritten.
-    """
-    with stage("reading"):
-        packing = packing_of(settings)
-    with run_directory(out or default_run_path(), force) as directory:
-        with stage("solving"):
-            result = solved_packing(settings, packing)
-        stopped = result.status == Status.INTERRUPTED.value
-        found = PackingRun(settings, result, directory.path, command(), stopped)
-        return kept(found, partial(publish, directory, found))
-
-
-STOPPED_BY = ("iterations", "time_limit", "duration", "record")
 ON_DEVICE = ("arch", "precision", "threads")
 
 
 def solved_packing(
-    settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System] = System.of
+    settings: RunSettings,
+    packing: Packing,
+    system_of: Callable[[Packing], System] = System.of,
+    start: Any = None,
+    **others: Any,
 ) -> PackingSolution:
-    """The answer of the method that the settings name. system_of : see :func:`solve_packing`."""
+    """The answer of the method that the settings name. system_of : see :func:`solve_packing`. start : instead of the
+    one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
     if settings.method == "auto":
         return solve_packing(packing, settings.tolerance, system_of)
-    from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
+    from taichi_bearings.solvers.packings import follow_packing, row_of_packing  # and with it Taichi's kernels
+    from taichi_bearings.solvers.recording import Recording
+    from taichi_bearings.solvers.stopping import StopRule
 
-    row = METHODS[settings.method]
-    options = {key: value for key in options_of(row) if (value := getattr(settings, key)) is not None}
-    others = {key: value for key in (*STOPPED_BY, *ON_DEVICE) if (value := getattr(settings, key)) is not None}
-    return follow_packing(packing, row(**options), settings.tolerance, settings.initial, **others)
+    row, given = row_of_packing(settings.method), settings.given
+    method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
+    if device := {key: given[key] for key in ON_DEVICE if key in given}:
+        runtime.start(**device)
+    first = settings.initial if start is None else start
+    return follow_packing(packing, method, first, StopRule.of(settings), Recording.of(settings), **others)
 
 
-def _fill(result: PackingSolution, file: h5py.File) -> None:
-    for name, values in result.packing.arrays().items():
-        put(file, f"packing/{name}", values, *PACKING_ARRAYS[name])
-    put(file, "spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text)
-    for row, found in found_in(result, CONTACTS):
-        put(file, f"contact/{row.name}", found, row.unit, row.text)
-    for name, column in result.history.items():
-        put(file, f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text)
-    put(file, "contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension])
+def _fill(results: Sequence[PackingSolution], file: h5py.File) -> None:
+    words = {f"packing/{name}": described for name, described in PACKING_ARRAYS.items()}
+    words["spin"] = spin = SPHERES["spin"].unit, SPHERES["spin"].text
+    words |= {f"contact/{row.name}": (row.unit, row.text) for row in CONTACTS.values()}
+    words |= {f"history/{row.name}": (row.unit, row.text) for row in CHECK_ROWS.values()}
+    words["contact/friction"] = "force", FRICTION_OF_SECOND[results[0].packing.dimension]
+    words["snapshots/time"] = "time", "simulated time of each snapshot"
+    words["snapshots/spin"] = spin[0], f"{spin[1]} at these times"
+    for name, values in _stacked([_sets_of(result) for result in results]).items():
+        put(file, name, values, *words[name])
+
+
+def _sets_of(result: PackingSolution) -> dict[str, np.ndarray]:
+    """The data sets of one replica."""
+    found = {f"packing/{name}": values for name, values in result.packing.arrays().items()} | {"spin": result.spin}
+    found |= {f"contact/{row.name}": values for row, values in found_in(result, CONTACTS)}
+    found |= {"contact/friction": result.friction}
+    found |= {f"history/{name}": column for name, column in result.history.items()}
+    if result.snapshots is not None:
+        found |= {"snapshots/time": result.snapshots.time, "snapshots/spin": result.snapshots.spin}
+    return found
 
 
 def columns_of_packing(result: PackingSolution) -> tuple[dict[str, Finding], dict[str, Finding]]:
@@ -265,22 +407,28 @@ def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict
 
 
 def analysed(
-    found: PackingRun, threshold: float | None = None
+    found: PackingRun, threshold: float | None = None, replica: int = 0
 ) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[[str], Any]]:
-    """Report, arrays and what draws the figures of the structure. threshold : as of runs.analysis.Analysis."""
+    """Report, arrays of each replica and what draws the figures of one. threshold : as of runs.analysis.Analysis."""
     from taichi_bearings.plots.packing import draw_packing
 
-    began = perf_counter()
+    began, drawn = perf_counter(), found.sample(replica)
     if threshold is not None and not 0 < threshold < np.inf:
         raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-    with stage("analysing"):
-        structure = PackingStructure.of(found.result, threshold)
+    numbers, arrays = [], []
+    for result in each(found.results, "analysing", alike):
+        structure = PackingStructure.of(result, threshold)
         of_spheres, of_contacts = _of_structure(structure)
+        if structure.bodies == 2:
+            of_contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
+        numbers.append(structure.numbers)
+        arrays.append(of_spheres | of_contacts)
+    together = {key: [one[key] for one in numbers] for key in numbers[0]} if len(numbers) > 1 else numbers[0]
     states = "decided" if threshold is None else "threshold"
-    told = ("status", "method", "law", "shape", "spheres", "contacts", "version")
-    report = structure.numbers | {"threshold": threshold, "states": states}
+    told = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "version")
+    report = together | {"threshold": threshold, "states": states}
     report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
-    return report, [of_spheres | of_contacts], partial(draw_packing, found.result)
+    return report, arrays, partial(draw_packing, drawn.result)
 
 
 def is_packing_run(run: Path) -> bool:
@@ -301,40 +449,54 @@ def read_packing_run(run: Path) -> PackingRun:
     with opened_run(path) as file:
         attributes = attributes_of(file)
         settings = scene_settings(attributes)
-        packing = packing_of(replace(settings, packing=str(path)))
+        packings = packings_of(replace(settings, packing=str(path)))
         there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/{name}" in file]
         names = {"spin": "spin", **{name: f"contact/{name}" for name in (*there, "friction")}}
-        sets: dict[str, Any] = {name: _whole(path, file, stored, packing) for name, stored in names.items()}
-        number: dict[str, Any] = {key: float(attributes[key]) for key in READ_NUMBERS}
-        motions, columns = attributes["slipless_motions"], [name for name in CHECK_ROWS if f"history/{name}" in file]
-        result = PackingSolution(
-            packing=packing,
-            potential=float(attributes.get("potential", number["power"])),
-            proof=str(attributes["proof"]),
-            status=Status(attributes["status"]).value,
-            method=str(attributes["method"]),
-            power_per_contact=sets.pop("power"),
-            slipless_motions=None if motions == "" else int(motions),
-            unbalanced=float(attributes["largest_balance_residual"]),
-            iterations=int(attributes["iterations"]),
-            history={name: read_array(path, file, f"history/{name}", (None,)) for name in columns},
-            time=None if "time" not in attributes else float(attributes["time"]),
-            **sets,
-            **number,
-        )
-    return PackingRun(settings, result, run, str(attributes.get("command", "")))
+        sets = {name: _whole(path, file, stored, packings) for name, stored in names.items()}
+        sets["power_per_contact"] = sets.pop("power")
+        history = {name: _read(path, file, f"history/{name}", packings, None) for name in CHECK_ROWS
+                   if f"history/{name}" in file}  # fmt: skip
+        sizes: dict[str, tuple[int, ...]] = {"time": (), "spin": packings[0].spin.shape}
+        ways = {key: _read(path, file, f"snapshots/{key}", packings, None, *size)
+                for key, size in sizes.items() if "snapshots" in file}  # fmt: skip
+        results = []
+        for replica, packing in enumerate(packings):
+            own = {name: _one(attributes[name], replica) for name in READ_OF_RESULT if name in attributes}
+            number: dict[str, Any] = {key: float(own[key]) for key in READ_NUMBERS}
+            motions, way = own["slipless_motions"], _without_repeats(ways, "time", replica)
+            results.append(PackingSolution(
+                packing=packing,
+                potential=float(own.get("potential", number["power"])),
+                proof=str(own["proof"]),
+                status=Status(own["status"]).value,
+                method=str(own["method"]),
+                slipless_motions=None if motions == "" or motions != motions else int(motions),
+                unbalanced=float(own["largest_balance_residual"]),
+                iterations=int(own["iterations"]),
+                history=_without_repeats(history, "iteration", replica),
+                time=None if "time" not in own else float(own["time"]),
+                snapshots=Snapshots(**way) if way and len(way["time"]) else None,
+                **{name: values[replica] for name, values in sets.items()},
+                **number,
+            ))  # fmt: skip
+    return PackingRun(settings, tuple(results), run, str(attributes.get("command", "")))
 
 
-def read_run(run: Path, replica: int = 0) -> PackingRun | StoredRun:
-    """A run of a packing or of a lattice, by its directory or its run.h5; FileError as of the reader of either.
+def _one(value: Any, replica: int) -> Any:
+    """That of one replica of an attribute."""
+    value = value[replica] if isinstance(value, np.ndarray) else value
+    return value.item() if isinstance(value, np.generic) else value
 
-    replica : the sample that is wanted; InputError if it is none of a packing.
-    """
-    if not is_packing_run(run):
-        return read_run_file(run)
-    if replica:
-        raise InputError(f"replica is {replica}; a run of a packing has 1, counted from 0")
-    return read_packing_run(run)
+
+def _without_repeats(columns: Mapping[str, np.ndarray], key: str, replica: int) -> dict[str, np.ndarray]:
+    """Columns (R, rows, ...) of one replica without what makes it as long as the longest."""
+    own = {name: values[replica] for name, values in columns.items()}
+    return {name: values[np.diff(own[key], prepend=-1) > 0] for name, values in own.items()}
+
+
+def read_run(run: Path) -> PackingRun | StoredRun:
+    """A run of a packing or of a lattice, by its directory or its run.h5; FileError as of the reader of either."""
+    return read_packing_run(run) if is_packing_run(run) else read_run_file(run)
 
 
 @contextmanager
@@ -348,18 +510,27 @@ def opened_to_draw(
     that a packing does not have.
     """
     with stage("reading"):
-        found = read_run(run, replica)
+        found = read_run(run)
+        found = found.sample(replica) if isinstance(found, PackingRun) else found
     path = (run if run.is_dir() else run.parent) / name if out is None else out
     with claimed(path, force or out is None):
         yield found, path
 
 
-def _whole(path: Path, file: h5py.File, name: str, packing: Packing) -> np.ndarray:
-    """A data set of a run file; FileError for one whose shape or numbers cannot be."""
+def _read(path: Path, file: h5py.File, name: str, packings: Sequence[Packing], *shape: int | None) -> np.ndarray:
+    """A data set of a run file, with an axis of replicas."""
+    several = len(packings) > 1
+    values = read_array(path, file, name, (len(packings), *shape) if several else shape)
+    return values if several else values[None]
+
+
+def _whole(path: Path, file: h5py.File, name: str, packings: Sequence[Packing]) -> np.ndarray:
+    """The same of spheres or contacts; FileError for one whose shape or numbers cannot be."""
+    packing = packings[0]
     components = () if packing.dimension == 2 else (3,)
     count = packing.spheres if name == "spin" else packing.contacts
     shape = (count, *(components if name in ("spin", "contact/friction") else ()))
-    values = read_array(path, file, name, shape)
+    values = _read(path, file, name, packings, *shape)
     if np.isnan(values).any() or not (name == "contact/slip_bound" or np.isfinite(values).all()):
         raise FileError(f"{name} in {path} is damaged: it must hold finite numbers")
     if name == "contact/state" and (values.dtype.kind not in "ui" or values.max(initial=0) > ContactState.DRIVEN):

@@ -1,7 +1,6 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
 import contextlib
-import io
 import json
 import logging
 import secrets
@@ -12,14 +11,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, Union, cast
 
 import numpy as np
 
 from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
-from taichi_bearings.files.whole_file import replace_file, write_text
+from taichi_bearings.files.whole_file import write_arrays, write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
@@ -45,7 +44,6 @@ from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import (
     METHODS,
     CundallStrack,
-    InteriorPoint,
     MethodOptions,
     OperatorSplitting,
     fastest,
@@ -55,7 +53,7 @@ from taichi_bearings.words import counted
 
 if TYPE_CHECKING:
     from taichi_bearings.analysis.histogram import PowerHistogram
-    from taichi_bearings.runs.packing_run import PackingRun
+    from taichi_bearings.runs.packing_run import PackingJob, PackingRun
 
 
 def build_scene(settings: RunSettings) -> Scene:
@@ -70,7 +68,7 @@ def build_scene(settings: RunSettings) -> Scene:
         drawn |= {"viscosity": settings.viscosity} if has_viscosities else {}
         return Scene.random(settings.shape, **drawn, **given)
     file = Path(settings.coefficients)
-    given["seeds"] = tuple(range(settings.seed, settings.seed + settings.replicas))
+    given["seeds"] = tuple(settings.seeds)
     coefficients = read_coefficients(file)
     lattice = Lattice.of(coefficients)
     if (shape := lattice.shape) != settings.shape:
@@ -105,7 +103,9 @@ def row_of(settings: RunSettings) -> type[MethodOptions]:
     """The method that the settings lead to. Raises InputError for a scene that cannot be, or that it cannot solve; what
     packings cannot be, `packing_of` knows."""
     if settings.is_packing:
-        return InteriorPoint if settings.method == "auto" else METHODS[settings.method]
+        from taichi_bearings.runs.packing_run import method_of_packing
+
+        return method_of_packing(settings)
     return _row_of(replace(settings, seed=0))
 
 
@@ -130,6 +130,14 @@ class Job:
     scene: Scene
     spin: np.ndarray
     method: Any
+
+    def self_contained(self, folder: Path) -> RunSettings:
+        """As of a Run."""
+        return _self_contained(self.settings, self.scene, self.spin, folder)
+
+    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None) -> "Run":
+        """As :func:`solve_job`."""
+        return Run(self.settings, solve_job(self, monitors, checkpoints), self.spin)
 
 
 @dataclass(frozen=True)
@@ -209,6 +217,16 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
         return job_of(settings, scene, initial_spin(scene, settings.initial), strict)
 
 
+def _any_job(settings: RunSettings, strict: bool = True) -> "Job | PackingJob":
+    """As :func:`prepare`, of a packing too."""
+    if not settings.is_packing:
+        return prepare(settings, strict)
+    from taichi_bearings.runs.packing_run import PackingJob
+
+    with stage("reading"):
+        return PackingJob.of(settings)
+
+
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
     runtime.refuse_absent(settings.arch, settings.precision)
@@ -228,7 +246,6 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     return Job(settings, scene, spin, method.build())
 
 
-USUAL_ITERATIONS = 1_000_000  # unless the settings say otherwise
 # relative gap down to which splitting helps after the interior point: from 1e-13 it takes minutes and gains nothing
 SPLITTING_HELPS = 1e-12
 
@@ -239,8 +256,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     checkpoints : a solvers.drive.Checkpoints, for a dynamics.
     """
     from taichi_bearings.solvers.drive import solve
-    from taichi_bearings.solvers.recording import Recording, parse_times
-    from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+    from taichi_bearings.solvers.recording import Recording
+    from taichi_bearings.solvers.stopping import StopRule
 
     settings, method = job.settings, job.method
     ramp = None if settings.torque is None else Ramp.of(settings.torque)
@@ -249,16 +266,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     if job.method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
-    most = USUAL_ITERATIONS if settings.duration is None else UNLIMITED
-    stop = StopRule(
-        settings.tolerance,
-        most if settings.iterations is None else settings.iterations,
-        settings.time_limit or float("inf"),
-        settings.duration or float("inf"),
-    )
-    recording = Recording(
-        *(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots))
-    )
+    stop, recording = StopRule.of(settings), Recording.of(settings)
     if ramp is not None and settings.record is None:
         recording = replace(recording, history=ramp.looks(stop.duration))
     solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
@@ -323,18 +331,19 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **found}
 
 
-def run(settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()) -> Run:
-    """Solve and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and its figures.
+def run(settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()) -> "AnyRun":
+    """Solve a scene or a packing and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and
+    its figures.
 
     With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
     Raises InputError or FileError before anything is computed or overwritten.
     """
-    job = prepare(settings)
+    job = _any_job(settings)
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
-            found = Run(settings, solve_job(job, monitors), job.spin, directory.path, command())
+            found = replace(job.solve(monitors), path=directory.path, command=command())
             return kept(found, partial(publish, directory, found))
-        stored = _self_contained(settings, job.scene, job.spin, directory.partial)
+        stored = job.self_contained(directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         while not directory.publish():
@@ -348,10 +357,11 @@ def command() -> str:
     return " ".join(["bearings", *sys.argv[1:]])
 
 
-AnyRun = TypeVar("AnyRun", Run, "PackingRun")
+AnyRun = Union[Run, "PackingRun"]
+OneRun = TypeVar("OneRun", bound="Run | PackingRun")
 
 
-def publish(directory: RunDirectory, found: AnyRun) -> AnyRun:
+def publish(directory: RunDirectory, found: OneRun) -> OneRun:
     """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
     while True:
         found = replace(found, path=directory.path)
@@ -360,7 +370,7 @@ def publish(directory: RunDirectory, found: AnyRun) -> AnyRun:
             return found
 
 
-def kept(found: AnyRun, write: Callable[[], AnyRun], otherwise: str = "the result is lost") -> AnyRun:
+def kept(found: OneRun, write: Callable[[], OneRun], otherwise: str = "the result is lost") -> OneRun:
     """The run as it is written, and its figures; if its path cannot be written, in a temporary folder.
 
     WriteError if not even that is possible. otherwise : what then, for people. An interrupt, now or before, waits for
@@ -373,11 +383,11 @@ def kept(found: AnyRun, write: Callable[[], AnyRun], otherwise: str = "the resul
             raise KeyboardInterrupt
         draw_figures(found)
     except KeyboardInterrupt:
-        return found.as_interrupted()
+        return cast(OneRun, found.as_interrupted())
     return found
 
 
-def _rescued(found: AnyRun, write: Callable[[], AnyRun], otherwise: str) -> AnyRun:
+def _rescued(found: OneRun, write: Callable[[], OneRun], otherwise: str) -> OneRun:
     try:
         return write()
     except WriteError as error:
@@ -399,7 +409,7 @@ CHANGEABLE = (
 )  # fmt: skip
 
 
-def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()) -> Run:
+def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()) -> AnyRun:
     """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
@@ -419,22 +429,27 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
             arrays, duration = checkpoint.arrays or {}, stored.duration
-            reached, step = (float(arrays.get(name, 0.0)) for name in ("last_time", "time_step"))
+            ends = ("last_time", "time_step")  # of each replica of a packing
+            found = [[v for key, v in arrays.items() if key.rpartition("/")[2] == name] for name in ends]
+            reached, step = (float(max(values, default=0.0)) for values in found)
             # steps of fixed length, which the checkpoint then names, end a run by less than one of them late
             if reached - duration >= max(step, 1e-9 * reached, np.finfo(float).tiny):
                 words = f"{path} has already reached {reached:g}; it must be longer"
                 raise InputError(f"duration is {duration:g}, but {words}")
             if stored.torque is not None and Ramp.of(stored.torque).rises:
                 raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
-        job = prepare(
-            RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options"), strict=False
-        )
+        settings = RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options")
+        job = _any_job(settings, strict=False)
         return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
 
 
 def _solve_with_checkpoints(
-    path: Path, job: Job, stored: RunSettings, arrays: Mapping[str, np.ndarray] | None, monitors: Sequence[Any]
-) -> Run:
+    path: Path,
+    job: "Job | PackingJob",
+    stored: RunSettings,
+    arrays: Mapping[str, np.ndarray] | None,
+    monitors: Sequence[Any],
+) -> AnyRun:
     """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.
 
     stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
@@ -449,12 +464,12 @@ def _solve_with_checkpoints(
 
     every = stored.checkpoint_every or np.inf
     try:
-        solution = solve_job(job, monitors, Checkpoints(every, write, arrays))
+        found = job.solve(monitors, Checkpoints(every, write, arrays))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(str(path)) from None
-    found = Run(job.settings, solution, job.spin, path, command())
+    found = replace(found, path=path, command=command())
 
-    def complete() -> Run:
+    def complete() -> AnyRun:
         with completed(path, _drawn()) as folder:
             write_run(folder, found)
         return found
@@ -535,15 +550,9 @@ def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folde
             for kind, values in scene.named_coefficients.items()
             for axis, part in zip("xyz", scene.lattice.by_axis(values[0] if one else values), strict=False)
         }
-        _write_arrays(folder / "coefficients.npz", arrays)
+        write_arrays(folder / "coefficients.npz", arrays)
         settings = replace(settings, coefficients="coefficients.npz")
     if settings.initial not in STARTS:
-        _write_arrays(folder / "initial_spin.npz", {"spin": spin[0] if one else spin})
+        write_arrays(folder / "initial_spin.npz", {"spin": spin[0] if one else spin})
         settings = replace(settings, initial="initial_spin.npz")
     return settings
-
-
-def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    whole = io.BytesIO()
-    np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
-    replace_file(path, whole.getvalue())

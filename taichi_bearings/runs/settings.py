@@ -79,7 +79,8 @@ BETWEEN_PLANES = "planes"
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 OF_PACKINGS = (
     "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",
-    "initial", "iterations", "time_limit", "duration", "record", "arch", "precision", "threads",
+    "initial", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "replicas", "arch",
+    "precision", "threads",
 )  # fmt: skip
 """Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
@@ -262,6 +263,11 @@ class RunSettings:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
         lines = [f"{key} = {toml_value(value)}" for key, value in self.described.items() if value is not None]
         return "\n".join(lines) + "\n"
+
+    @property
+    def seeds(self) -> range:
+        """Of the replicas."""
+        return range(self.seed, self.seed + self.replicas)
 
     @property
     def is_packing(self) -> bool:

@@ -11,13 +11,16 @@ from taichi_bearings.quantities import ANALYSED, Quantity, plain
 from taichi_bearings.runs.run_file import AXES
 
 # fmt: off
-ON_CONTACTS = (
-    Quantity("minimum_cut", "1", "contacts of the lightest interface of two rigid domains",
-             lambda s: s.interface.contacts),
+BOTTLENECK_ROWS = (
     Quantity("betweenness", "1", "share of the shortest slipless paths, of all pairs of a bottom and a top sphere",
              lambda s: s.network.on_contacts(s.bottlenecks.share)),
     Quantity("backbone", "1", "on some path from bottom to top",
              lambda s: s.network.on_contacts(s.bottlenecks.backbone)),
+)
+ON_CONTACTS = (
+    Quantity("minimum_cut", "1", "contacts of the lightest interface of two rigid domains",
+             lambda s: s.interface.contacts),
+    *BOTTLENECK_ROWS,
 )
 """Of a Structure, (E,): in files one array an axis."""
 

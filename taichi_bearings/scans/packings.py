@@ -45,7 +45,7 @@ def solve_packing_sample(settings: RunSettings) -> PackingRun:
     """What `bearings run` makes of a sample, to the bit."""
     settings = used(settings)
     result = solved_packing(settings, packing_of(settings), _system_of)
-    return PackingRun(settings, result, interrupted=result.status == Status.INTERRUPTED.value)
+    return PackingRun(settings, (result,), interrupted=result.status == Status.INTERRUPTED.value)
 
 
 _last: list[System] = []  # of this worker

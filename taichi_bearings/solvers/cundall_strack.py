@@ -131,7 +131,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
     def _changing_fields(self) -> list[str]:
-        return [name for name, _ in self.spec if name not in ("is_free", "coefficient", "viscosity")]
+        return [name for name, _ in self.spec if name not in ("is_free", "across", "coefficient", "viscosity")]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.fields import Fields, FieldSpec, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
-from taichi_bearings.proof.certificate import Forces, lower_bound, relative_gap
+from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.solvers.answer import above_noise, answered, named, proven, with_ties_counted
 from taichi_bearings.solvers.dynamics import Dynamics
@@ -47,6 +48,20 @@ class Checkpoints:
     every: float
     write: Callable[[dict[str, np.ndarray]], None]
     resume: Mapping[str, np.ndarray] | None = None
+
+    def of_each(self, replicas: int) -> "list[Checkpoints]":
+        """Those of replicas that are followed one after another: each keeps what the others have written."""
+        arrays = dict(self.resume or {})
+
+        def of(begin: str) -> Checkpoints:
+            def write(state: Mapping[str, np.ndarray]) -> None:
+                arrays.update({begin + name: values for name, values in state.items()})
+                self.write(arrays)
+
+            own = {name[len(begin) :]: values for name, values in arrays.items() if name.startswith(begin)}
+            return replace(self, write=write, resume=own or None)
+
+        return [self] if replicas == 1 else [of(f"{replica}/") for replica in range(replicas)]
 
 
 def solve(
@@ -125,7 +140,7 @@ class Course:
         self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
         self.best, self.recorder, self.pace = (
-            _Best(scene, not isinstance(method, Dynamics)),
+            _Best(scene, method),
             Recorder(scene, recording),
             _Pace(),
         )
@@ -162,11 +177,11 @@ class Course:
         while True:
             with suppress(GivenUp):
                 self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
+            on_the_way = isinstance(method, Dynamics) and method.iteration < self.target
+            if on_the_way:
+                self._write(looked=False)  # before anything is looked at that an undisturbed run would not look at
             progress = method.progress()
             iteration = progress.iteration
-            on_the_way = iteration < self.target
-            if on_the_way:
-                self._write(looked=False)  # before anything is recorded that an undisturbed run would not record
             best.take(progress)
             elapsed = self.elapsed
             self.recorder.take(progress, best.bound, elapsed)
@@ -261,8 +276,8 @@ class _Best:
     proof : forces (C, R, E) from which that bound follows.
     """
 
-    def __init__(self, scene: Scene, keeps_best: bool) -> None:
-        self.scene, self.keeps_best = scene, keeps_best
+    def __init__(self, scene: Scene, method: Any) -> None:
+        self.scene, self.method, self.keeps_best = scene, method, not isinstance(method, Dynamics)
         self.progress: Progress
         self.proof: Forces = np.zeros(0)  # none yet
         self.bound = np.zeros(0)  # none yet
@@ -282,7 +297,7 @@ class _Best:
     def take(self, new: Progress) -> None:
         first = len(self.bound) == 0
         if first and self.proof.size:  # restored: what was proven before is proven anew
-            self.bound = lower_bound(self.scene, self.proof, new.spin_axes)
+            self.bound = self.method.proven_by(self.proof)
         self._take_proof(new)
         self.bound = np.maximum(self.bound, new.lower_bound) if len(self.bound) else new.lower_bound
         if first or not self.keeps_best:
@@ -299,8 +314,8 @@ class _Best:
 
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
         self.proof = np.array(state["proof"], dtype=float)
-        shape = (len(spin_axes), self.scene.replicas, self.scene.lattice.all_contacts)
-        if self.proof.shape != shape or not np.isfinite(self.proof).all():
+        still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.lattice.shape))
+        if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError("proof holds something else than the forces of its contacts")
 
     def _take_proof(self, new: Progress) -> None:

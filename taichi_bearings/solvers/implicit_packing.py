@@ -17,7 +17,7 @@ from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.system import System, slips_of
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
-from taichi_bearings.solvers.network import Network, OnNetwork
+from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
 from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 
@@ -86,6 +86,8 @@ class StageMatrix:
 
 class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
     """An iteration is one time step."""
+
+    kept = (*ImplicitCundallStrackMethod.kept, *OF_BOUND)
 
     def __init__(self, options: ImplicitCundallStrack, density: Any = None) -> None:
         super().__init__(options)

@@ -64,6 +64,10 @@ class OnLattice:
         """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for energies."""
         return staggered + self.scene.driving.bottom_state(self.spin_axes)[0]
 
+    def proven_by(self, force: Forces) -> np.ndarray:
+        """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
+        return lower_bound(self.scene, force, self.spin_axes)
+
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
         return judged(self.scene, self.spin_axes, staggered, force, proof, **more)
 

@@ -32,6 +32,7 @@ NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap say
 PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
 LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
 STARTS_OF_PACKINGS = ("linear", "random", "zero")
+OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further course of a dynamics depends on beside
 
 
 class Network:
@@ -52,12 +53,13 @@ class Network:
         self.coefficient = self.positive_coefficient = self.acting_coefficient
         self.viscosity_beside_friction = self.viscosities if self.law.holds else None
         self.components, held = packing.imposed.shape[1], packing.driven >= 0
-        self.lattice = SimpleNamespace(radius=1.0, is_driven=held)
+        self.lattice = SimpleNamespace(radius=1.0, is_driven=held, shape=held.shape, dimension=packing.dimension)
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
         self.matrix = slips_of(packing, self.acting, numbers)
         self.transposed = self.matrix.T.tocsr()
         self.jump, self.is_cut_off = self._largest_jump(held), np.zeros(1, dtype=bool)
-        self.proven, self._looked = 0.0, 0.0  # the best bound so far, and the iteration of the last whole look
+        # the best bound so far, spins that it is proven with, and the iteration of the last whole look
+        self.proven, self.witness, self.looked = 0.0, np.zeros((self.components, 1, packing.spheres)), 0
 
     def _largest_jump(self, held: np.ndarray) -> float:
         """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
@@ -113,7 +115,7 @@ class Network:
         packing, shape = self.packing, (self.packing.spheres, self.components)[: self.components]
         if isinstance(start, str):
             if start not in STARTS_OF_PACKINGS:
-                allowed = f"{', '.join(STARTS_OF_PACKINGS)} or an array of spins"
+                allowed = f"{', '.join(STARTS_OF_PACKINGS)} or spins of your own"
                 raise InputError(
                     f"start is {shown(start)}; of a packing it can be {allowed}{meant(start, STARTS_OF_PACKINGS)}"
                 )
@@ -186,8 +188,13 @@ class Network:
             best, found = (value, candidate) if value > best else (best, found)
         proving = force.copy()
         proving[:, 0, self.of_system] = found
-        self.proven = max(self.proven, best)
         return best, proving
+
+    def proven_again(self, force: np.ndarray) -> float:
+        """What the forces (d, 1, E) of the best bound prove; after a checkpoint, whose word for it is not taken."""
+        if not self.proven > 0:
+            return 0.0
+        return min(self.proven, self._proven_by(force[:, 0, self.of_system], self.witness))
 
     def _proven_by(self, force: np.ndarray, spins: np.ndarray) -> float:
         """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
@@ -223,6 +230,9 @@ class OnNetwork(OnLattice):
     def absolute(self, staggered: np.ndarray) -> np.ndarray:
         return staggered
 
+    def proven_by(self, force: np.ndarray) -> np.ndarray:
+        return np.array([self.scene.proven_again(force)])
+
     def judged(
         self, staggered: np.ndarray, force: np.ndarray, proof: np.ndarray | None = None, **more: Any
     ) -> Progress:
@@ -231,11 +241,14 @@ class OnNetwork(OnLattice):
         fastest = float(np.abs(scene.packing.imposed).max(initial=0.0)) or np.abs(staggered).max(initial=0.0)
         natural = scene.law.objective(scene.contact, np.full(1, fastest)).sum(axis=1)
         scene.is_cut_off = objective <= NEXT_TO_NO_POWER * natural
-        whole = more["iteration"] >= LOOK_AGAIN * scene._looked
-        scene._looked = max(more["iteration"], 1) if whole else scene._looked
+        whole = not scene.looked < more["iteration"] < LOOK_AGAIN * scene.looked
+        scene.looked = more["iteration"] if whole else scene.looked
         bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
+        bound = min(bound, float(objective[0]))
+        if bound >= scene.proven:
+            scene.proven, scene.witness = bound, staggered
         left = np.abs(scene.pulls(force))[..., ~scene.lattice.is_driven].max(initial=0.0)
         return Progress(
             staggered=staggered, spin_axes=self.spin_axes, force=force, objective=objective, proof=proof,
-            lower_bound=np.minimum(bound, objective), largest_balance_residual=np.array([left]), **more,
+            lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,
         )  # fmt: skip

@@ -16,18 +16,19 @@ from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingSolution, judged
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.scene import Status
+from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, choose_time_step
-from taichi_bearings.solvers.drive import Course, Monitor
+from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.implicit_packing import ImplicitCundallStrackOfPacking
-from taichi_bearings.solvers.network import Network, OnNetwork
-from taichi_bearings.solvers.recording import Recording, parse_times
-from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
+from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
+from taichi_bearings.solvers.recording import Recording
+from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, ImplicitCundallStrack, MethodOptions
+from taichi_bearings.stages import stage
 from taichi_bearings.words import meant, shown
 
 
@@ -54,6 +55,8 @@ class _OnLists(OnNetwork):
 class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
     """An iteration is one time step."""
 
+    kept = (*CundallStrackMethod.kept, *OF_BOUND)
+
     def __init__(self, options: CundallStrack, density: Any = None) -> None:
         super().__init__(options)
         self.density = density
@@ -75,6 +78,7 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         if options.energy:
             spheres, contacts = spheres | {"impulse": c}, contacts | {"work": 1}
         spec = self._spec(spheres, contacts)
+        self.spec = (*spec[0], *spec[1])
         fields: Any = ListFields(network.lists, spec)
         self.fields = fields
         self._load_contacts(fields)
@@ -154,8 +158,6 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
         return self.fields.read("force_sum") / self.averaged
 
 
-STOPS = {"iterations": "iterations", "time_limit": "seconds", "duration": "duration"}
-DEVICES = ("arch", "precision", "threads")
 BUILT: dict[type[MethodOptions], Any] = {
     CundallStrack: CundallStrackOfPacking,
     GradientDescent: GradientDescentOfPacking,
@@ -163,70 +165,53 @@ BUILT: dict[type[MethodOptions], Any] = {
 }
 
 
-def row_of_packing(method: str | MethodOptions) -> type[MethodOptions]:
-    """The row of a method, given by its name or with its options; InputError for one that packings do not have."""
-    row = METHODS.get(method) if isinstance(method, str) else type(method)
+def row_of_packing(method: str) -> type[MethodOptions]:
+    """The row of a method; InputError for one that packings do not have."""
+    row = METHODS.get(method)
     if row is None or row not in BUILT:
-        allowed = ", ".join(["auto", *(built.name for built in BUILT)])
-        raise InputError(f"method is {shown(method)}; of a packing it can be {allowed}{meant(str(method), METHODS)}")
+        allowed = ["auto", *(built.name for built in BUILT)]
+        raise InputError(
+            f"method is {shown(method)}; of a packing it can be {', '.join(allowed)}{meant(method, allowed)}"
+        )
     return row
 
 
 def follow_packing(
     packing: Packing,
-    method: str | MethodOptions,
-    tolerance: float = 1e-8,
-    start: str | np.ndarray = "linear",
+    method: MethodOptions,
+    start: str | np.ndarray,
+    stop: StopRule,
+    recording: Recording,
     density: Any = None,
     monitors: Sequence[Monitor] = (),
-    **options: Any,
+    checkpoints: Checkpoints | None = None,
 ) -> PackingSolution:
-    """A dynamics or descent of a packing, by its name or with its options.
-
-    start, density : see :class:`Network`. options : `iterations`, `time_limit`, `duration`, `record`, `arch`,
-    `precision`, `threads`, as of scenes.
-    """
-    row = row_of_packing(method)
-    if strange := options.keys() - {*STOPS, *DEVICES, "record"}:
-        raise InputError(f"{min(strange)} is no option of a packing{meant(min(strange), [*STOPS, *DEVICES])}")
+    """A dynamics or descent of a packing. start, density : see :class:`Network`. Others : as of drive.solve."""
+    row = type(method)
     if density is not None and not row.is_dynamics:
         raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
-    stops = {STOPS[name]: value for name, value in options.items() if name in STOPS}
-    if "duration" in stops:
-        stops = {"iterations": UNLIMITED} | stops
-    stop, recording = (
-        StopRule(tolerance, **stops),
-        Recording(_times(options["record"]) if "record" in options else np.zeros(0)),
-    )
-    chosen = row() if isinstance(method, str) else method
-    if devices := {name: value for name, value in options.items() if name in DEVICES}:
-        runtime.start(**devices)
     if row.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{row.name} works in the memory of the CPU; use --arch cpu")
     begun, network = perf_counter(), Network(packing)
-    built = BUILT[row](chosen, *([density] if row.is_dynamics else []))
+    built = BUILT[row](method, *([density] if row.is_dynamics else []))
     with Interrupt() as interrupt, one_thread():
-        with interrupt.at_once():
+        with stage("preparing"), interrupt.at_once():
             built.begin_on(network, network.start(start))
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         scene: Any = network
-        course = Course(scene, built, stop, recording, None, interrupt)
-        status, last, seconds = course.follow(monitors)
-        found = _answer(network, course, row.name, tolerance, begun)
-    cut_short = "duration" in stops and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        course = Course(scene, built, stop, recording, checkpoints, interrupt)
+        with stage("solving") as solving:
+            status, last, seconds = course.follow([solving.tell, *monitors])
+        found = _answer(network, course, row.name, stop.tolerance, begun)
+    cut_short = np.isfinite(stop.duration) and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     if found.status != Status.CERTIFIED.value or cut_short:
         found = replace(found, status=status.value)
     columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
-    return replace(found, history=columns, time=last.time, seconds=seconds, iterations=last.iteration)
-
-
-def _times(record: Any) -> np.ndarray:
-    try:
-        text = record if isinstance(record, str) else ",".join(map(str, np.atleast_1d(record)))
-        return parse_times(text)
-    except (ValueError, KeyError):
-        raise InputError(f"record is {shown(record)}; it must be times or as log:start,stop,count") from None
+    kept = course.recorder.snapshots()
+    snapshots = None if kept is None else Snapshots(kept.time, kept.spin[:, 0])
+    found = replace(found, history=columns, snapshots=snapshots)
+    return replace(found, time=last.time, seconds=seconds, iterations=last.iteration)
 
 
 def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingSolution:

@@ -23,6 +23,11 @@ class Recording:
     history: np.ndarray = field(default_factory=lambda: np.zeros(0))
     snapshots: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
+    @classmethod
+    def of(cls, settings: Any) -> "Recording":
+        """As settings of a run say."""
+        return cls(*(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots)))
+
     def next_time(self, now: float) -> float:
         """The first wanted time after `now`; infinity if there is none."""
         wanted = np.concatenate([self.history, self.snapshots])

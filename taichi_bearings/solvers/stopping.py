@@ -1,6 +1,7 @@
 """When a run ends, and what to call it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,14 @@ class StopRule:
     iterations: int = 1_000_000
     seconds: float = float("inf")
     duration: float = float("inf")
+
+    @classmethod
+    def of(cls, settings: Any) -> "StopRule":
+        """As settings of a run say."""
+        unlimited = cls.iterations if settings.duration is None else UNLIMITED
+        iterations = unlimited if settings.iterations is None else settings.iterations
+        seconds, duration = (value or float("inf") for value in (settings.time_limit, settings.duration))
+        return cls(settings.tolerance, iterations, seconds, duration)
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:

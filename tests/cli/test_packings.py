@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings.quantities import STRUCTURE
 from tests.cli.commands import bearings
 
 CONTRACT = (
@@ -146,9 +147,15 @@ def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
         assert report[name] == pytest.approx(expected[name], rel=1e-9), name
     for name in ("cut_is_unique", "cut_contacts", "components", "spans", "shortest_path", "disjoint_paths"):
         assert report[name] == expected[name], name
+    for row in STRUCTURE["bottlenecks"]:  # the first link of equally loaded ones is another one here
+        if row.name != "most_loaded":
+            assert report[row.name] == pytest.approx(expected[row.name]), row.name
+    shares = [[link["share"] for link in of["most_loaded"]] for of in (report, expected)]
+    assert shares[0] == pytest.approx(shares[1])
     assert report["spanning_fraction"] == pytest.approx(expected["spanning_fraction"])
     with h5py.File(tmp_path / "run" / "run.h5") as file:
         assert np.array_equal(file["analysis/on_cut"], tb.analyse(found).interface.contacts)
+        assert file["analysis/betweenness"][:].max() == pytest.approx(report["busiest_link_share"] or 0)
     assert tb.load(tmp_path / "run").power == found.power  # the file is whole with its new group
 
 
@@ -193,3 +200,42 @@ def test_a_damaged_file_is_one_sentence(folder, tmp_path, name):
         tb.load(file)
     assert str(file) in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("options", [(), ("--method", "cundall-strack", "--duration", "0.02", "--snapshots", "0,0.02")])
+def test_replicas_are_the_bits_of_single_runs(folder, tmp_path, needs_f64, options):
+    """With a leading axis in every array; a run of several runs again from its directory."""
+    words = ("run", "--packing", folder / "bare.npz", "--seed", "5", "--replicas", "2", "--initial", "random", *options)
+    words = tuple(word for word in words if options or word not in ("--initial", "random"))
+    done = bearings(*words, "--out", tmp_path / "both", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    both = tb.load(tmp_path / "both")
+    with h5py.File(tmp_path / "both" / "run.h5") as file:
+        assert all(item.shape[0] == 2 for item in (file["spin"], *file["packing"].values(), *file["contact"].values()))
+    for seed, found in zip((5, 6), both, strict=True):
+        packing = tb.Packing.load(folder / "bare.npz", seed=seed)
+        method = {"method": "cundall-strack", "start": "random", "duration": 0.02, "snapshots": [0, 0.02]}
+        single = tb.solve(packing, **(method if options else {}))
+        for name in ("spin", "slip", "force", "friction", "power_per_contact", "state", "proven", "slip_bound"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(single, name), err_msg=name)
+        assert np.array_equal(found.packing.friction, packing.friction)
+        assert {name: told[name][seed - 5] for name in ("seed", "power", "lower_bound", "gap", "status")} == {
+            "seed": seed, "power": single.power, "lower_bound": single.lower_bound, "gap": single.gap,
+            "status": single.status,
+        }  # fmt: skip
+        if options:
+            assert np.array_equal(found.snapshots.spin, single.snapshots.spin)
+            assert np.array_equal(found.history["power"], single.history["power"])
+    again = bearings("run", tmp_path / "both", "--out", tmp_path / "again", "--json")
+    assert json.loads(again.stdout)["power"] == told["power"]
+
+
+def test_replicas_that_cannot_be_are_refused_in_one_sentence(folder, tmp_path):
+    for words, sentence in (
+        (("--packing", folder / "bcc.npz", "--replicas", "2"), "holds all coefficients, so nothing is drawn"),
+        (("--packing", folder / "bare.npz", "--checkpoint-every", "1"), "checkpoint_every"),
+    ):
+        done = bearings("run", *words, "--out", tmp_path / "run")
+        assert done.returncode == 2
+        assert sentence in done.stderr

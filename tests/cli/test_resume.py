@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+import taichi_bearings as tb
 from tests.cli.commands import bearings
 
 SCENE = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
@@ -47,12 +48,26 @@ def kill_after(words, checkpoint, writings):
     return process.returncode != 0
 
 
+def packing_scene(folder, *method):
+    """Options of a course of a packing, two replicas, of as many rows and snapshots as that of COURSE."""
+    arrays = tb.Packing.lattice("bcc", (2, 2, 3), spin_bottom=0.2).arrays()
+    del arrays["friction"]
+    np.savez(folder / "bcc.npz", **arrays)
+    words = ("--packing", folder / "bcc.npz", "--replicas", "2", "--initial", "random", "--threads", "1", *method)
+    return *words, "--record", "linear:0,0.3,31", "--snapshots", "0,0.1,0.3", "--checkpoint-every", "0.001"
+
+
 @pytest.mark.usefixtures("needs_f64")
-def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path):
-    undisturbed = bearings("run", *SCENE, *COURSE, "--out", tmp_path / "undisturbed", "--json")
+@pytest.mark.parametrize("method", ["", "cundall-strack", "implicit-cundall-strack"])
+def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
+    """Of a lattice, and of a packing by either dynamics."""
+    scene, count = (*SCENE, *COURSE), (31,)
+    if method:
+        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.3"), (2, 31)
+    undisturbed = bearings("run", *scene, "--out", tmp_path / "undisturbed", "--json")
     assert undisturbed.returncode == 0, undisturbed.stderr
     killed, draw = tmp_path / "killed", random.Random(7)
-    words = ["run", *SCENE, *COURSE, "--out", killed]
+    words = ["run", *scene, "--out", killed]
     for _ in range(3):
         assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 4)), "the run ended before it was killed"
         assert not (killed / "run.h5").exists()
@@ -64,8 +79,9 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path):
     assert set(one) == set(other)
     for name in one:
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-    assert len(one["history/time"]) == 31
-    assert len(one["snapshots/spin"]) == 3
+    assert one["history/time"].shape == count
+    assert one["snapshots/time"].shape == (*count[:-1], 3)
+    assert one["snapshots/spin"].shape[: len(count)] == (*count[:-1], 3)
 
 
 def test_a_finished_run_can_go_on_for_longer(tmp_path):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.packing_run import run_packing
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 
@@ -97,4 +96,4 @@ def packed(needs_f64, tmp_path_factory, request):
     folder = tmp_path_factory.mktemp("packings")
     PACKINGS[request.param]().save(folder / "packing.npz")
     settings = RunSettings(packing=str(folder / "packing.npz"), threads=1, figures="none")
-    return run_packing(settings, folder / "run").path
+    return run(settings, folder / "run").path

@@ -233,10 +233,10 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
     for key, count in (("slipless", structure.slipless.sum()), ("slipping", (result.state == 1).sum())):
         assert page.ask(f"bearings.sample.counts.{key}") == count
     assert page.ask("bearings.sample.counts.spans") is structure.spans
-    reached = structure.touched[packing.driven < 0].mean()
+    reached = structure.network.touched[packing.driven < 0].mean()
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(reached)
     joined = np.array(page.ask("Array.from(bearings.sample.piece)"))
-    assert ((joined == 0) == structure.spanning).all()
+    assert ((joined == 0) == structure.network.spanning).all()
     for preset, has in (("Bottlenecks", False), ("Minimum cut", structure.interface is not None)):
         assert page.tab.get_by_role("button", name=preset, exact=True).is_enabled() == has
     assert page.tab.locator("#colour option[value=kind]").is_disabled()

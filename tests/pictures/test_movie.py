@@ -10,10 +10,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+import taichi_bearings as tb
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.movie import movie
+from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.settings import RunSettings
 
 
 @pytest.fixture
@@ -42,6 +45,32 @@ def test_a_gif_shows_each_snapshot_for_its_time(whirl, tmp_path):
             frames.append(shown)
             assert np.abs(drawn[:height, :width] - shown).mean() < 2  # of 255
         assert all(np.abs(before - after).mean() > 2 for before, after in pairwise(frames))
+
+
+def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
+    """Of the replica that is asked for; contacts slip in a frame as its spins say."""
+    arrays = tb.Packing.lattice("triangular", (4, 3)).arrays()
+    del arrays["friction"]
+    np.savez(tmp_path / "bare.npz", **arrays)
+    settings = {"packing": str(tmp_path / "bare.npz"), "replicas": 2, "method": "cundall-strack", "threads": 1}
+    settings |= {"initial": "random", "duration": 0.05, "snapshots": "0,0.001,0.05", "figures": "none"}
+    path = run(RunSettings(**settings), tmp_path / "run").path
+    report = movie(path, tmp_path / "a.gif", replica=1)
+    one, other = tb.load(path)
+    assert report["frames"] == len(other.snapshots.time) == 3
+    for seed, found in enumerate((one, other)):
+        assert np.abs(found.snapshots.spin[-1] - found.spin).max() < 1e-12
+        assert found.packing.slips(found.spin) == pytest.approx(found.slip, abs=1e-15)
+        title = found.plot("spins", time=0.0).axes[0].get_title()
+        slips = found.packing.slips(found.snapshots.spin[0])[found.state != 3] > 1e-3 * 0.5  # of R omega_T
+        assert title.endswith(f", $t = 0$\n{slips.sum()} of {len(slips)} contacts slip, in black"), seed
+    with Image.open(tmp_path / "a.gif") as film:
+        frames = [np.asarray(film.convert("RGB"), dtype=float) for n in range(3) if film.seek(n) is None]
+    assert all(np.abs(before - after).mean() > 1 for before, after in pairwise(frames))
+    with pytest.raises(InputError, match=r"time is 1; the run goes from 0 to 0\.05"):
+        one.plot("spins", time=1.0)
+    with pytest.raises(InputError, match="replica is 2; the run has 2, counted from 0"):
+        movie(path, tmp_path / "b.gif", replica=2)
 
 
 @pytest.mark.skipif(not shutil.which("ffprobe"), reason="ffmpeg, which makes MP4, is not installed")

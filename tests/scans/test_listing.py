@@ -12,7 +12,7 @@ import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import write_text
-from taichi_bearings.runs.packing_run import run_packing
+from taichi_bearings.runs.run import run as run_packing
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.listing import entries
 from taichi_bearings.scans.plan import count_samples, read_plan
