@@ -1,5 +1,6 @@
 """What all studies write: tables of words, files in a folder, and the machine that numbers come from."""
 
+import math
 import os
 import platform
 from collections.abc import Sequence
@@ -18,6 +19,31 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
     lines = [rows[0], ["-" * width for width in widths], *rows[1:]]
     padded = ([word.ljust(width) for word, width in zip(line, widths, strict=True)] for line in lines)
     return "\n".join(f"| {' | '.join(words)} |" for words in padded)
+
+
+def short(value: float) -> str:
+    """Three digits, never a power of ten."""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+
+
+def duration(seconds: float | None) -> str:
+    if seconds is None:
+        return "–"
+    unit, scale = ("s", 1.0) if seconds >= 1 else ("ms", 1e3) if seconds >= 1e-3 else ("us", 1e6)
+    return f"{seconds * scale:.3g} {unit}"
+
+
+def scaled(rate: float) -> str:
+    return f"{short(rate / 1e6)} M"
+
+
+def size(count: float) -> str:
+    power = min(3, int(math.log2(max(count, 1)) // 10))
+    return f"{count / 2 ** (10 * power):.4g} {('B', 'KiB', 'MiB', 'GiB')[power]}"
+
+
+def bandwidth(rate: float) -> str:
+    return f"{rate / 1e9:.3g} GB/s"
 
 
 class Files:

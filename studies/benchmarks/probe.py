@@ -1,15 +1,18 @@
-"""What a machine can do at most, with the compiler and the teams of the other kernels: numbers that come from memory
-and go there, additions and multiplications, square roots and divisions."""
+"""What memory and caches deliver at most, with the compiler and the teams of the other kernels."""
+
+from collections.abc import Sequence
+
+import numpy as np
 
 from taichi_bearings.compiler import ti
+from taichi_bearings.fields import CPU_BLOCK
+from taichi_bearings.fields.fields import number_type
 from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, store
-from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK
+from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Team
+from taichi_bearings.memory import aligned_zeros
 
 ROWS = 3  # that a stream works on: two are read and one is written in a pass
-CHAINS = 8  # sums that do not wait for each other, enough to hide how long one takes
-LENGTH, ROOTS_LENGTH = 4096, 512  # of a chain, so that a launch costs little beside one
-ARITHMETIC_FLOPS = 2 * CHAINS * LENGTH  # a site of a call
-ROOTS = 2 * CHAINS * ROOTS_LENGTH
+CONFLICTS = 512  # numbers: rows so far apart beyond a multiple of that do not compete for places in a cache
 
 
 @ti.kernel
@@ -36,35 +39,27 @@ def stream(
                     store(values, blocks, in_range(to + first), block, 0.5 * (read[0] + read[1]))
 
 
-@ti.kernel
-def arithmetic(
-    arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, block: ti.template()
-):
-    """Chains of products and sums on one block of sites a worker."""
-    for item in range(workers * LEAST_CHUNK):
-        if item % LEAST_CHUNK == 0:
-            first = in_range(item // LEAST_CHUNK * block)
-            start = load(values, first, block)
-            total = [start + float(chain) for chain in ti.static(range(CHAINS))]
-            for _ in range((end - begin) * LENGTH):
-                for chain in ti.static(range(CHAINS)):
-                    total[chain] = total[chain] * 0.999 + 0.001
-            for chain in ti.static(range(1, CHAINS)):
-                total[0] += total[chain]
-            store(values, blocks, first, block, total[0] / CHAINS)
+class Stream:
+    """Passes over three rows of numbers, `total_bytes` in all: what memory or the cache that holds them delivers."""
+
+    def __init__(self, total_bytes: float, threads: int, memory: np.ndarray | None = None) -> None:
+        """memory : that it may use, of a stream at least as large."""
+        dtype = number_type()
+        self.count = max(threads, int(total_bytes) // (ROWS * CPU_BLOCK * dtype.itemsize))
+        sites = self.count * CPU_BLOCK
+        self.row = sites + (5 * CPU_BLOCK - sites) % CONFLICTS
+        self.values = aligned_zeros(ROWS * self.row, CPU_BLOCK, dtype) if memory is None else memory[: ROWS * self.row]
+        self.values[:] = 1.0
+        self.bytes = ROWS * sites * dtype.itemsize  # moved by a pass, and held
+        self.team = Team(threads)
+        self.repeat(0)
+
+    def repeat(self, passes: int) -> None:
+        blocks = self.values.reshape(-1, CPU_BLOCK)
+        self.team.launch(stream, passes, self.values, blocks, self.row, self.count, CPU_BLOCK)
 
 
-@ti.kernel
-def roots(arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, block: ti.template()):
-    """Chains of a square root and a division on one block of sites a worker."""
-    for item in range(workers * LEAST_CHUNK):
-        if item % LEAST_CHUNK == 0:
-            first = in_range(item // LEAST_CHUNK * block)
-            start = load(values, first, block)
-            total = [start + float(chain + 1) for chain in ti.static(range(CHAINS))]
-            for _ in range((end - begin) * ROOTS_LENGTH):
-                for chain in ti.static(range(CHAINS)):
-                    total[chain] = 2.0 / ti.sqrt(total[chain])
-            for chain in ti.static(range(1, CHAINS)):
-                total[0] += total[chain]
-            store(values, blocks, first, block, total[0] / CHAINS)
+def streams(sizes: Sequence[float], threads: int) -> list[Stream]:
+    """Streams of these sizes, which take turns in the memory of the largest."""
+    largest = Stream(max(sizes), threads)
+    return [Stream(size, threads, largest.values) for size in sizes]
