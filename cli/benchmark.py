@@ -53,11 +53,11 @@ def _options(*own: Any) -> Callable[[Callable[..., None]], Any]:
 @command.command()
 @_options(*PARTS_OF_SPEED, *OF_METHODS, *OF_KERNELS)
 def speed(context: click.Context, parts: str | None, **asked: Any) -> None:
-    """All that is measured, beside what the machine allows and beside other programs; the other commands are parts.
+    """All that is measured, beside other programs; the other commands are parts.
 
-    Times are medians of rounds that time everything once, wall and processor, compilation apart; bytes are counted.
-    Writes report.md, and for each part a CSV and perhaps a figure. Peers that are not installed are named. Lattices
-    that do not fit into the memory are left out. Exit code 1 if two runs contradict each other.
+    Times are medians of rounds that time everything once, wall and processor, compilation apart.
+    Writes report.md, for each part a CSV, and figures of kernels and methods. Peers that are not installed are named.
+    Lattices that do not fit into the memory are left out. Exit code 1 if two runs contradict each other.
 
     \b
     Examples:
@@ -70,7 +70,7 @@ def speed(context: click.Context, parts: str | None, **asked: Any) -> None:
 @command.command()
 @_options(*OF_KERNELS)
 def throughput(context: click.Context, **asked: Any) -> None:
-    """Sweeps, time steps and splitting iterations beside NumPy, plain C and the memory.
+    """Sweeps, time steps and splitting iterations beside NumPy and plain C.
 
     \b
     Example:

@@ -1,6 +1,5 @@
 """What all studies write: tables of words, files in a folder, and the machine that numbers come from."""
 
-import math
 import os
 import platform
 from collections.abc import Sequence
@@ -35,15 +34,6 @@ def duration(seconds: float | None) -> str:
 
 def scaled(rate: float) -> str:
     return f"{short(rate / 1e6)} M"
-
-
-def size(count: float) -> str:
-    power = min(3, int(math.log2(max(count, 1)) // 10))
-    return f"{count / 2 ** (10 * power):.4g} {('B', 'KiB', 'MiB', 'GiB')[power]}"
-
-
-def bandwidth(rate: float) -> str:
-    return f"{rate / 1e9:.3g} GB/s"
 
 
 class Files:

@@ -37,6 +37,10 @@ class Times:
     def seconds(self) -> float:
         return float(np.median(self.wall))
 
+    def alone(self, threads: int) -> "Times":
+        """As if no other program were on the machine: the processor's time of what has one thread."""
+        return self if threads > 1 or self.processor is None else Times(self.processor)
+
     @property
     def row(self) -> Row:
         known = {} if self.processor is None else {"seconds_processor": float(np.median(self.processor))}
@@ -121,7 +125,7 @@ class Benchmark:
 
     title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows. cells : of its table.
     missing : peers that are not here -> how to install them. together : what rows say only when they are all there.
-    faults : sentences on rows that contradict each other. figure : of the rows; None if they are too few.
+    faults : sentences on rows that contradict each other. figure : of the rows.
     """
 
     title: str

@@ -51,9 +51,9 @@ def write(files: Files, chosen: Mapping[str, Benchmark], report: Report, here: M
         written.append(files.folder / f"{name}.csv")
         write_csv(written[-1], columns, [[line.get(key, "") for key in columns] for line in lines], notes)
         draw = chosen[name].figure
-        if draw and (figure := draw(rows)):
+        if draw:
             written.append(files.folder / f"{name}.png")
-            save(figure, written[-1])
+            save(draw(rows), written[-1])
     return written
 
 

@@ -13,8 +13,8 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS
 
 from ..plots.accuracy import draw_accuracy
-from ..plots.bandwidth import draw_bandwidth
-from ..report import bandwidth, duration, scaled, short, size
+from ..plots.throughput import draw_throughput
+from ..report import duration, scaled, short
 from . import dynamics, kernels, methods, scans
 from .baselines import find_compiler
 from .harness import Benchmark, Cells, Found, Plan, Row, elsewhere
@@ -87,21 +87,16 @@ def _beside(row: Row, key: str, words: Callable[[float], str]) -> str:
 
 BENCHMARKS = {
     "kernels": Benchmark(
-        "Sweeps, steps and iterations beside NumPy, plain C and the memory",
+        "Sweeps, steps and iterations beside NumPy and plain C",
         _kernels,
         {
             **LATTICE, **COMPONENTS, "precision": lambda row: row["precision"], **THREADS, **TIMES,
             "processor": lambda row: duration(row["seconds_processor"]), **CONTACTS,
-            "bytes": lambda row: _beside(row, "bytes", size),
-            "bandwidth": lambda row: _beside(row, "bandwidth", bandwidth),
-            "of": lambda row: _beside(row, "bandwidth_here", bandwidth),
-            "share": lambda row: _beside(row, "share", "{:.0%}".format),
-            "B/sphere": lambda row: _beside(row, "bytes_per_sphere", "{:.0f}".format),
             "compile": lambda row: _beside(row, "seconds_compile", duration),
             "sweep is": SLOWER["this program is"],
         },
         missing=lambda: {} if find_compiler() else {"C sweep": "no C compiler was found; apt install gcc, or set CC"},
-        figure=draw_bandwidth,
+        figure=draw_throughput,
     ),
     "methods": Benchmark(
         "Run time against error: time to prove each relative gap, beside conic solvers",
