@@ -16,6 +16,7 @@ from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.verifier.ties import Line
 from tests.scenes import make_scene
+from tests.stress.minima import DRIVEN, EITHER, least_of_all
 from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -70,14 +71,14 @@ def called(solution):
 def test_names_are_those_of_an_oracle(distribution, seed):
     """Slipless, slipping, critical or tied at all minima, in 140 digits; seed 20 has ties that are left unproven."""
     solution = minimum((3, 3, 3) if distribution != BIMODAL else (3, 3, 4), seed, distribution)
-    least, names, known = truth.least(solution.scene, of_all=True), called(solution), solution.proven[0]
+    least, names, known = least_of_all(solution.scene), called(solution), solution.proven[0]
     true, margin = (solution.scene.lattice.flat(of) for of in (least.state, least.margin))
     right = np.where(true == truth.SLIPLESS, np.where(margin < AT_LIMIT, "critical", "slipless"), "slipping")
-    right = np.select([true == truth.EITHER, true == truth.DRIVEN], ["tied", "driven"], right)
+    right = np.select([true == EITHER, true == DRIVEN], ["tied", "driven"], right)
     clear = true != truth.UNCLEAR
     assert (names == right)[clear & (names != OPEN)].all()
-    allowed = {ContactState.SLIPLESS: (truth.SLIPLESS, truth.DRIVEN), ContactState.SLIPPING: (truth.SLIPPING,),
-               ContactState.TIED: (truth.EITHER,)}  # fmt: skip
+    allowed = {ContactState.SLIPLESS: (truth.SLIPLESS, DRIVEN), ContactState.SLIPPING: (truth.SLIPPING,),
+               ContactState.TIED: (EITHER,)}  # fmt: skip
     for what, states in allowed.items():
         assert np.isin(true[clear & (known == what)], states).all()
 
