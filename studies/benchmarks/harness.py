@@ -52,18 +52,12 @@ class Times:
         return float(np.median(self.wall / other.wall))
 
 
-def in_turns(
-    calls: Mapping[str, Callable[[int], T]], rounds: int, again: Callable[[T], bool] = lambda first: True
-) -> dict[str, list[T]]:
-    """What each call, which hears the number of the round, gives in every round, in turns with the others.
-
-    again : whether a call whose first answer is this one is made in the later rounds too.
-    """
+def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, list[T]]:
+    """What each call, which hears the number of the round, gives in every round, in turns with the others."""
     found: dict[str, list[T]] = {}
     for turn in range(rounds):
         for name, call in calls.items():
-            if turn == 0 or again(found[name][0]):
-                found.setdefault(name, []).append(call(turn))
+            found.setdefault(name, []).append(call(turn))
     return found
 
 

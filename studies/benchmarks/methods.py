@@ -64,10 +64,18 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
             calls[str(peer)] = partial(_by_peer, peer, programme, seconds, settings.threads)
     if not calls:
         raise InputError(f"nothing can solve {label}")
-    for runs in in_turns(calls, rounds, lambda first: first["seconds"][-1] < BRIEF).values():
-        run = sorted(runs, key=lambda one: one["seconds"][-1])[len(runs) // 2]
-        about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
-        yield about | run | {"rounds": len(runs)}
+    about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
+    brief = dict[str, Row]()
+    for name, call in calls.items():
+        first = call(0)
+        if first["seconds"][-1] < BRIEF:
+            brief[name] = first
+        else:  # told at once, so that an interrupt does not cost it
+            yield about | first | {"rounds": 1}
+    again = in_turns({name: calls[name] for name in brief}, rounds - 1)
+    for name, first in brief.items():
+        runs = sorted([first, *again.get(name, [])], key=lambda run: run["seconds"][-1])
+        yield about | runs[len(runs) // 2] | {"rounds": len(runs)}
 
 
 def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
