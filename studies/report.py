@@ -20,6 +20,22 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(words)} |" for words in padded)
 
 
+def short(value: float) -> str:
+    """Three digits, never a power of ten."""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+
+
+def duration(seconds: float | None) -> str:
+    if seconds is None:
+        return "–"
+    unit, scale = ("s", 1.0) if seconds >= 1 else ("ms", 1e3) if seconds >= 1e-3 else ("us", 1e6)
+    return f"{seconds * scale:.3g} {unit}"
+
+
+def scaled(rate: float) -> str:
+    return f"{short(rate / 1e6)} M"
+
+
 class Files:
     """Files of these names in one folder, of which none stands yet unless `force`.
 

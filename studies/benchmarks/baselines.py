@@ -113,13 +113,7 @@ class CSweep:
         self.other = arrays.spin.copy()
         real = "double" if arrays.dtype.itemsize == 8 else "float"
         counts = ",".join(str(len(kept)) for kept in arrays.kept)
-        slots = ",".join(
-            "{{{},{}}}".format(
-                *kept,
-                0,
-            )
-            for kept in arrays.kept
-        )
+        slots = ",".join(f"{{{(*kept, 0)[0]},{(*kept, 0)[1]}}}" for kept in arrays.kept)
         options = {
             "REAL": real, "DIMENSION": len(arrays.kept), "COMPONENTS": len(arrays.spin),
             "COUNT": f"{{{counts}}}", "KEPT": f"{{{slots}}}",

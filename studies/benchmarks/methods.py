@@ -1,215 +1,180 @@
-"""One sample by every method, to a proven gap or as far as the time allows; beside it the conic solvers, in turns.
+"""Run time against error: every method, and general conic solvers, on the same scenes and by the same ruler.
 
-A method's time is that of its solve, with the set-up of the scene and without compilation; of a conic solver that of
-setting up and solving. Of methods that factorise, the operations are those of the factorisations alone.
+Each method runs as far as it gets within the time limit; its checks are the points of its curve. A conic solver gives
+no checks that the certificate could judge, so it runs once for each tolerance asked for. What is quick runs again, in
+turns; the run of the median time counts.
+
+* The time is wall time with the set-up of the scene and without compilation: each method first makes a step on the
+  scene, which compiles its kernels, and then starts afresh. What the first start took longer is its compile time.
+* The least power is known to lie between the best lower bound and the best power of all runs; the reference is that
+  bound, and the width of the interval is the reference's own gap. (power - reference) / power is thus an upper bound of
+  the true error: it never falls below the gap of the reference, and says no more than that where it comes near it.
 """
 
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from math import prod
-from pathlib import Path
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.errors import InputError
-from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.memory import free_bytes
-from taichi_bearings.numerics.cholesky import dissect, tuning
-from taichi_bearings.numerics.cholesky.fronts import analyse
-from taichi_bearings.proof.certificate import relative_gap
+from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import METHODS, InteriorPoint, MethodOptions
+from taichi_bearings.solvers import METHODS, MethodOptions
 from taichi_bearings.solvers.drive import solve, uninterrupted
-from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 
-from . import counts
 from .conic import ConicProgramme, conic_programme
-from .peers import Peer, find_peers
-from .timing import Row, Times, in_turns
+from .harness import Found, Row, in_turns
+from .peers import TOLERANCES, Peer, find_peers
 
-TOLERANCE = 1e-8
-BRIEF = 3.0  # seconds of a solve from which it is not made again and again
+TIGHTEST = 1e-14  # asked of every method; rounding ends it earlier
+SLACK = 1e-13  # relative rounding of a power; a bound that is higher than a power by more is wrong
+ROUND_OFF = float(np.finfo(np.float64).eps)  # the least relative error that double precision can tell
+TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
+BRIEF = 3.0  # seconds of a run from which it is not made again
 MOST_OF_PEERS = 20_000  # spheres up to which conic solvers are asked: beyond they take minutes and gigabytes
-NO_STATES = "interior-point, no states"
-SPARE, NOTICED = 0.7, 2e7  # share of the free memory that may be taken; bytes that are told from what comes and goes
-STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+SPARE = 0.7  # share of the free memory that may be taken
 
 
-@dataclass(frozen=True)
-class Task:
-    """What one process measures. seconds : limit for each solve."""
-
-    shapes: tuple[tuple[int, ...], ...]
-    laws: tuple[str, ...]
-    threads: int
-    rounds: int
-    seconds: float
-    peers: bool = True
-
-
-@dataclass(frozen=True)
-class Solve:
-    """How a solve ended. bytes : of memory more than before, at most; None where the system does not tell."""
-
-    seconds: float
-    processor: float
-    iterations: int
-    gap: float
-    status: str
-    compiling: float | None = None
-    bytes: float | None = None
-
-
-def measure(task: Task) -> Iterator[Row | str]:
-    """The rows of a task, in the process that calls it; a text for what is left out."""
-    runtime.start("cpu", "f64", task.threads)
-    for law in task.laws:
-        for shape in task.shapes:
-            scene = Scene.random(shape, law=law)
-            calls: dict[str, Callable[[], Solve]] = {}
-            for name, options in all_methods().items():
-                needed = options.bytes(prod(shape))
-                if needed > SPARE * free_bytes():
-                    yield f"{name} at {'x'.join(map(str, shape))} is left out: it needs {needed / 1e9:.1f} GB"
-                elif not options.refusal(scene):
-                    calls[name] = partial(_by_method, scene, options, task.seconds)
-            if task.peers and scene.lattice.sites <= MOST_OF_PEERS:
-                calls |= _peers(scene, task)
-            yield from _in_turns(calls, scene, task)
+def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Found:
+    """A row a method and a conic solver on the scene of the settings, each for at most its time limit (a conic solver:
+    each tolerance), in the process that calls it; a text for a method that is left out."""
+    runtime.start("cpu", "f64", settings.threads)
+    scene = build_scene(settings)
+    label, sites = f"{'x'.join(map(str, settings.shape))} {settings.law}", scene.lattice.sites
+    seconds, calls = settings.time_limit or np.inf, dict[str, Callable[[int], Row]]()
+    for name in names:
+        options = METHODS[name]()
+        reason = options.refusal(scene)
+        if not reason and options.bytes(sites) > SPARE * free_bytes():
+            reason = f"it needs {options.bytes(sites) / 1e9:.1f} GB"
+        if reason:
+            yield f"{label}: {name} is left out: {reason}"
+        else:
+            calls[name] = partial(_by_method, scene, name, options, seconds)
+    if with_peers and sites <= MOST_OF_PEERS and scene.law.flows != scene.law.holds:
+        programme = conic_programme(scene)
+        for peer in find_peers()[0]:
+            calls[str(peer)] = partial(_by_peer, peer, programme, seconds, settings.threads)
+    if not calls:
+        raise InputError(f"nothing can solve {label}")
+    about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
+    brief = dict[str, Row]()
+    for name, call in calls.items():
+        first = call(0)
+        if first["seconds"][-1] < BRIEF:
+            brief[name] = first
+        else:  # told at once, so that an interrupt does not cost it
+            yield about | first | {"rounds": 1}
+    again = in_turns({name: calls[name] for name in brief}, rounds - 1)
+    for name, first in brief.items():
+        runs = sorted([first, *again.get(name, [])], key=lambda run: run["seconds"][-1])
+        yield about | runs[len(runs) // 2] | {"rounds": len(runs)}
 
 
-def all_methods() -> dict[str, MethodOptions]:
-    """Every method with its defaults, and the interior-point method without its proof of the contact states."""
-    return {name: row() for name, row in METHODS.items()} | {NO_STATES: InteriorPoint(settle=False)}
-
-
-def _peers(scene: Scene, task: Task) -> dict[str, Callable[[], Solve]]:
-    programme = conic_programme(scene)
+def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
+    """The history of a method with its default options; power is what it would return, or the potential where the law
+    minimises that."""
+    spin = initial_spin(scene, "linear")
+    first = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, iterations=1)))
+    solution = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, UNLIMITED, seconds)))
+    finite = np.isfinite(solution.history["power"][:, 0])
+    history = {key: column[finite] for key, column in solution.history.items()}
+    setup, power = solution.seconds_compile, history[scene.law.minimises][:, 0]
     return {
-        f"{peer.name} ({peer.linear_solver})": partial(_by_peer, peer, programme, task.seconds, task.threads)
-        for peer in find_peers()[0]
-    }
+        "method": name, "what": name, "seconds_compile": max(first.seconds_compile - setup, 0.0),
+        "status": solution.status.value, "setting": ["default"] * len(power),
+        "seconds": (setup + history["seconds"]).tolist(),
+        "power": (power if options.is_dynamics else np.minimum.accumulate(power)).tolist(),
+        "lower_bound": history["lower_bound"][:, 0].tolist(), "iterations": history["iteration"].tolist(),
+    }  # fmt: skip
 
 
-def _in_turns(calls: dict[str, Callable[[], Solve]], scene: Scene, task: Task) -> Iterator[Row]:
-    """Every call once, then those that are brief again in as many rounds as are wanted."""
-    attempts = {name: partial(_attempt, call) for name, call in calls.items()}
-    found = in_turns(attempts, task.rounds, lambda first: first is not None and first.seconds < BRIEF)
-    for name, solves in found.items():
-        if known := [one for one in solves if one is not None]:
-            yield _row(name, known, scene, task)
+def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int, _: int = 0) -> Row:
+    """A conic solver at one tolerance after another, until it fails to reach one within the time limit."""
+    answers, asked = [], []
+    for tolerance in TOLERANCES:
+        answers.append(peer.solve(programme, tolerance, seconds, threads))
+        asked.append(f"{tolerance:.0e}")
+        if not answers[-1].done:
+            break
+    columns = {key: [getattr(one, key) for one in answers] for key in ("seconds", "power", "lower_bound", "iterations")}
+    return {"method": peer.name, "what": str(peer), "status": answers[-1].status, "setting": asked} | columns
 
 
-def _attempt(call: Callable[[], Solve], _: int) -> Solve | None:
-    """None where the method cannot solve the scene."""
-    try:
-        return call()
-    except InputError:
-        return None
+def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[float]:
+    """(power - bound) / power of each; what double precision cannot tell counts as its rounding."""
+    high = np.array(power)
+    return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
 
 
-def _row(name: str, solves: list[Solve], scene: Scene, task: Task) -> Row:
-    times = Times.of([(one.seconds, one.processor) for one in solves])
-    first, is_ours, grown = solves[0], name in all_methods(), max(one.bytes or 0.0 for one in solves)
-    return Row(
-        part="methods",
-        what=name,
-        shape=scene.lattice.shape,
-        components=len(scene.minimum_spin_axes),
-        threads=task.threads,
-        seconds_compile=first.compiling,
-        contact_updates=scene.lattice.contacts * first.iterations / times.seconds if is_ours else None,
-        bytes_per_sphere=grown / scene.lattice.sites if grown > NOTICED else None,
-        iterations=first.iterations,
-        gap=first.gap,
-        status=first.status,
-        law=scene.law.name,
-        **times.columns,
-        **(_counted(name, scene, first.iterations) if is_ours else {}),
-    )
+def judged(rows: list[Row]) -> list[Row]:
+    """The rows with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
+    found = []
+    for of_scene in _by_scene(rows):
+        reference = max(max(row["lower_bound"]) for row in of_scene)
+        open_gap = relative([min(min(row["power"]) for row in of_scene)], reference)[0]
+        for row in of_scene:
+            gap, error = relative(row["power"], row["lower_bound"]), relative(row["power"], reference)
+            best = int(np.argmin(gap))
+            seconds_to = {
+                f"{target:.0e}": min((s for s, g in zip(row["seconds"], gap, strict=True) if g <= target), default=None)
+                for target in TARGETS
+            }
+            at_best = {"proven_gap": gap[best], "true_error": error[best], "after": row["seconds"][best]}
+            found.append(
+                row | {"gap": gap, "error": error, "reference_gap": open_gap, "seconds_to": seconds_to, **at_best}
+            )
+    return found
 
 
-def _counted(name: str, scene: Scene, iterations: int) -> dict[str, Any]:
-    """Bytes and operations of a whole solve, where they are known: those of its sweeps, or of its factorisations."""
-    if not scene.law.holds or scene.law.flows:
-        return {}
-    stencil, sites = Stencil(scene.minimum_spin_axes, scene.lattice.dimension, 1), scene.lattice.sites
-    if name in ("interior-point", NO_STATES):
-        operations, entries = factorisation(scene)
-        return {"operations": iterations * operations, "bytes": 8 * iterations * entries}
-    work = {
-        "gradient-descent": lambda: counts.descent_sweep(stencil, momentum=True),
-        "cundall-strack": lambda: counts.cundall_strack_step(stencil),
-        "operator-splitting": lambda: counts.splitting_iteration(stencil, scene.lattice.shape, 0.5),
-    }.get(name)
-    if work is None:
-        return {}
-    one = work()
-    return {
-        "operations": iterations * sites * one.operations,
-        "roots": iterations * sites * one.roots,
-        "bytes": iterations * sites * one.bytes(8),
-        "passes": one.passes,
-    }
+def contradictions(rows: list[Row]) -> list[str]:
+    """Runs that prove a bound above the power of another one: a bug in one of them."""
+    found = []
+    for of_scene in _by_scene(rows):
+        least = min(of_scene, key=lambda row: min(row["power"]))
+        power, label = min(least["power"]), f"{'x'.join(map(str, least['shape']))} {least['law']}"
+        found += [
+            f"{label}: {row['what']} proves {max(row['lower_bound'])!r}, {least['what']} has {power!r}"
+            for row in of_scene
+            if max(row["lower_bound"]) > power * (1 + SLACK)
+        ]
+    return found
 
 
-def factorisation(scene: Scene) -> tuple[float, int]:
-    """Operations of one factorisation of the Newton matrix on the central path, and numbers of its factor."""
-    axes = scene.minimum_spin_axes
-    system = lattice_system(scene.lattice, axes, scene.top_spin(axes) / (scene.jump or 1.0))
-    small = scene.lattice.sites < InteriorPoint.alike_in_a_block
-    price = tuning.LAUNCH_PRICE if small else tuning.CALLS_PRICE
-    pattern = analyse(dissect(scene.lattice, axes), *system.couplings(), price)
-    return pattern.operations, pattern.factor_entries
+def _by_scene(rows: Sequence[Row]) -> Iterator[list[Row]]:
+    for _, of_scene in groupby(rows, key=lambda row: (row["shape"], row["law"])):
+        yield list(of_scene)
 
 
-def _by_method(scene: Scene, options: MethodOptions, seconds: float) -> Solve:
-    """Raises InputError for a scene that the method cannot solve."""
-    spin, before = initial_spin(scene, "linear"), _resident()
-    first = uninterrupted(solve(scene, options.build(), spin, StopRule(TOLERANCE, iterations=1)))
-    began, at = time.perf_counter(), time.process_time()
-    found = uninterrupted(solve(scene, options.build(), spin, StopRule(TOLERANCE, seconds=seconds)))
-    wall, processor = time.perf_counter() - began, time.process_time() - at
-    return Solve(
-        seconds=wall,
-        processor=processor,
-        iterations=found.iterations,
-        gap=float(relative_gap(scene, found.objective, found.lower_bound).max()),
-        status=found.status.value,
-        compiling=max(first.seconds_compile - found.seconds_compile, 0.0),
-        bytes=None if before is None else max(_peak() - before, 0.0),
-    )
+def shown(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
+    """Title and rows of each scene for the figure: of a conic solver only its fastest linear solver, and only runs that
+    got further than all shorter ones."""
+    for of_scene in _by_scene(rows):
+        fastest: dict[str, Row] = {}
+        for row in sorted(of_scene, key=_reached):
+            fastest.setdefault(row["method"], row)
+        curves = [_progress(row) for row in of_scene if fastest[row["method"]] is row]
+        yield f"{'x'.join(map(str, of_scene[0]['shape']))} {of_scene[0]['law']}", curves
 
 
-def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int) -> Solve:
-    before, at = _resident(), time.process_time()
-    found = peer.solve(programme, TOLERANCE, seconds, threads)
-    processor = time.process_time() - at
-    grown = None if before is None else max(_peak() - before, 0.0)
-    power, bound = np.array([found.power]), np.array([found.lower_bound])
-    gap = float(relative_gap(programme.scene, power, bound)[0])
-    return Solve(found.seconds, processor, found.iterations, gap, found.status, bytes=grown)
+def _reached(row: Row) -> tuple[int, float]:
+    """First those that prove the smallest of the TARGETS, and of these the first to do so."""
+    times = [seconds for seconds in row["seconds_to"].values() if seconds is not None]
+    return -len(times), times[-1] if times else 0.0
 
 
-def _resident() -> float | None:
-    """Bytes of memory now; the peak counts from here. None where the system does not tell."""
-    try:
-        CLEAR.write_text("5")
-        return _told("VmRSS")
-    except OSError:
-        return None
-
-
-def _peak() -> float:
-    return _told("VmHWM")
-
-
-def _told(name: str) -> float:
-    lines = STATUS.read_text().splitlines()
-    return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith(name))
+def _progress(row: Row) -> Row:
+    if row["method"] in METHODS:
+        return row
+    order = np.argsort(row["seconds"])
+    gap = np.array(row["gap"])[order]
+    kept = order[gap <= np.minimum.accumulate(gap)]
+    columns: dict[str, Any] = {key: [row[key][n] for n in kept] for key in ("seconds", "gap", "error")}
+    return row | columns

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,9 @@ from taichi_bearings.scans.sample import failure, solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
-from .conic import ConicProgramme, conic_programme, with_coefficients
-from .peers import Peer, find_peers, moreau_solver
-from .timing import Row, Times, in_turns
+from .conic import ConicProgramme, conic_programme
+from .harness import Found, Times, in_turns
+from .peers import HOW_TO_INSTALL, Peer, find_peers
 
 TOLERANCE = 1e-8
 BATCH = 24  # samples that moreau is given at a time
@@ -51,9 +52,8 @@ class Contender:
 
 def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
     """Samples of the paper's scene with seeds from `first` on, as a scan plans them."""
-    chosen = [
-        RunSettings(shape=shape, seed=seed, tolerance=TOLERANCE, threads=1) for seed in range(first, first + number)
-    ]
+    seeds = range(first, first + number)
+    chosen = [RunSettings(shape=shape, seed=seed, tolerance=TOLERANCE, threads=1) for seed in seeds]
     return [Sample(sample_key(settings), settings, {"seed": settings.seed}) for settings in chosen]
 
 
@@ -64,19 +64,12 @@ def _template(shape: tuple[int, ...]) -> ConicProgramme:
 
 def programme_of(settings: RunSettings) -> ConicProgramme:
     """The conic programme of a sample, with matrices that all of its lattice share."""
-    return with_coefficients(_template(settings.shape), build_scene(settings))
+    return _template(settings.shape).with_friction(build_scene(settings))
 
 
 def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]:
     """One sample after another."""
-    return [
-        _record(sample, peer.run(programme_of(sample.settings), TOLERANCE, np.inf, threads=1)[-1]) for sample in samples
-    ]
-
-
-@lru_cache(maxsize=2)
-def _batched(shape: tuple[int, ...], batch: int) -> Any:
-    return moreau_solver(_template(shape), batch, tolerance=TOLERANCE)
+    return [_record(one, peer.run(programme_of(one.settings), TOLERANCE, np.inf, threads=1)[-1]) for one in samples]
 
 
 def solve_by_moreau(samples: Sequence[Sample]) -> list[dict[str, Any]]:
@@ -88,35 +81,51 @@ def solve_by_moreau(samples: Sequence[Sample]) -> list[dict[str, Any]]:
     return [_record(sample, str(state) == "Solved") for sample, state in zip(samples, states, strict=True)]
 
 
+@lru_cache(maxsize=2)
+def _batched(shape: tuple[int, ...], batch: int) -> Any:
+    """A solver of so many programmes at a time that differ in their costs only."""
+    import moreau
+
+    programme = _template(shape)
+    matrix, quadratic = programme.matrix.tocsr(), programme.quadratic.tocsr()
+    tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
+    cones = moreau.Cones(
+        num_zero_cones=programme.equalities, num_nonneg_cones=programme.inequalities, so_cone_dims=[3] * programme.cones
+    )
+    ipm = moreau.IPMSettings(direct_solve_method="auto", **tolerances)
+    settings = moreau.Settings(solver="ipm", device="cpu", batch_size=batch, time_limit=np.inf, ipm_settings=ipm)
+    patterns = (quadratic.indptr, quadratic.indices, matrix.indptr, matrix.indices)
+    solver = moreau.CompiledSolver(*reversed(matrix.shape), *patterns, cones, settings)
+    solver.setup(quadratic.data, matrix.data)
+    return solver
+
+
 def _record(sample: Sample, solved: bool) -> dict[str, Any]:
     return {"key": sample.key, "scalars": {"status": "certified" if solved else "stalled", "states_proven": False}}
 
 
+def missing() -> dict[str, str]:
+    return {name: HOW_TO_INSTALL for name in ("clarabel", "moreau") if find_spec(name) is None}
+
+
 def contenders(workers: int, shape: tuple[int, ...]) -> list[Contender]:
     """Ours, Clarabel with its quickest linear solver here, and moreau; the peers as far as they are installed."""
-    found = [Contender(OURS, solve_samples, workers)]
-    here, _ = find_peers()
-    if peer := quickest([one for one in here if one.name == "clarabel"], shape):
-        work = partial(solve_by_peer, peer=peer)
-        found.append(Contender(f"Clarabel ({peer.linear_solver}), no proof", work, workers, unit=1))
-    if any(peer.name == "moreau" for peer in here):
-        found.append(Contender(f"moreau, batches of {BATCH}, no proof", solve_by_moreau, 1, unit=BATCH))
-    return found
-
-
-def quickest(peers: Sequence[Peer], shape: tuple[int, ...]) -> Peer | None:
-    """The one that solves a sample of this lattice first, on one thread."""
-    programme = conic_programme(Scene.random(shape))
+    found, programme = [Contender(OURS, solve_samples, workers)], _template(shape)
 
     def seconds(peer: Peer) -> float:
         began = time.perf_counter()
         peer.run(programme, TOLERANCE, np.inf, threads=1)
         return time.perf_counter() - began
 
-    return min(peers, key=seconds, default=None)
+    here = [peer for peer in find_peers()[0] if peer.name == "clarabel"]
+    if quickest := min(here, key=seconds, default=None):
+        found.append(Contender(f"{quickest}, no proof", partial(solve_by_peer, peer=quickest), workers, unit=1))
+    if "moreau" not in missing():
+        found.append(Contender(f"moreau, batches of {BATCH}, no proof", solve_by_moreau, 1, unit=BATCH))
+    return found
 
 
-def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Iterator[Row]:
+def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Found:
     """Rounds in which every contender solves the same `number` samples, one contender after another.
 
     Raises BearingsError if a sample has no result.
@@ -125,9 +134,8 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> I
         known = contenders(workers, shape)
         engines = {one.name: stack.enter_context(closing(LocalEngine(one.work, one.workers))) for one in known}
         for one in known:  # every worker starts, and compiles what it needs
-            some = one.units(samples_of(shape, 10**6, number))[: one.workers]
             with stage(f"{one.name}, warming up"):
-                list(_solved(one, engines[one.name], some))
+                list(_solved(one, engines[one.name], one.units(samples_of(shape, 10**6, number))[: one.workers]))
 
         def solve(turn: int, one: Contender) -> tuple[float, float]:
             """Seconds a sample, and share of the samples with all states proven."""
@@ -140,13 +148,11 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> I
         found = in_turns({one.name: partial(solve, one=one) for one in known}, rounds)
     times = {name: Times(np.array([seconds for seconds, _ in of])) for name, of in found.items()}
     for one in known:
-        is_ours = one.name == OURS
-        own: dict[str, Any] = {
-            "proven": float(np.mean([proven for _, proven in found[one.name]])) if is_ours else None,
-            "ratio": None if is_ours else float(np.median(times[one.name].each / times[OURS].each)),
-        }
-        columns = own | times[one.name].columns
-        yield Row(part="scans", what=one.name, shape=shape, threads=one.workers, samples=rounds * number, **columns)
+        row = {"what": one.name, "shape": shape, "threads": one.workers, "samples": number} | times[one.name].row
+        if one.name == OURS:
+            yield row | {"proven": float(np.mean([proven for _, proven in found[OURS]]))}
+        else:
+            yield row | {"ratio": times[one.name].over(times[OURS])}
 
 
 def _solved(one: Contender, engine: LocalEngine, units: Sequence[tuple[Sample, ...]]) -> Iterator[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Run time against error of every method: what each second buys."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,103 +10,70 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from taichi_bearings.plots.style import DOUBLE, in_our_style, new_figure
-from taichi_bearings.solvers import METHODS, MethodOptions
+from taichi_bearings.solvers import METHODS
 
-PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X"), "moreau": ("#5a5a5a", "d")}
+Curve = Mapping[str, Any]
+PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
 MOST_MARKERS = 12  # a curve, so that long histories stay lines
 MOST_COLUMNS = 3
 LEAST = 1e-17  # below anything that double precision can tell
 
 
-@dataclass(frozen=True)
-class Curve:
-    """One method on one scene: relative error and proven gap, all positive, at each of `seconds`.
-
-    method : what fixes its colour. label : what the legend says.
-    """
-
-    method: str
-    label: str
-    seconds: np.ndarray
-    error: np.ndarray
-    gap: np.ndarray
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One scene. reference_gap : relative uncertainty of the least power; errors below it are not resolved."""
-
-    title: str
-    reference_gap: float
-    curves: Sequence[Curve]
-
-
 @in_our_style
-def draw_accuracy(panels: Sequence[Panel]) -> Figure:
-    """Error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three scenes."""
-    columns = min(len(panels), MOST_COLUMNS)
-    blocks = [panels[start : start + columns] for start in range(0, len(panels), columns)]
+def draw_accuracy(scenes: Sequence[tuple[str, Sequence[Curve]]]) -> Figure:
+    """Error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three scenes.
+
+    scenes : title and curves of each. A curve has the relative error and the proven gap, all positive, at each of its
+    `seconds`; `method`, which fixes its colour, and `what`, which the legend says; `reference_gap`, the relative
+    uncertainty of the least power: errors below it are not resolved.
+    """
+    columns = min(len(scenes), MOST_COLUMNS)
+    blocks = [scenes[start : start + columns] for start in range(0, len(scenes), columns)]
     figure = new_figure(DOUBLE, 3.9 * len(blocks) + 0.7)
-    values = np.concatenate([v for panel in panels for curve in panel.curves for v in (curve.error, curve.gap)])
-    least = min(float(values.min()), 1e-6) / 3
+    curves = [curve for _, of_scene in scenes for curve in of_scene]
+    least = min(1e-6, *(min(*curve["error"], *curve["gap"]) for curve in curves)) / 3
     for part, block in zip(figure.subfigures(len(blocks), 1, squeeze=False)[:, 0], blocks, strict=True):
         axes = part.subplots(2, columns, sharex="col", sharey=True, squeeze=False)
-        for (error, gap), panel in zip(axes.T, block, strict=False):
-            _draw_panel(error, gap, panel, least)
+        for (error, gap), (title, of_scene) in zip(axes.T, block, strict=False):
+            error.set_title(title)
+            error.axhspan(LEAST, of_scene[0]["reference_gap"], color="0.9", lw=0)
+            gap.set_xlabel("time (s)")
+            for one, key in ((error, "error"), (gap, "gap")):
+                one.set(xscale="log", yscale="log", ylim=(least, 1.5))
+                one.grid(True, which="major", lw=0.4, color="0.85")
+                one.set_axisbelow(True)
+                for curve in of_scene:
+                    _draw(one, curve, curve[key])
         for unused in axes[:, len(block) :].flat:
             unused.set_axis_off()
         axes[0, 0].set_ylabel("relative error of the power")
         axes[1, 0].set_ylabel("relative gap that is proven")
-    _legend(figure, panels, columns)
+    _legend(figure, curves, columns)
     return figure
 
 
-def _draw_panel(error: Axes, gap: Axes, panel: Panel, least: float) -> None:
-    error.set_title(panel.title)
-    error.axhspan(LEAST, panel.reference_gap, color="0.9", lw=0)
-    gap.set_xlabel("time (s)")
-    for axes in (error, gap):
-        axes.set(xscale="log", yscale="log", ylim=(least, 1.5))
-        axes.grid(True, which="major", lw=0.4, color="0.85")
-        axes.set_axisbelow(True)
-        for curve in panel.curves:
-            _draw(axes, curve, curve.error if axes is error else curve.gap)
+def look_of(method: str) -> dict[str, Any]:
+    """Colour, marker and dashes of a method, the same in every figure."""
+    colour, marker = PEERS[method] if method in PEERS else (METHODS[method].colour, METHODS[method].marker)
+    return {"color": colour, "marker": marker, "ls": "--" if method in PEERS else "-", "ms": 3, "lw": 1.0}
 
 
-def style_of(method: str) -> tuple[str, str]:
-    """Colour and marker of a method, the same in every figure."""
-    if method in PEERS:
-        return PEERS[method]
-    row = METHODS.get(method, MethodOptions)
-    return row.colour, row.marker
+def _draw(axes: Axes, curve: Curve, values: Sequence[float]) -> None:
+    """With at most MOST_MARKERS markers, about evenly spread over the logarithm of the time, one at the end."""
+    seconds = np.array(curve["seconds"])
+    wanted = np.geomspace(max(seconds[0], seconds[-1] * 1e-4), seconds[-1], MOST_MARKERS)
+    every = np.unique(np.minimum(np.searchsorted(seconds, wanted), len(seconds) - 1))
+    axes.plot(seconds, values, markevery=every.tolist(), **look_of(curve["method"]))
 
 
-def _draw(axes: Axes, curve: Curve, values: np.ndarray) -> None:
-    colour, marker = style_of(curve.method)
-    every = _spread(curve.seconds, MOST_MARKERS)
-    dashed = "--" if curve.method in PEERS else "-"
-    axes.plot(curve.seconds, values, dashed, color=colour, marker=marker, markevery=every, ms=3, lw=1.0)
-
-
-def _spread(seconds: np.ndarray, most: int) -> list[int]:
-    """Indices of at most `most` points, about evenly spread over the logarithm of the time, with the last one."""
-    if len(seconds) <= most:
-        return list(range(len(seconds)))
-    wanted = np.geomspace(max(seconds[0], seconds[-1] * 1e-4), seconds[-1], most)
-    return sorted({min(int(np.searchsorted(seconds, time)), len(seconds) - 1) for time in wanted})
-
-
-def _legend(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
+def _legend(figure: Figure, curves: Sequence[Curve], columns: int) -> None:
     """One entry a method; the label of a peer names its linear solver only if it is the same in all panels."""
     labels: dict[str, set[str]] = {}
-    for panel in panels:
-        for curve in panel.curves:
-            labels.setdefault(curve.method, set()).add(curve.label)
+    for curve in curves:
+        labels.setdefault(curve["method"], set()).add(curve["what"])
     handles: list[Line2D | Patch] = []
     for method, names in labels.items():
-        colour, marker = style_of(method)
         label = names.pop() if len(names) == 1 else f"{method} (its fastest linear solver)"
-        dashed = "--" if method in PEERS else "-"
-        handles.append(Line2D([], [], color=colour, marker=marker, ms=3, lw=1.0, ls=dashed, label=label))
+        handles.append(Line2D([], [], label=label, **look_of(method)))
     handles.append(Patch(color="0.9", lw=0, label="least power not known better"))
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 1 + columns))

@@ -11,6 +11,7 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.lattice.grid import Lattice
 from taichi_bearings.options import options_of
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import LAWS, law_named
 from taichi_bearings.solvers.cundall_strack import stability_bound
@@ -187,35 +188,30 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
     return change
 
 
+def _scene(changes: Callable[[Any], dict[str, Any]]) -> Change:
+    """Other parameters of the scene, found from the value."""
+    return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(value)))
+
+
 def _viscosity(case: Case, value: float, row: Row) -> Case:
     return replace(case, scene=replace(case.scene, viscosity=tuple(value * v for v in case.scene.viscosity)))
 
 
-def _nearly_equal(case: Case, value: str, row: Row) -> Case:
+def _nearly_equal(value: str) -> dict[str, Any]:
     bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
-    return replace(case, scene=replace(case.scene, spin_bottom=float(bottom)))
+    return {"spin_bottom": float(bottom)}
 
 
-def _direction(case: Case, value: float, row: Row) -> Case:
-    return replace(case, scene=replace(case.scene, direction=(1.0, value, 0.0)))
-
-
-def _rate(case: Case, value: float, row: Row) -> Case:
-    """The top in a bearing state with C; the bottom at rest."""
-    return replace(case, scene=replace(case.scene, top=(1.0, 1.0, 0.0, value), bottom=(0.0,) * 4))
-
-
-def _common_state(case: Case, value: float, row: Row) -> Case:
+def _common_state(value: float) -> dict[str, Any]:
     """A bearing state added to both planes, and so to all spins: as from an origin far away along x, and at the second
     sphere along y, where A cancels C y."""
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
-    added = tuple(one + other for one, other in zip(top, bottom, strict=True))
-    return replace(case, scene=replace(case.scene, top=added, bottom=bottom))
+    return {"top": tuple(one + other for one, other in zip(top, bottom, strict=True)), "bottom": bottom}
 
 
-def _pivot(case: Case, value: float, row: Row) -> Case:
+def _pivot(value: float) -> dict[str, Any]:
     """The top turns about its second sphere along x, but for so small a part of what A cancels there."""
-    return replace(case, scene=replace(case.scene, top=(value - 1.0, 1.0, 0.0, 1.0), bottom=(0.0,) * 4))
+    return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 
 
 RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 decades": ((2, 6), (2, 2, 4)),
@@ -257,6 +253,10 @@ def _option(key: str) -> Change:
 
 def _owns(*keys: str) -> Callable[[Row], bool]:
     return lambda row: set(keys) <= options_of(ROWS[row.method]).keys()
+
+
+def _has_spheres(row: Row) -> bool:
+    return row.dimension == 3
 
 
 def _holds(row: Row) -> bool:
@@ -305,14 +305,15 @@ AXES = {
         Axis("viscosity", "scale of the viscosity", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12), _viscosity,
              lambda row: row.law == "coulomb-viscous"),
         Axis("driving", "1 - omega_B / omega_T", ("2", "1e-1", "1e-4", "1e-8", "1e-12", "1e-15", "an ulp", "equal"),
-             _nearly_equal),
-        Axis("direction", "y over x of the direction", (1.0, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15, 0.0), _direction,
-             lambda row: row.dimension == 3),
-        Axis("rate", "C of the top", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12), _rate, lambda row: row.dimension == 3),
-        Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _common_state,
-             lambda row: row.dimension == 3),
-        Axis("pivot", "part of A that cancels nothing", (0.1, 1e-4, 1e-8, 1e-12, 2.0**-52, 0.0), _pivot,
-             lambda row: row.dimension == 3),
+             _scene(_nearly_equal)),
+        Axis("direction", "y over x of the direction", (1.0, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15, 0.0),
+             _scene(lambda value: {"direction": (1.0, value, 0.0)}), _has_spheres),
+        Axis("rate", "C of the top", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12),
+             _scene(lambda value: {"top": (1.0, 1.0, 0.0, value), "bottom": (0.0,) * 4}), _has_spheres),
+        Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _scene(_common_state),
+             _has_spheres),
+        Axis("pivot", "part of A that cancels nothing", (0.1, 1e-4, 1e-8, 1e-12, 2.0**-52, 0.0), _scene(_pivot),
+             _has_spheres),
         Axis("rings", "periodic sides", tuple(RINGS), _rings),
         Axis("sides", "spheres", tuple(SIDES), _sides, patience=5.0),
         Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _option("stiffness"),
@@ -333,7 +334,8 @@ AXES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One thing that is tried: a value of an axis on a row. most_seconds : of the solve."""
+    """One thing that is tried, as the workers of scans take it: a value of an axis on a row. most_seconds : of the
+    solve."""
 
     axis: str
     value: Any
@@ -343,19 +345,31 @@ class Cell:
     most_seconds: float
 
     @property
-    def label(self) -> str:
+    def column(self) -> str:
         return self.value if isinstance(self.value, str) else f"{self.value:g}"
 
     @property
     def key(self) -> str:
         kind = "quick" if self.quick else "full"
-        return f"{self.axis} {self.label} {self.row} seed {self.seed} {kind} {self.most_seconds:g} s"
+        return f"{self.axis} {self.column} {self.row} seed {self.seed} {kind} {self.most_seconds:g} s"
+
+    label = key
+
+    @property
+    def settings(self) -> RunSettings:
+        threads = self.value if self.axis == "threads" else 1
+        return RunSettings(arch=self.row.arch, precision=self.row.precision, threads=threads)
 
     @cached_property
     def case(self) -> Case:
         base = unchanged(self.row, self.seed, self.quick)
         assert base is not None
         return AXES[self.axis].change(base, self.value, self.row)
+
+    @property
+    def contacts(self) -> int:
+        """Whose states are compared."""
+        return 0 if self.case.is_layered else self.case.scene.lattice.all_contacts
 
 
 QUICK = 25  # of so many cells the short sweep takes one

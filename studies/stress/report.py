@@ -20,13 +20,11 @@ from taichi_bearings.words import counted
 
 from ..plots.outcomes import draw_outcomes
 from ..report import markdown
-from .axes import AXES, Cell
-from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, Task, restored, solve_tasks, stored
+from .axes import AXES, Cell, Row
+from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, can_be_judged, solve_cells
 
 Line = dict[str, Any]
 START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
-
-
 JOURNAL = "cells.jsonl"
 
 
@@ -45,13 +43,12 @@ class Sweep:
     """The cells of a folder: those that its journal has, judged anew, and the others as they are done."""
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
-        self.folder, self.cells, self.judge = folder, list(cells), Judge()
+        self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known, self.lines = read_journal(folder / JOURNAL), dict[str, Line]()
         asked = [cell for cell in cells if cell.key in known]
         for cell in each(asked, "judging cell", alike):
-            record = restored(cell, known[cell.key])
-            if record is not None:
-                self.lines[cell.key] = self.judge.row(cell, record)
+            if can_be_judged(cell, known[cell.key]):
+                self.lines[cell.key] = self.judge.row(cell, known[cell.key])
         if left := len(asked) - len(self.lines):
             logging.getLogger(__name__).warning(
                 "bearings: %s in %s of another version or damaged; solved again", counted(left, "cell"), folder
@@ -59,31 +56,25 @@ class Sweep:
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
-        by_key = {cell.key: cell for cell in self.cells}
-        missing = [cell for cell in self.cells if cell.key not in self.lines]
 
         def take(outcomes: Sequence[Outcome]) -> None:
             for outcome in outcomes:
-                key = outcome.unit[0].key
-                record = outcome.records[0] if outcome.records else {"crash": outcome.reason}
-                line = self.judge.row(by_key[key], record)
-                journal.append([stored(by_key[key], record)])
-                self.lines[key] = line
+                cell = outcome.unit[0]
+                crash = {"key": cell.key, "version": VERSION, "crash": outcome.reason}
+                record = outcome.records[0] if outcome.records else crash
+                line = self.lines[cell.key] = self.judge.row(cell, record)
+                journal.append([record])
                 if line["outcome"] in (WRONG, CRASH):
-                    say(f"{line['outcome']}: {key}: {line['reason']}")
+                    say(f"{line['outcome']}: {cell.key}: {line['reason']}")
 
-        def allowed(unit: tuple[Any, ...]) -> float:
-            return START_UP + 2 * unit[0].cell.most_seconds
-
-        with (
-            Journal(self.folder / JOURNAL) as journal,
-            closing(LocalEngine(solve_tasks, workers, allowed)) as engine,
-        ):
+        missing = [cell for key, cell in self.cells.items() if key not in self.lines]
+        engine = LocalEngine(solve_cells, workers, lambda unit: START_UP + 2 * unit[0].most_seconds)
+        with Journal(self.folder / JOURNAL) as journal, closing(engine):
             try:
                 for cell in each(missing, "cell", alike):
                     while not engine.has_room:
                         take(engine.collect(0.2))
-                    engine.submit((Task(cell),))
+                    engine.submit((cell,))
                 while engine.running:
                     take(engine.collect(0.2))
             except KeyboardInterrupt:
@@ -94,8 +85,9 @@ class Sweep:
     def rows(self) -> list[Line]:
         """The finished cells in the order of the report."""
         order = {name: number for number, name in enumerate(AXES)}
-        found = [self.lines[cell.key] for cell in self.cells if cell.key in self.lines]
-        return sorted(found, key=lambda line: order[line["axis"]])
+        return sorted(
+            (self.lines[key] for key in self.cells if key in self.lines), key=lambda line: order[line["axis"]]
+        )
 
     @property
     def red(self) -> list[Line]:
@@ -124,29 +116,26 @@ class Sweep:
             "outcomes": {outcome: counts[outcome] for outcome in OUTCOMES},
             "largest_error_of_right": max((x["error"] or 0.0 for x in rows if x["outcome"] == RIGHT), default=0.0),
             "scaling": scaling(rows),
-            "red": [{"key": line["key"], "outcome": line["outcome"], "reason": line["reason"]} for line in self.red],
+            "red": [{key: line[key] for key in ("key", "outcome", "reason")} for line in self.red],
         }  # fmt: skip
 
 
 def by_axis(rows: Sequence[Line]) -> dict[str, list[Line]]:
-    found: dict[str, list[Line]] = {}
-    for line in rows:
-        found.setdefault(line["axis"], []).append(line)
-    return found
+    return {axis: [line for line in rows if line["axis"] == axis] for axis in dict.fromkeys(x["axis"] for x in rows)}
 
 
 def _name(line: Line) -> str:
-    device = "" if line["arch"] == "cpu" else f" {line['arch']}"
-    return f"{line['method']} {line['law']} {line['dimension']}D{device} {line['precision']}"
+    return str(Row(*(line[key] for key in ("method", "law", "dimension", "arch", "precision"))))
 
 
 def _map(lines: Sequence[Line]) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str]]]:
+    """Columns, rows, and of each cell the outcome and the error as a power of ten."""
     columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
     return columns, rows, {(_name(line), line["value"]): (line["outcome"], _decades(line)) for line in lines}
 
 
 def _decades(line: Line) -> str:
-    """Error as a power of ten; 0 below the rounding of doubles, empty without an error."""
+    """0 below the rounding of doubles, empty without an error."""
     error = line["error"]
     return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-").replace("e+00", "")
 
@@ -154,27 +143,22 @@ def _decades(line: Line) -> str:
 def table(axis: str, lines: Sequence[Line]) -> str:
     """Text: a row for each method, law, dimension and precision; in each cell the outcome and the error."""
     columns, rows, cells = _map(lines)
-    text = [[AXES[axis].title, *columns]]
-    for row in rows:
-        text.append([row, *(" ".join(filter(None, cells.get((row, column), ()))) for column in columns)])
-    return f"### {axis}\n\n{markdown(text)}"
+    text = [[row, *(" ".join(filter(None, cells.get((row, column), ()))) for column in columns)] for row in rows]
+    return f"### {axis}\n\n{markdown([[AXES[axis].title, *columns], *text])}"
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
     """How right answers scale with the units, by method and precision: cells that do so bit for bit, of how many, and
     the largest relative deviation."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, list[float]] = {}
     scaled = [line for line in rows if line["axis"].endswith("-scale") and line["outcome"] == RIGHT]
     plain = {(line["axis"], _name(line)): line["objective"] for line in scaled if line["value"] == "1"}
     for line in scaled:
         before = plain.get((line["axis"], _name(line)))
-        if line["value"] == "1" or not before:
-            continue
-        deviation = abs(line["objective"] / line["unit"] / before - 1)
-        of = found.setdefault(f"{line['method']} {line['precision']}", {"exact": 0, "of": 0, "deviation": 0.0})
-        of |= {"exact": of["exact"] + (deviation == 0), "of": of["of"] + 1,
-               "deviation": max(of["deviation"], deviation)}  # fmt: skip
-    return found
+        if line["value"] != "1" and before:
+            deviation = abs(line["objective"] / line["unit"] / before - 1)
+            found.setdefault(f"{line['method']} {line['precision']}", []).append(deviation)
+    return {name: {"exact": of.count(0), "of": len(of), "deviation": max(of)} for name, of in found.items()}
 
 
 def lines_of(summary: Mapping[str, Any]) -> list[str]:

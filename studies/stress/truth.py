@@ -5,9 +5,8 @@ says is enclosed by the cost of its spins from above and the work of its balance
 is for samples of any size whose contacts along the height are alike in each layer: every column then does the same,
 no contact sideways slips or bears a force, and a column is a chain whose answer is written down.
 
-The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0. The
-slips of all minima point the same way, so the minima are a polyhedron; if it is more than a point, a linear programme
-for each contact tells whether it slips at all of them, in doubles: in units of the slips in the middle it is round.
+The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0.
+(`tests/stress/minima.py` goes on from there to what all minima have in common.)
 
 All numbers count exactly as the doubles that they are; spins are staggered, from the bottom's state, in units of the
 jump, or of 1/time where bearing states are imposed.
@@ -29,10 +28,7 @@ NOTHING = Decimal("1e-40")  # cost, relative to that of even spins, below which 
 CLEAR = Decimal("1e-20")  # slip over the jump, or margin over the friction, that counts as none at the end
 WANTED = Decimal("1e-20")  # relative width of the enclosure
 MOST_STEPS = 4000
-SLIPLESS, SLIPPING, UNCLEAR, EITHER, DRIVEN = range(5)  # the first three as in files
-RANK = 1e-25  # pivots below count as zero: directions are known to 1e-35 or better
-NEVER = 1e-7  # share of its slip in the middle down to which a contact must be able to go for EITHER
-MOVED = 1e-12  # change of a slip over that in the middle below which it is the same at all minima
+SLIPLESS, SLIPPING, UNCLEAR = range(3)  # as in files
 
 
 @dataclass(frozen=True)
@@ -41,18 +37,13 @@ class Truth:
     0: the cost of all contacts with the jump, or without one the spin, for slip.
 
     state : of each contact, an array an axis: SLIPLESS at every minimum, SLIPPING in the middle of the minima, or
-    UNCLEAR; empty where it is not known. Of all minima: SLIPPING at every one, or EITHER, and DRIVEN where both ends
-    are; then slip, length/time, is that in their middle, margin the share of the friction that the forces in their
-    middle leave, and freedom the dimension of the minima.
+    UNCLEAR; empty where it is not known.
     """
 
     lower: Decimal
     upper: Decimal
     state: tuple[np.ndarray, ...] = ()
     unit: Decimal = Decimal(0)
-    slip: tuple[np.ndarray, ...] = ()
-    margin: tuple[np.ndarray, ...] = ()
-    freedom: int = 0
 
 
 def _decimals(values: np.ndarray) -> np.ndarray:
@@ -61,21 +52,21 @@ def _decimals(values: np.ndarray) -> np.ndarray:
 
 def _costs(scene: Scene, first: Any, second: Any = None) -> tuple[np.ndarray, np.ndarray]:
     """Of a slip d: a |d| + c |d|^2 / 2, with a and c of contacts with these coefficients, energy/time."""
-    speed = Decimal(scene.radius) * _unit(scene)
+    speed = Decimal(scene.radius) * unit_of(scene)
     values, nothing = _decimals(first), np.full(first.size, Decimal(0), dtype=object)
     if not scene.law.holds:
         return nothing, values * 2 * speed**2  # the power is twice the potential
     return values * Decimal(scene.normal_force) * speed, nothing if second is None else _decimals(second) * speed**2
 
 
-def _unit(scene: Scene) -> Decimal:
+def unit_of(scene: Scene) -> Decimal:
     """Of spins, 1/time."""
     if scene.top is not None:
         return Decimal(1)
     return abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
 
 
-def _jump(scene: Scene) -> dict[int, np.ndarray]:
+def jump_of(scene: Scene) -> dict[int, np.ndarray]:
     """Components that differ between bottom and top and that contacts along the height feel, in units of spin at each
     sphere of the top, (columns,), or (1,) where all are alike: the others are constant in each layer at the minimum
     (docs/equations.md, 3)."""
@@ -98,13 +89,12 @@ def _jump(scene: Scene) -> dict[int, np.ndarray]:
     return {k: np.array([parts[k] / length], dtype=object) for k in (0, 1) if parts[k]}
 
 
-class _Sample:
+class Sample:
     """Contacts as rows: `low`, `up` (E, C) are places in the spins, `felt` (E, C) is 1 for components across them."""
 
-    def __init__(self, scene: Scene, perturbed: tuple[int, Decimal] | None = None) -> None:
-        rng, size = (np.random.default_rng(perturbed[0]), perturbed[1]) if perturbed else (None, Decimal(0))
+    def __init__(self, scene: Scene) -> None:
         shape, axes = scene.lattice.shape, range(scene.lattice.dimension)
-        self.jump = _jump(scene)
+        self.jump = jump_of(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
         self.unknowns = free * count
         place = np.empty((*shape, count), dtype=int)  # free spins, then 0 for the bottom, then the top
@@ -127,7 +117,7 @@ class _Sample:
             for number, (low, up, held, flow) in enumerate(zip(*pairs, a, c, strict=True)):
                 if (low.min() < self.unknowns or up.min() < self.unknowns or axis == axes[-1]) and held + flow > 0:
                     rows.append((low, up, felt))
-                    self.friction.append(held * (1 + size * Decimal(rng.uniform(-1, 1))) if rng else held)
+                    self.friction.append(held)
                     self.viscosity.append(flow)
                     self.of.append((axis, number))
         self.low, self.up, self.felt = (np.array(part).reshape(-1, count) for part in zip(*rows, strict=True))
@@ -205,39 +195,36 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return x
 
 
-def least(scene: Scene, of_all: bool = False, perturbed: tuple[int, Decimal] | None = None) -> Truth:
-    """The truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED.
-
-    of_all : states, slips and freedom of all minima, of a sample with friction alone. perturbed : seed and size;
-    friction is multiplied by 1 + size * u, |u| < 1.
-    """
+def least(scene: Scene) -> Truth:
+    """The truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED."""
     with localcontext() as context:
         context.prec = DIGITS
-        if not _jump(scene):
-            return _nothing(scene)
-        sample = _Sample(scene, perturbed)
-        barrier = first = sample.cost() / len(sample.a)
-        steps, holds, before = 0, any(sample.friction), sample.spin
-        while True:
-            last = not holds or barrier < first * TARGET
-            decrement = sample.step(barrier)
-            steps += 1
-            if decrement < (FINAL if last else CLOSE):
-                lower, upper = sample.enclosure(barrier)
-                if last or upper < first * TARGET:
-                    break
-                barrier *= SHRINK
-                here = sample.spin
-                sample.spin = here + SHRINK * (here - before)  # spins are smooth functions of the barrier
-                before = here
-            if steps > MOST_STEPS:
-                raise ArithmeticError(f"no enclosure of {scene} within {steps} steps")
-        if upper < first * NOTHING:
-            return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit)
-        if upper - lower > upper * WANTED:
-            raise ArithmeticError(f"{scene} is enclosed by {lower:.25e} and {upper:.25e}")
-        found = Truth(lower, upper, _states(scene, sample, barrier))
-        return _of_all_minima(found, scene, sample, barrier) if of_all else found
+        return followed(scene, Sample(scene))[0] if jump_of(scene) else _nothing(scene)
+
+
+def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
+    """The end of the central path of a sample of the scene, which is left there, and the barrier at the end."""
+    barrier = first = sample.cost() / len(sample.a)
+    steps, holds, before = 0, any(sample.friction), sample.spin
+    while True:
+        last = not holds or barrier < first * TARGET
+        decrement = sample.step(barrier)
+        steps += 1
+        if decrement < (FINAL if last else CLOSE):
+            lower, upper = sample.enclosure(barrier)
+            if last or upper < first * TARGET:
+                break
+            barrier *= SHRINK
+            here = sample.spin
+            sample.spin = here + SHRINK * (here - before)  # spins are smooth functions of the barrier
+            before = here
+        if steps > MOST_STEPS:
+            raise ArithmeticError(f"no enclosure of {scene} within {steps} steps")
+    if upper < first * NOTHING:
+        return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit), barrier
+    if upper - lower > upper * WANTED:
+        raise ArithmeticError(f"{scene} is enclosed by {lower:.25e} and {upper:.25e}")
+    return Truth(lower, upper, _states(scene, sample, barrier)), barrier
 
 
 def _nothing(scene: Scene) -> Truth:
@@ -248,7 +235,7 @@ def _nothing(scene: Scene) -> Truth:
     return Truth(Decimal(0), Decimal(0), unit=sum(costs, Decimal(0)))
 
 
-def _states(scene: Scene, sample: _Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
+def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
     if not scene.law.holds:
         return ()
     state = [np.full(values.size, UNCLEAR, dtype=np.uint8) for values in scene.coefficients]
@@ -260,105 +247,12 @@ def _states(scene: Scene, sample: _Sample, barrier: Decimal) -> tuple[np.ndarray
     return tuple(part.reshape(scene.lattice.contact_shape(axis)) for axis, part in enumerate(state))
 
 
-def _of_all_minima(truth: Truth, scene: Scene, sample: _Sample, barrier: Decimal) -> Truth:
-    """The same with what every minimum has in common."""
-    slips, length, _, stiffness = sample.forces(barrier)
-    length, room = length[:, 0], 1 - (stiffness * length / sample.a)[:, 0]
-    moves = length > CLEAR
-    size = np.array([own if moving else Decimal(1) for own, moving in zip(length, moves, strict=True)])
-    direction = slips / size[:, None]
-    basis = _freedom(sample, moves, direction)
-    changes = (basis[:, sample.up] - basis[:, sample.low]) * sample.felt  # (k, E, C)
-    along = ((changes * direction).sum(axis=2) / size)[:, moves]
-    either = np.zeros(len(moves), dtype=bool)
-    either[moves] = _can_rest(_orthonormal(along))
-    state = [np.full(part.shape, UNCLEAR, dtype=np.uint8) for part in truth.state]
-    slip, margin = ([value * np.ones(part.shape) for part in truth.state] for value in (0.0, 1.0))
-    for axis in range(scene.lattice.dimension - 1):
-        state[axis][..., 0] = state[axis][..., -1] = DRIVEN
-    speed = Decimal(scene.radius) * _unit(scene)
-    for (axis, number), many, own, left, moving in zip(sample.of, either, length, room, moves, strict=True):
-        state[axis].flat[number] = EITHER if many else SLIPPING if moving else SLIPLESS
-        slip[axis].flat[number], margin[axis].flat[number] = float(own * speed), float(left)
-    return replace(truth, state=tuple(state), slip=tuple(slip), margin=tuple(margin), freedom=len(basis))
-
-
-def _freedom(sample: _Sample, moves: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Basis (k, all spins) of changes that leave contacts at rest and slips along their directions; no driven one."""
-    rows = []
-    for low, up, felt, moving, (*sideways, along) in zip(
-        sample.low, sample.up, sample.felt, moves, direction, strict=True
-    ):
-        parts = np.flatnonzero(felt)
-        weights = [] if moving and len(parts) < 2 else [(-along, *sideways)] if moving else np.eye(len(felt), dtype=int)
-        for weight in weights:
-            row = np.full(len(sample.spin), Decimal(0), dtype=object)
-            for part in parts:
-                row[up[part]] += weight[part]
-                row[low[part]] -= weight[part]
-            rows.append(row[: sample.unknowns])
-    driven = np.full(len(sample.spin) - sample.unknowns, Decimal(0), dtype=object)
-    found = [np.concatenate([vector, driven]) for vector in _null_space(rows, sample.unknowns)]
-    return np.array(found, dtype=object).reshape(len(found), len(sample.spin))
-
-
-def _null_space(rows: list[np.ndarray], width: int) -> list[np.ndarray]:
-    """Vectors x with rows . x = 0, by elimination with complete pivoting of rows whose largest entry is 1."""
-    sizes = [max(abs(row)) for row in rows]
-    left = np.array([row / size for row, size in zip(rows, sizes, strict=True) if size > RANK]).reshape(-1, width)
-    columns, pivots, done = list(range(width)), [], np.empty((0, width), dtype=object)
-    while len(left) and columns:
-        size = np.abs(left[:, columns]).astype(float)
-        r, c = np.unravel_index(size.argmax(), size.shape)
-        if size[r, c] < RANK:
-            break
-        column = columns.pop(int(c))
-        pivot = left[r] / left[r, column]
-        left = np.delete(left, r, axis=0)
-        for part in (left, done):
-            used = np.flatnonzero(part[:, column])
-            part[used] -= np.outer(part[used, column], pivot)
-        done = np.vstack([done, pivot])
-        pivots.append(column)
-    vectors = []
-    for column in columns:
-        vector = np.full(width, Decimal(0), dtype=object)
-        vector[column], vector[pivots] = Decimal(1), -done[:, column]
-        vectors.append(vector)
-    return vectors
-
-
-def _orthonormal(vectors: np.ndarray) -> np.ndarray:
-    """The same space (k, E), vectors of length 1 at right angles, in doubles; those of no length are left out."""
-    kept: list[np.ndarray] = []
-    for vector in vectors:
-        for other in kept * 2:
-            vector = vector - (other @ vector) * other
-        size = (vector @ vector).sqrt() if len(vector) else Decimal(0)
-        if size > RANK:
-            kept.append(vector / size)
-    return np.array(kept, dtype=float).reshape(len(kept), vectors.shape[1])
-
-
-def _can_rest(changes: np.ndarray) -> np.ndarray:
-    """Which slips, 1 + changes.T @ y >= 0 in units of those in the middle, (E,), are 0 at some minimum."""
-    from scipy.optimize import linprog
-
-    rows, found = changes.T, np.zeros(changes.shape[1], dtype=bool)
-    for number in np.flatnonzero(np.abs(rows).max(axis=1, initial=0.0) >= MOVED):
-        lowest = linprog(rows[number], A_ub=-rows, b_ub=np.ones(len(rows)), bounds=(None, None), method="highs")
-        if lowest.status not in (0, 3):
-            raise ArithmeticError(f"no linear programme tells whether contact {number} rests: {lowest.message}")
-        found[number] = lowest.fun < -1 + NEVER
-    return found
-
-
 def layered(scene: Scene) -> Truth:
     """The truth of a sample of any size whose contacts along the height are alike in each layer."""
     with localcontext() as context:
         context.prec = DIGITS
         columns = int(np.prod(scene.lattice.shape[:-1]))
-        squares = sum((part * part for part in _jump(scene).values()), np.full(1, Decimal(0), dtype=object))
+        squares = sum((part * part for part in jump_of(scene).values()), np.full(1, Decimal(0), dtype=object))
         across = np.broadcast_to(np.sqrt(squares), columns)
         if len(set(across.tolist())) > 1 and len(scene.law.quantities) > 1:
             raise ValueError("columns with unlike jumps are not apart where contacts have friction and viscosity")

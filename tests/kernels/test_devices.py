@@ -14,7 +14,7 @@ from taichi_bearings.fields import Fields, fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
-from tests.benchmarks.device_table import course
+from tests.kernels.courses import course
 from tests.scenes import make_scene
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ def on_the_cpu(precision):
     """The courses on the CPU in double precision, by a process of their own."""
     if precision == "f64" and not runtime.current().is_gpu:
         pytest.skip("the CPU in double precision is what others are compared with")
-    code = f"import json; from tests.benchmarks.device_table import courses; print(json.dumps(courses({COURSES!r})))"
+    code = f"import json; from tests.kernels.courses import courses; print(json.dumps(courses({COURSES!r})))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=300)
     assert done.returncode == 0, done.stderr
     return dict(zip(COURSES, json.loads(done.stdout), strict=True))

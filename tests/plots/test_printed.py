@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
-from taichi_bearings_studies.plots.accuracy import Curve as MethodCurve
-from taichi_bearings_studies.plots.accuracy import Panel, draw_accuracy
+from taichi_bearings_studies.plots.accuracy import draw_accuracy
 from taichi_bearings_studies.plots.configurations import draw_configurations
 from taichi_bearings_studies.plots.relaxation import Relaxation, draw_relaxation
 from taichi_bearings_studies.plots.sizes import THRESHOLDS, Column, draw_sizes
@@ -219,8 +218,9 @@ def draw_study():
 
 
 def draw_benchmark():
-    curves = [MethodCurve(method, method, T, T**2, T**3) for method in METHODS]
-    return draw_accuracy([Panel(f"10x10x10 Coulomb {number}", 1e-13, curves) for number in range(2)])
+    curve = {"seconds": T, "error": T**2, "gap": T**3, "reference_gap": 1e-13}
+    curves = [curve | {"method": method, "what": method} for method in METHODS]
+    return draw_accuracy([(f"10x10x10 Coulomb {number}", curves) for number in range(2)])
 
 
 @pytest.mark.parametrize("draw", [draw_fig1, draw_fig2, draw_study, draw_benchmark])

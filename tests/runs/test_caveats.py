@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.stress.truth import SLIPPING, least
+from taichi_bearings_studies.stress.truth import SLIPPING
 
 import taichi_bearings as tb
 from taichi_bearings.proof.contact_state import ContactState
@@ -16,6 +16,7 @@ from taichi_bearings.runtime import Runtime
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scene import Status
+from tests.stress.minima import least_of_all
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 
@@ -88,7 +89,7 @@ def test_undecided_contacts_are_counted(solved):
 def test_what_rounding_makes_of_slips_is_not_named(solved, settings):
     """Weak contacts bend strong ones by less than doubles hold: 2 and 7 contacts seem to slip and do not at all."""
     found = solved(method="interior-point", tolerance=1e-10, **settings)
-    true, state = least(found.solution.scene, of_all=True), found.solution.state[0]
+    true, state = least_of_all(found.solution.scene), found.solution.state[0]
     slips = found.solution.scene.lattice.flat(true.state) == SLIPPING
     assert not ((state == ContactState.SLIPPING) & ~slips).any()
     assert not found.solution.states_proven.any()

@@ -16,6 +16,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
 from tests.scenes import make_scene
+from tests.stress.minima import least_of_all
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
 solve = partial(tb.solve, threads=1)
@@ -32,7 +33,7 @@ STATES = [
 @pytest.mark.parametrize("states", STATES, ids=str)
 def test_bounds_and_states_are_those_of_140_digits(states, distribution):
     scene = Scene.random((3, 3, 4), seed=23, distribution=distribution, **states)
-    best, exact = solve(scene, tolerance=1e-12), truth.least(scene, of_all=True)
+    best, exact = solve(scene, tolerance=1e-12), least_of_all(scene)
     assert best.lower_bound <= float(exact.lower) * (1 + 1e-15)
     assert best.power >= float(exact.upper) * (1 - 1e-15)
     assert best.gap < 1e-12

@@ -5,11 +5,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.stress.truth import DIGITS, DRIVEN, EITHER, SLIPLESS, SLIPPING, least
+from taichi_bearings_studies.stress.truth import DIGITS, SLIPLESS, SLIPPING, least
 
 import taichi_bearings as tb
 from tests.cuts import all_cuts
 from tests.scenes import minima, name_of, scene_of
+from tests.stress.minima import DRIVEN, EITHER, least_of_all
 
 
 def draw(shape, seed, values=None):
@@ -20,7 +21,7 @@ def draw(shape, seed, values=None):
 
 def solve(coefficient, perturbed=None, **options):
     scene = tb.Scene(tuple(coefficient), **({"normal_force": 1.0, "radius": 1.0} | options))
-    return least(scene, of_all=True, perturbed=perturbed)
+    return least_of_all(scene, perturbed)
 
 
 def agrees(truth, expected, digits=50):
@@ -116,7 +117,7 @@ def test_a_single_minimum_hardly_feels_a_perturbation(driving, decades):
 @pytest.mark.parametrize("entry", minima((3, 3, 3)), ids=name_of)
 def test_stored_minima_of_another_solver_are_met(entry):
     scene = scene_of(entry)
-    truth = least(scene, of_all=True)
+    truth = least_of_all(scene)
     assert float(truth.upper) == pytest.approx(entry["power_minimum"], rel=1e-14)
     slipping = np.concatenate([slip[state == SLIPPING] for slip, state in zip(truth.slip, truth.state, strict=True)])
     assert len(slipping) == entry["slipping"]

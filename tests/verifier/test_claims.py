@@ -16,6 +16,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from tests.stress.minima import least_of_all
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 ROUNDING = 4 * np.finfo(float).eps
@@ -94,7 +95,7 @@ def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():
     z[0, 0, 0, 1] += 1e-3
     scene = Scene((x, y, z))
     solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-8))
-    exact = truth.least(scene, of_all=True)
+    exact = least_of_all(scene)
     assert_true(solution, exact, 1e-8)
     if solution.states_proven[0]:
         np.testing.assert_array_equal(solution.state[0] == 1, scene.lattice.flat(exact.state) == truth.SLIPPING)

@@ -17,6 +17,7 @@ from taichi_bearings.verifier.curvature import Slipping
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
 from tests.scenes import make_scene
+from tests.stress.minima import DRIVEN, least_of_all
 from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -60,10 +61,10 @@ def minimum(shape, options, method):
 def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     solution = minimum(shape, options, method)
     scene, states = solution.scene, Judgement(samples_of(solution)).states[0]
-    exact = truth.least(scene, of_all=True)
+    exact = least_of_all(scene)
     for proven, found in zip(states.proven, exact.state, strict=True):
         assert (found[proven == SLIPPING] == truth.SLIPPING).all()
-        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, truth.DRIVEN)).all()
+        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, DRIVEN)).all()
     everything = all((p != UNPROVEN).all() for p in states.proven)
     assert everything == wanted if wanted is not None else True
     assert states.unique is (True if everything else None)
@@ -170,9 +171,9 @@ def test_friction_that_proves_no_bound_proves_no_states():
     assert states.unique is None
     for proven in states.proven:
         assert (proven[..., :] == UNPROVEN).sum() + (proven == SLIPLESS).sum() == proven.size
-    exact = truth.least(Scene(samples.coefficient, normal_force=1.0), of_all=True)
+    exact = least_of_all(Scene(samples.coefficient, normal_force=1.0))
     for proven, found in zip(states.proven, exact.state, strict=True):
-        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, truth.DRIVEN)).all()
+        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, DRIVEN)).all()
 
 
 def test_a_driven_plane_turns_as_one_whatever_the_file_says_of_its_spheres():

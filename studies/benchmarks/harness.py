@@ -1,0 +1,198 @@
+"""One harness for all benchmarks: what is compared is warmed up and timed in turns, several times; the median counts.
+
+A drift of the machine meets all alike that way. Wall time says what a user waits for, processor time what is left of it
+where other programs share the machine. What was measured is a row, a dictionary of plain values; a list has one value
+a checkpoint of a run. Measurements go on in processes of their own: the compiler's runtime is one a process.
+"""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+import numpy as np
+
+from taichi_bearings.errors import BearingsError
+from taichi_bearings.interrupts import unheard_by_children
+from taichi_bearings.stages import each, stage
+
+T = TypeVar("T")
+Row = dict[str, Any]
+Found = Iterator[Row | str]  # a text says what is left out, and why
+Cells = Mapping[str, Callable[[Row], str]]  # of a table, by the titles of its columns
+LONGEST = 2**20  # repetitions in one call
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds of one of many, (rounds,) in their order: the wall's, and the processor's of all threads if known."""
+
+    wall: np.ndarray
+    processor: np.ndarray | None = None
+
+    @property
+    def seconds(self) -> float:
+        return float(np.median(self.wall))
+
+    def alone(self, threads: int) -> "Times":
+        """As if no other program were on the machine: the processor's time of what has one thread."""
+        return self if threads > 1 or self.processor is None else Times(self.processor)
+
+    @property
+    def row(self) -> Row:
+        known = {} if self.processor is None else {"seconds_processor": float(np.median(self.processor))}
+        ends = {"quickest": float(self.wall.min()), "slowest": float(self.wall.max())}
+        return {"seconds": self.seconds, **ends, **known, "rounds": len(self.wall)}
+
+    def over(self, other: "Times") -> float:
+        """How many times as long as the other, the median of the rounds."""
+        return float(np.median(self.wall / other.wall))
+
+
+def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, list[T]]:
+    """What each call, which hears the number of the round, gives in every round, in turns with the others."""
+    found: dict[str, list[T]] = {}
+    for turn in range(rounds):
+        for name, call in calls.items():
+            found.setdefault(name, []).append(call(turn))
+    return found
+
+
+def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds: float) -> dict[str, Times]:
+    """Time each call, which repeats something a number of times, `rounds` times in turns with the others.
+
+    slice_seconds : what one call should take about, unless a single repetition takes longer.
+    """
+    clocked = {name: partial(_clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
+    return {name: Times(*np.array(pairs).T) for name, pairs in in_turns(clocked, rounds).items()}
+
+
+def _clocked(call: Callable[[int], None], number: int, _: int = 0) -> tuple[float, float]:
+    """Wall and processor time of one of so many repetitions."""
+    began, at = time.perf_counter(), time.process_time()
+    call(number)
+    return (time.perf_counter() - began) / number, (time.process_time() - at) / number
+
+
+def _enough(call: Callable[[int], None], seconds: float) -> int:
+    """Repetitions that take about so long; finding out warms up. A single time could be that of another program."""
+    call(2)
+    number = 2
+    while number < LONGEST:
+        took = number * min(_clocked(call, number)[0] for _ in range(3))
+        if took > seconds / 4:
+            return max(1, int(number * seconds / took))
+        number *= 4
+    return number
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is measured.
+
+    shapes, precisions, slice_seconds : of the kernels, and about how long a call that is timed takes. scenes : (shape,
+    law) that every method solves, each for at most `seconds`. scanned : lattice -> samples of a round. moved : lattices
+    of the dynamics; `steps` of each code in each round. methods, peers : which methods, and whether conic solvers too.
+    """
+
+    shapes: tuple[tuple[int, ...], ...]
+    scenes: tuple[tuple[tuple[int, ...], str], ...]
+    scanned: Mapping[tuple[int, ...], int]
+    moved: tuple[tuple[int, ...], ...]
+    rounds: int
+    seconds: float
+    slice_seconds: float
+    precisions: tuple[str, ...] = ("f64",)
+    steps: int = 50
+    seed: int = 0
+    methods: tuple[str, ...] = ()
+    peers: bool = True
+    threads: tuple[int, ...] = (1,)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One thing that is measured: a row of the table of benchmarks.
+
+    title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows. cells : of its table.
+    missing : peers that are not here -> how to install them. together : what rows say only when they are all there.
+    faults : sentences on rows that contradict each other. figure : of the rows.
+    """
+
+    title: str
+    tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Found]]]]
+    cells: Cells
+    missing: Callable[[], dict[str, str]] = dict
+    together: Callable[[list[Row]], list[Row]] = lambda rows: rows
+    faults: Callable[[list[Row]], list[str]] = lambda rows: []
+    figure: Callable[[list[Row]], Any] | None = None
+
+
+@dataclass
+class Report:
+    """What was measured, by the name of the benchmark. notes : what was left out and why. missing : peer -> why."""
+
+    rows: dict[str, list[Row]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+    interrupted: bool = False
+
+
+def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
+    """All that is asked for; Ctrl-C ends it and keeps what was measured until then."""
+    report = Report(missing={name: why for one in chosen.values() for name, why in one.missing().items()})
+    tasks = [(name, words, rows) for name, one in chosen.items() for words, rows in one.tasks(plan)]
+    try:
+        for name, words, rows in each(tasks, "measuring, part"):
+            with stage(f"{name} {words}"):
+                try:
+                    for found in rows():
+                        _take(report, name, found)
+                except BearingsError as error:
+                    _take(report, name, f"{name} {words} left out: {error}")
+    except KeyboardInterrupt:
+        report.interrupted = True
+    for name, found_rows in report.rows.items():
+        report.rows[name] = chosen[name].together(found_rows)
+        report.faults += chosen[name].faults(report.rows[name])
+    return report
+
+
+def _take(report: Report, name: str, found: Row | str) -> None:
+    if isinstance(found, str):
+        report.notes += [] if found in report.notes else [found]
+    else:
+        report.rows.setdefault(name, []).append(found)
+
+
+def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
+    """What `find` yields in a process of its own, as it comes."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    with unheard_by_children():
+        process = context.Process(target=_serve, args=(theirs, find, arguments))
+        process.start()
+    theirs.close()
+    try:
+        while (found := ours.recv()) is not None:
+            if isinstance(found, BearingsError):
+                raise found
+            yield found
+    except EOFError:
+        raise BearingsError("the process that measured ended without a result") from None
+    finally:
+        process.kill()
+
+
+def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any]) -> None:
+    """In that process."""
+    try:
+        for found in find(*arguments):
+            pipe.send(found)
+    except BearingsError as error:
+        pipe.send(error)
+    pipe.send(None)

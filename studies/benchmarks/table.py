@@ -1,0 +1,182 @@
+"""The table of benchmarks, what commands measure, and how much."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from typing import Any
+
+from taichi_bearings import runtime
+from taichi_bearings.errors import InputError
+from taichi_bearings.options import chosen
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.solvers import METHODS
+
+from ..plots.accuracy import draw_accuracy
+from ..plots.throughput import draw_throughput
+from ..report import duration, scaled, short
+from . import dynamics, kernels, methods, scans
+from .baselines import find_compiler
+from .harness import Benchmark, Cells, Found, Plan, Row, elsewhere
+from .peers import find_peers
+
+SMALL = (((32, 32), "coulomb"), ((8, 8, 8), "coulomb"), ((32, 32), "viscous"))
+SCENES = (
+    ((10, 10), "coulomb"), ((32, 32), "coulomb"), ((10, 10, 10), "coulomb"), ((16, 16, 16), "coulomb"),
+    ((32, 32), "viscous"), ((10, 10, 10), "viscous"),
+)  # fmt: skip
+LARGE = (((256, 256), "coulomb"), ((24, 24, 24), "coulomb"), ((32, 32, 32), "coulomb"), ((32, 32, 32), "viscous"))
+QUICK = Plan(
+    shapes=((8, 8, 8), (16, 16, 16), (32, 32, 32), (32, 32), (256, 256)), scenes=SMALL, scanned={(10, 10, 10): 24},
+    moved=((16, 16, 16),), rounds=3, seconds=1.0, slice_seconds=0.01,
+)  # fmt: skip
+USUAL = Plan(
+    shapes=(*((n, n, n) for n in (8, 16, 32, 64)), *((n, n) for n in (32, 128, 512, 1024))), scenes=SCENES,
+    scanned={(10, 10, 10): 96, (16, 16, 16): 32}, moved=((32, 32, 32),), rounds=5, seconds=10.0, slice_seconds=0.02,
+    precisions=("f64", "f32"),
+)  # fmt: skip
+FULL = Plan(
+    shapes=(*((n, n, n) for n in (8, 12, 16, 24, 32, 48, 64, 96, 128)), *((2**k, 2**k) for k in range(5, 13))),
+    scenes=(*SCENES, *LARGE), scanned={(10, 10, 10): 192, (16, 16, 16): 96}, moved=((32, 32, 32),), rounds=7,
+    seconds=60.0, slice_seconds=0.05, precisions=("f64", "f32"), steps=100,
+)  # fmt: skip
+PLANS = {"quick": QUICK, "usual": USUAL, "full": FULL}
+
+
+def _kernels(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    for precision, threads in product(plan.precisions, plan.threads):
+        yield f"{precision}, threads {threads}", partial(elsewhere, kernels.measure, plan, precision, threads)
+
+
+def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    for shape, law in plan.scenes:
+        settings = RunSettings(shape=shape, law=law, seed=plan.seed, time_limit=plan.seconds, threads=max(plan.threads))
+        what = (methods.measure, settings, plan.methods, plan.peers, plan.rounds)
+        yield f"of {'x'.join(map(str, shape))} {law}", partial(elsewhere, *what)
+
+
+def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    workers = min(2, runtime.available_threads())
+    for shape, samples in plan.scanned.items():
+        yield f"of {'x'.join(map(str, shape))}", partial(scans.measure, shape, samples, min(3, plan.rounds), workers)
+
+
+def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    for shape in plan.moved:
+        yield f"of {'x'.join(map(str, shape))}", partial(elsewhere, dynamics.measure, shape, plan.rounds, plan.steps)
+
+
+LATTICE: Cells = {"": lambda row: row["what"], "lattice": lambda row: "x".join(map(str, row["shape"]))}
+COMPONENTS: Cells = {"components": lambda row: str(row["components"])}
+THREADS: Cells = {"threads": lambda row: str(row["threads"])}
+TIMES: Cells = {
+    "time": lambda row: duration(row["seconds"]),
+    "spread": lambda row: f"{duration(row['quickest'])} – {duration(row['slowest'])}",
+}
+CONTACTS: Cells = {"contacts/s": lambda row: scaled(row["contact_updates"])}
+SLOWER: Cells = {"this program is": lambda row: f"{short(row['ratio'])} times as fast" if "ratio" in row else ""}
+TIMES_TO: Cells = {
+    f"{target:.0e}": lambda row, key=f"{target:.0e}": duration(row["seconds_to"][key])  # type: ignore[misc]
+    for target in methods.TARGETS
+}
+
+
+def _beside(row: Row, key: str, words: Callable[[float], str]) -> str:
+    return words(row[key]) if key in row else ""
+
+
+BENCHMARKS = {
+    "kernels": Benchmark(
+        "Sweeps, steps and iterations beside NumPy and plain C",
+        _kernels,
+        {
+            **LATTICE, **COMPONENTS, "precision": lambda row: row["precision"], **THREADS, **TIMES,
+            "processor": lambda row: duration(row["seconds_processor"]), **CONTACTS,
+            "compile": lambda row: _beside(row, "seconds_compile", duration),
+            "sweep is": SLOWER["this program is"],
+        },
+        missing=lambda: {} if find_compiler() else {"C sweep": "no C compiler was found; apt install gcc, or set CC"},
+        figure=draw_throughput,
+    ),
+    "methods": Benchmark(
+        "Run time against error: time to prove each relative gap, beside conic solvers",
+        _methods,
+        {
+            **LATTICE, "law": lambda row: row["law"], **TIMES_TO, "proven": lambda row: f"{row['proven_gap']:.1e}",
+            "error <=": lambda row: f"{row['true_error']:.1e}", "known to": lambda row: f"{row['reference_gap']:.1e}",
+            "after": lambda row: duration(row["after"]), "ended": lambda row: row["status"],
+            "iterations": lambda row: str(row["iterations"][-1]),
+            "compile": lambda row: _beside(row, "seconds_compile", duration),
+        },
+        missing=lambda: find_peers()[1],
+        together=methods.judged,
+        faults=methods.contradictions,
+        figure=lambda rows: draw_accuracy(list(methods.shown(rows))),
+    ),
+    "scans": Benchmark(
+        "Samples a second, beside conic solvers",
+        _scans,
+        {
+            **LATTICE, "workers": lambda row: str(row["threads"]),
+            "samples/s": lambda row: f"{1 / row['seconds']:.3g}", "a sample": TIMES["time"],
+            "spread": TIMES["spread"], "proven": lambda row: _beside(row, "proven", "{:.0%}".format), **SLOWER,
+        },
+        missing=scans.missing,
+    ),
+    "dynamics": Benchmark(
+        "Time steps on one processor, beside LAMMPS and YADE",
+        _dynamics,
+        {**LATTICE, **COMPONENTS, **TIMES, **CONTACTS, **SLOWER},
+        missing=dynamics.missing,
+    ),
+}  # fmt: skip
+
+
+def planned(
+    budget: str | None,
+    shape: Sequence[str] = (),
+    law: Sequence[str] = (),
+    threads: str | None = None,
+    precision: str | None = None,
+    **of_methods: Any,
+) -> Plan:
+    """A plan with these lattices in every part, if there are any, and these laws; InputError for bad ones.
+
+    of_methods : seed, methods, peers and time_limit, of run time against error.
+    """
+    plan = PLANS[budget or "usual"]
+    if precision is not None:
+        plan = replace(plan, precisions=(RunSettings(precision=precision).precision,))
+    laws = [RunSettings(law=name).law for name in law]
+    scenes = tuple(scene for scene in plan.scenes if scene[1] in (laws or ("coulomb", "viscous")))
+    if shape:
+        found = tuple(RunSettings(shape=text).shape for text in shape)
+        scenes = tuple((one, name) for name in laws or ("coulomb",) for one in found)
+        scanned = {one: plan.scanned.get(one, min(plan.scanned.values())) for one in found}
+        plan = replace(plan, shapes=found, scanned=scanned, moved=tuple(one for one in found if len(one) == 3))
+    settings = RunSettings(**{key: of_methods[key] for key in ("seed", "time_limit") if of_methods.get(key)})
+    return replace(
+        plan,
+        scenes=scenes,
+        seed=settings.seed,
+        seconds=settings.time_limit or plan.seconds,
+        methods=chosen("methods", of_methods.get("methods"), METHODS),
+        peers=bool(of_methods.get("peers", True)),
+        threads=chosen_threads(threads, budget == "full"),
+    )
+
+
+def chosen_threads(text: str | None, full: bool) -> tuple[int, ...]:
+    """Thread counts, separated by commas; for None one and all, and those in between in doubles if there is time.
+
+    InputError for others than this process may use.
+    """
+    most = runtime.available_threads()
+    between = {2**k for k in range(most.bit_length())} if full else set()
+    try:
+        counts = {int(word) for word in text.split(",")} if text is not None else {1, most} | between
+    except ValueError:
+        raise InputError(f"threads is {text!r}; it must be whole numbers such as 1,2") from None
+    if not all(1 <= number <= most for number in counts):
+        raise InputError(f"threads is {text!r}; this process may use 1 to {most}")
+    return tuple(sorted(counts))

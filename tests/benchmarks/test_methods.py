@@ -1,0 +1,121 @@
+"""Run time against error: what it claims is true of the exact minima, and it says so in every form."""
+
+import csv
+
+import numpy as np
+import pytest
+from taichi_bearings_studies.benchmarks.harness import Report
+from taichi_bearings_studies.benchmarks.methods import contradictions, judged, measure, shown
+from taichi_bearings_studies.benchmarks.report import text, write
+from taichi_bearings_studies.benchmarks.table import BENCHMARKS
+from taichi_bearings_studies.plots.accuracy import PEERS, draw_accuracy, look_of
+from taichi_bearings_studies.report import Files
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.solvers import METHODS, PlanarCut
+from tests.scenes import minima
+
+FIRST_TWO = ("gradient-descent", "cundall-strack")
+
+
+@pytest.fixture(scope="module")
+def rows(needs_f64):
+    found = []
+    for shape, law in (((3, 3, 3), "coulomb"), ((5, 4), "viscous")):
+        settings = RunSettings(shape=shape, law=law, threads=1, time_limit=0.3)
+        found += measure(settings, FIRST_TWO, with_peers=shape == (3, 3, 3), rounds=2)
+    return judged(found)
+
+
+def made_up(method, seconds, power, bound, what=""):
+    columns = {"seconds": seconds, "power": power, "lower_bound": bound, "iterations": [1] * len(seconds)}
+    about = {"shape": (3, 4), "law": "coulomb", "seed": 0, "status": "done"}
+    return about | {"method": method, "what": what or method, "setting": ["default"] * len(seconds)} | columns
+
+
+def test_errors_are_upper_bounds_and_gaps_are_proven(rows):
+    exact = next(e["power_minimum"] for e in minima((3, 3, 3)) if e["seed"] == 0)
+    assert contradictions(rows) == []
+    assert [row["what"] for row in rows[:2]] == [row["what"] for row in rows[-2:]] == list(FIRST_TWO)
+    for row in rows:
+        power, bound, error = (np.array(row[name]) for name in ("power", "lower_bound", "error"))
+        assert (error >= row["reference_gap"]).all()
+        assert (error <= np.array(row["gap"]) + 1e-15).all()
+        assert row["gap"] == pytest.approx((power - bound) / power, abs=1e-12)
+        assert min(row["seconds"]) > 0
+        if row["shape"] == (3, 3, 3):
+            assert max(bound) <= exact <= min(power)
+            assert (error >= (power - exact) / power - 1e-15).all()
+
+
+def test_the_error_never_falls_below_what_the_reference_leaves_open():
+    first, second = judged([made_up("a", [1, 2], [20.0, 11.0], [5.0, 9.0]), made_up("b", [1], [10.0], [9.5])])
+    assert first["reference_gap"] == second["reference_gap"] == pytest.approx(0.05)
+    assert first["error"] == pytest.approx([10.5 / 20, 1.5 / 11])
+    assert second["error"] == pytest.approx([0.05])
+    assert first["gap"] == pytest.approx([0.75, 2 / 11])
+    assert first["seconds_to"] == dict.fromkeys(("1e-02", "1e-04", "1e-06", "1e-08", "1e-10"))
+    (exact,) = judged([made_up("a", [1.0], [10.0], [10.0])])
+    assert exact["reference_gap"] == exact["gap"][0] == np.finfo(float).eps  # round-off and not zero
+    assert exact["seconds_to"]["1e-10"] == 1.0
+
+
+def test_a_bound_above_a_power_is_a_contradiction():
+    (line,) = contradictions([made_up("a", [1.0], [10.0], [9.0]), made_up("b", [1.0], [12.0], [11.0])])
+    assert line == "3x4 coulomb: b proves 11.0, a has 10.0"
+
+
+def test_a_method_that_cannot_solve_a_scene_is_left_out_with_its_reason(monkeypatch, needs_f64):
+    class OnlyDiscs(PlanarCut):
+        name = "only-discs"
+
+        @classmethod
+        def refusal(cls, scene):
+            return "method is 'only-discs'; it needs two dimensions"
+
+    monkeypatch.setitem(METHODS, "only-discs", OnlyDiscs)
+    settings = RunSettings(shape=(3, 3, 3), threads=1, time_limit=0.1)
+    found = measure(settings, ["only-discs"], with_peers=False, rounds=1)
+    assert next(found) == "3x3x3 coulomb: only-discs is left out: method is 'only-discs'; it needs two dimensions"
+    with pytest.raises(InputError, match="nothing can solve 3x3x3 coulomb"):
+        next(found)
+
+
+def test_files_hold_every_checkpoint(rows, tmp_path):
+    chosen, report = {"methods": BENCHMARKS["methods"]}, Report({"methods": rows})
+    here = {"processor": "some", "threads": "1", "load": None}
+    stored, figure = write(Files(tmp_path, []), chosen, report, here)[1:]
+    lines = [line for line in stored.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    found = list(csv.DictReader(lines))
+    assert len(found) == sum(len(row["seconds"]) for row in rows)
+    assert [float(line["error"]) for line in found] == [value for row in rows for value in row["error"]]
+    assert {line["shape"] for line in found} == {"3x3x3", "5x4"}
+    assert figure.read_bytes()[:4] == b"\x89PNG"
+    assert f"| {FIRST_TWO[0]} " in text(chosen, report, here)
+
+
+def test_the_figure_shows_the_fastest_linear_solver_and_its_progress_only():
+    slow = made_up("clarabel", [2.0, 4.0, 3.0], [11.0, 10.001, 10.5], [9.0, 10.0, 9.9], "clarabel (qdldl)")
+    quick = made_up("clarabel", [1.0, 9.0, 2.0], [11.0, 10.5, 10.001], [9.0, 9.0, 10.0], "clarabel (faer)")
+    loose = made_up("clarabel", [0.1], [11.0], [9.0], "clarabel (mkl)")
+    ((title, (curve,)),) = shown(judged([slow, quick, loose]))
+    assert (title, curve["what"]) == ("3x4 coulomb", "clarabel (faer)")
+    assert curve["seconds"] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("scenes", [1, 3, 4])
+def test_every_scene_has_two_panels(scenes):
+    x = np.geomspace(1e-3, 1, 50)
+    curve = {"seconds": x, "error": 1e-3 / x, "gap": 1e-2 / x, "reference_gap": 1e-9}
+    curves = [curve | {"method": name, "what": name} for name in ("gradient-descent", "clarabel")]
+    figure = draw_accuracy([(f"scene {n}", curves) for n in range(scenes)])
+    panels = [axes for axes in figure.get_axes() if axes.axison]
+    assert len(panels) == 2 * scenes
+    assert all(axes.get_xscale() == axes.get_yscale() == "log" for axes in panels)
+    figure.canvas.draw()
+
+
+def test_every_method_has_a_look_of_its_own():
+    looks = [(look_of(name)["color"], look_of(name)["marker"]) for name in (*METHODS, *PEERS)]
+    assert len(set(looks)) == len(looks)

@@ -1,0 +1,70 @@
+"""`bearings benchmark` as scripts use it."""
+
+import json
+
+import pytest
+
+from tests.cli.commands import bearings
+
+KERNELS = [
+    ("sweep", 2), ("sweep with momentum", 2), ("Cundall-Strack step", 2), ("Cundall-Strack step", 3),
+    ("splitting iteration", 2),
+]  # fmt: skip
+
+
+def test_throughput_is_one_object_and_the_files_are_there(tmp_path):
+    tiny = ("--quick", "--shape", "4,5,6", "--threads", "1", "--precision", "f64", "--out", tmp_path / "a")
+    done = bearings("benchmark", "throughput", *tiny, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    ours = [(row["what"], row["components"]) for row in report["kernels"] if "ratio" not in row]
+    assert ours == KERNELS
+    for row in report["kernels"]:
+        assert row["contact_updates"] * row["seconds_processor"] == pytest.approx(224)  # 3 5 4 + 4 4 4 + 4 5 5
+        assert row["quickest"] <= row["seconds"] <= row["slowest"]
+    assert {row["what"] for row in report["kernels"] if row.get("ratio", 0) > 0} >= {"NumPy sweep"}
+    assert report["files"] == [str(tmp_path / "a" / name) for name in ("report.md", "kernels.csv", "kernels.png")]
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["kernels.csv", "kernels.png", "report.md"]
+    again = bearings("benchmark", "speed", "--out", tmp_path / "a")
+    assert again.returncode == 2
+    assert "already exists" in again.stderr
+
+
+def test_the_table_of_accuracy_is_printed(tmp_path):
+    tiny = ("--shape", "3,4", "--time-limit", "0.2", "--threads", "1", "--law", "coulomb", "--law", "viscous")
+    done = bearings("benchmark", "accuracy", *tiny, "--methods", "gradient-descent", "--no-peers", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("| gradient-descent |") == 2
+    assert "cundall-strack" not in done.stdout
+    assert (tmp_path / "report.md").read_text(encoding="utf-8").strip() in done.stdout
+
+
+BAD = {
+    "shape": (("speed", "--shape", "3"), "two or three whole numbers"),
+    "threads": (("throughput", "--threads", "0"), "this process may use 1 to"),
+    "precision": (("throughput", "--precision", "f16"), "f64, f32"),
+    "parts": (("speed", "--parts", "magic"), "'magic' is none of"),
+    "law": (("accuracy", "--law", "dry"), "one of coulomb, viscous"),
+    "seed": (("accuracy", "--seed", "-1"), "0 or more"),
+    "methods": (("peers", "--methods", "magic"), "'magic' is none of"),
+    "time limit": (("accuracy", "--time-limit", "0"), "a positive number"),
+    "time limit that is no number": (("accuracy", "--time-limit", "soon"), "a positive number"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path):
+    words, expected = BAD[name]
+    done = bearings("benchmark", *words, "--out", tmp_path / "a", cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert expected in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_all_four_words_are_there():
+    done = bearings("benchmark", "--help")
+    for word in ("accuracy", "throughput", "speed", "peers"):
+        assert f"  {word} " in done.stdout
+        assert "bearings benchmark" in bearings("benchmark", word, "--help").stdout
