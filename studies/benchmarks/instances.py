@@ -1,0 +1,94 @@
+"""Thirty problems for other solvers, 6^3 to 64^3, with their optima proven as closely as doubles allow.
+
+    python -m taichi_bearings_studies.benchmarks.instances FOLDER --most 10 --peers 10
+
+writes NAME.cbf and NAME.hdf5 (fclib) up to 10^3, and table.csv: bounds on the optimum, how near they are, how many
+contact states are not proven, our time, and what Clarabel and SCS find at 1e-8, where they are installed, and in which
+time. An instance that the table has is left alone, so that large ones can follow another day.
+"""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.api import solve
+from taichi_bearings.export.problems import lattice_as_packing, write_problem
+from taichi_bearings.files.whole_file import make_folder, write_csv
+from taichi_bearings.scene import Scene
+
+from ..report import markdown
+from .conic import conic_programme
+from .peers import find_peers
+
+SIDES = (6, 8, 10, 16, 32, 64)
+KINDS: dict[str, dict[str, Any]] = {
+    "uniform": {},
+    "closed": {"periodic": ("x", "y"), "spin_bottom": 0.1},  # no side walls
+    "contrast": {"distribution": "power-law:1e-6,1,-1"},  # six decades of friction
+    "bimodal": {"distribution": "bimodal:0.1,1,0.5"},  # many ties
+    "equal": {"distribution": "constant:0.5"},  # whole layers tie
+}
+CLOSEST, ASKED_OF_PEERS, LONGEST = 1e-14, 1e-8, 3600.0  # relative gaps; seconds
+COLUMNS = ("name", "unknowns", "contacts", "power", "lower_bound", "gap", "unproven", "seconds", "processor")
+
+
+def instances() -> dict[str, Scene]:
+    """By name; the side is the seed, so that no two share their friction."""
+    return {
+        f"{kind}-{side}": Scene.random((side, side, side), seed=side, **options)
+        for side in SIDES
+        for kind, options in KINDS.items()
+    }
+
+
+def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
+    """Write the files of an instance; its row. peers : largest side that they are asked for."""
+    packing = lattice_as_packing(scene)
+    write_problem(packing, "fclib", folder / f"{name}.hdf5")
+    told = write_problem(packing, "cbf", folder / f"{name}.cbf")
+    began, used = time.perf_counter(), time.process_time()
+    found = solve(scene, tolerance=CLOSEST, time_limit=LONGEST, threads=1)
+    row = {
+        "name": name,
+        **{key: told[key] for key in ("unknowns", "contacts")},
+        **{key: getattr(found, key) for key in ("power", "lower_bound", "gap")},
+        "unproven": found.summary["unproven"],
+        "seconds": round(time.perf_counter() - began, 3),
+        "processor": round(time.process_time() - used, 3),
+    }
+    if scene.lattice.shape[0] <= peers:
+        programme = conic_programme(scene)
+        for peer in find_peers()[0]:
+            if peer.name != "moreau":
+                answer = peer.solve(programme, ASKED_OF_PEERS, LONGEST, threads=1)
+                title = f"{peer.name} {peer.linear_solver}"
+                row |= {title: answer.power, f"{title} seconds": round(answer.seconds, 3)}
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--most", type=int, default=max(SIDES), help="largest side that is made")
+    parser.add_argument("--peers", type=int, default=16, help="largest side that Clarabel and SCS are asked for")
+    asked = parser.parse_args()
+    make_folder(asked.folder)
+    table = asked.folder / "table.csv"
+    rows: list[dict[str, Any]] = []
+    if table.exists():
+        with table.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    solve(Scene.random((3, 3, 3)), threads=1)  # what is compiled first counts for none
+    for name, scene in instances().items():
+        if scene.lattice.shape[0] <= asked.most and name not in {row["name"] for row in rows}:
+            rows.append(made(name, scene, asked.folder, asked.peers))
+            columns = list(dict.fromkeys([*COLUMNS, *(key for row in rows for key in row)]))
+            write_csv(table, columns, [[row.get(key, "") for key in columns] for row in rows])
+            print(", ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
+    print(markdown([COLUMNS, *([f"{row[key]}" for key in COLUMNS] for row in rows)]))
+
+
+if __name__ == "__main__":
+    main()
