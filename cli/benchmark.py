@@ -1,6 +1,7 @@
 """bearings benchmark"""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,30 +55,6 @@ def speed(context: click.Context, **asked: Any) -> None:
     _measure_speed(context, **asked)
 
 
-@command.command()
-@_speed_options
-def throughput(context: click.Context, **asked: Any) -> None:
-    """Sweeps, time steps and splitting iterations beside NumPy, plain C and the memory: a part of `speed`.
-
-    \b
-    Example:
-      bearings benchmark throughput --shape 32,32,32 --threads 1,2
-    """
-    _measure_speed(context, "memory,kernels", **asked)
-
-
-@command.command()
-@_speed_options
-def peers(context: click.Context, **asked: Any) -> None:
-    """Methods, scans and dynamics beside Clarabel, moreau, SCS, LAMMPS and YADE: a part of `speed`.
-
-    \b
-    Example:
-      bearings benchmark peers --quick
-    """
-    _measure_speed(context, "methods,scans,dynamics", **asked)
-
-
 def _measure_speed(
     context: click.Context,
     parts: str | None,
@@ -105,6 +82,20 @@ def _measure_speed(
     words = [speed_report.table(report), "", *map(str, written)]
     answer(speed_report.as_json(report, written), as_json, lambda: "\n".join(words))
     context.exit(130 if report.interrupted else 0)
+
+
+for name, parts, text in (
+    (
+        "throughput",
+        "memory,kernels",
+        "Sweeps, time steps and splitting iterations beside NumPy, plain C and the memory",
+    ),
+    ("peers", "methods,scans,dynamics", "Methods, scans and dynamics beside Clarabel, moreau, SCS, LAMMPS and YADE"),
+):
+    example = f"\b\nExample:\n  bearings benchmark {name} --quick"
+    command.command(name, help=f"{text}: a part of `speed`.\n\n{example}")(
+        _speed_options(partial(_measure_speed, parts=parts))
+    )
 
 
 @command.command()
