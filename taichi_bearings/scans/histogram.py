@@ -32,11 +32,10 @@ from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
 from taichi_bearings.scans.systems import disorder_of, numbered
-from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
-POWER_UNITS = {"none": ENERGY_PER_TIME, "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
+POWER_UNITS = {"none": ENERGY_PER_TIME, "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
 MOST_GROUPS = 24
 
@@ -47,7 +46,7 @@ class Source:
 
     path : of its file. reasons : (asked,) why each sample has no result; empty texts for the S that have one.
     whole_column : values (asked,) of a scalar by its name, or InputError. contacts : (S,) not between driven spheres.
-    counts : of their power, given bins a decade, the unit (S,) and the anchor. disorder : (S,) names, equal for samples
+    counts : of their power, given bins a decade and the unit (S,). disorder : (S,) names, equal for samples
     of one disorder in one system. is_scan : powers are known by their bins alone.
     """
 
@@ -55,7 +54,7 @@ class Source:
     reasons: np.ndarray
     whole_column: Callable[[str], np.ndarray]
     contacts: np.ndarray
-    counts: Callable[[int, np.ndarray, float], SampleCounts]
+    counts: Callable[[int, np.ndarray], SampleCounts]
     disorder: Callable[[], list[Any]]
     is_scan: bool
 
@@ -79,24 +78,8 @@ class Source:
         """Power that counts as 1, (S,)."""
         if normalise == "none":
             return np.ones(len(self.samples))
-        if normalise == "mean":
-            mean = self.numbers("power") / np.maximum(self.contacts, 1)
-            return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
-        if flowing := sorted(set(self.column("law").tolist()) - {COULOMB.name}):
-            raise InputError(
-                f"normalise is 'unit', F_n R omega_T, which measures powers of the law {COULOMB.name} alone, not of "
-                f"{' or '.join(map(str, flowing))}; use 'mean'"
-            )
-        try:
-            force, radius, spin = map(self.numbers, ("normal_force", "radius", "spin_top"))
-        except InputError:
-            words = "normalise is 'unit', F_n R omega_T, which packings out of files lack; use 'mean'"
-            raise InputError(words) from None
-        with np.errstate(over="ignore"):
-            unit = force * radius * np.abs(spin)
-        if not ((unit > 0) & (unit < np.inf)).all():
-            raise InputError("normalise is 'unit', F_n R omega_T, but a top has spin 0 or no finite one; use 'mean'")
-        return unit
+        mean = self.numbers("power") / np.maximum(self.contacts, 1)
+        return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
 
 
 def read_source(path: Path) -> Source:
@@ -109,7 +92,7 @@ def _of_scan(scan: StoredScan) -> Source:
     reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
     own = np.flatnonzero(reasons == "")
     first = round(BINS_PER_DECADE * float(np.log10(found.edges[0]))) if len(found.edges) else 0
-    fine = SampleCounts(first, BINS_PER_DECADE, 1.0, found.count, found.slipless, found.undecided).of(own)
+    fine = SampleCounts(first, BINS_PER_DECADE, found.count, found.slipless, found.undecided).of(own)
 
     def column(name: str) -> np.ndarray:
         if name not in table:
@@ -153,10 +136,8 @@ def _of_run(run: StoredRun) -> Source:
             table["seed"] = np.array(digests, dtype=object)
         return disorder_of(table, settings)
 
-    def counts(bins_per_decade: int, unit: np.ndarray, anchor: float) -> SampleCounts:
-        return count_powers(solution.power_per_contact, solution.state, bins_per_decade, unit, anchor)
-
     contacts = (solution.state != ContactState.DRIVEN).sum(axis=1)
+    counts = partial(count_powers, solution.power_per_contact, solution.state)
     return Source(run.path, np.full(replicas, "", dtype=object), column, contacts, counts, disorder, is_scan=False)
 
 
@@ -176,12 +157,7 @@ def pooled(
     laws = sorted({str(law) for source in sources for law in source.column("law")})
     if len(laws) > 1 and by != "law":
         raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law, or add --by law")
-    units = [source.unit(normalise) for source in sources]
-    inside = [unit for source, unit in zip(sources, units, strict=True) if source.is_scan and len(unit)]
-    anchor = float(inside[0][0]) if inside and normalise == "unit" else 1.0
-    counts = together(
-        [source.counts(bins_per_decade, unit, anchor) for source, unit in zip(sources, units, strict=True)]
-    )
+    counts = together([source.counts(bins_per_decade, source.unit(normalise)) for source in sources])
     threshold = np.concatenate([source.numbers("slip_threshold") for source in sources])
     disorder = numbered(name for source in sources for name in source.disorder())
     reasons = np.concatenate([source.reasons for source in sources])

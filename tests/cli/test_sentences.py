@@ -191,14 +191,6 @@ def test_samples_of_a_block_that_absent_contacts_cut_are_counted(tmp_path):
     assert "sample 0: P = 0, proven exactly" in done.stdout
 
 
-def test_laws_without_the_unit_of_power_are_called_by_their_name(tmp_path):
-    for law in ("viscous", "coulomb-viscous"):
-        assert bearings(*RUN, "--law", law, "--out", law, cwd=tmp_path).returncode == 0
-        done = bearings("histogram", law, "--normalise", "unit", "--out", "h", cwd=tmp_path)
-        assert done.returncode == 2
-        assert f"powers of the law coulomb alone, not of {law}; use 'mean'" in done.stderr
-
-
 if sys.platform != "win32":
     from tests.cli.terminal import on_terminal
 
