@@ -10,7 +10,7 @@ from taichi_bearings_cli.report import rows_told, solved
 
 REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
 """What the report begins with, by the names of columns."""
-IDLE = ("status", "method", "law", "shape", "seed", "version", "seconds")  # columns that the report of a packing lacks
+IDLE = ("status", "method", "law", "shape", "version", "seconds")  # columns that the report of a packing lacks
 
 
 @click.command()
@@ -55,7 +55,7 @@ def describe(report: dict[str, Any], times: str) -> str:
     from taichi_bearings.words import listed
 
     lines = [f"{solved(report)}; contact states: {_states(report)}"]
-    ended, seeds = listed(report["status"]), listed(report["seed"])
+    ended, seeds = listed(report["status"]), listed(report.get("seed"))
     if open_ends := [status for status in ended if status != "certified"]:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
     if len(seeds) > 1:

@@ -20,7 +20,7 @@ def ends(report: Mapping[str, Any]) -> str:
 
 def rows_told(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
     """The numbers that a report has of these rows; of several samples mean, least and largest, or of how many."""
-    several = isinstance(report["seed"], list)
+    several = isinstance(report.get("seed"), list)
     told = ((row.text, report[row.name]) for row in rows if row.name in report)
     return [line for text, value in told for line in (_of_several if several else _of_one)(text, value)]
 

@@ -88,11 +88,9 @@ def read_source(path: Path) -> Source:
 
 
 def _of_scan(scan: StoredScan) -> Source:
-    found, table, reasons = scan.histograms, scan.table, np.full(scan.samples, "", dtype=object)
+    table, reasons = scan.table, np.full(scan.samples, "", dtype=object)
     reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
     own = np.flatnonzero(reasons == "")
-    first = round(BINS_PER_DECADE * float(np.log10(found.edges[0]))) if len(found.edges) else 0
-    fine = SampleCounts(first, BINS_PER_DECADE, found.count, found.slipless, found.undecided).of(own)
 
     def column(name: str) -> np.ndarray:
         if name not in table:
@@ -104,7 +102,8 @@ def _of_scan(scan: StoredScan) -> Source:
         alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
         return disorder_of({name: values[own] for name, values in table.items()}, alike)
 
-    contacts = (found.slipping + found.slipless + found.undecided)[own]
+    fine = scan.histograms.of(own)
+    contacts = fine.contacts.sum(axis=1)
     return Source(scan.path, reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 

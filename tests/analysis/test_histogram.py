@@ -44,7 +44,7 @@ def test_nothing_that_slips_makes_no_bins():
 
 def test_errors_by_hand():
     """Two samples with 4 and 0 contacts in the first bin, 2 and 6 in the second."""
-    counts = SampleCounts(0, 1, np.array([[4, 2], [0, 6]]), np.array([1, 2]), np.array([0, 3]))
+    counts = SampleCounts(0, 1, np.array([[4, 2], [0, 6]]), np.array([[1, 6, 0], [2, 6, 3]]))
     found = pool(counts, 1e-9)
     assert found.count.tolist() == [4, 8]
     assert found.standard_error == pytest.approx(2 * [np.sqrt(2 * 8)])  # 2 samples of variance ((4-2)^2 + (0-2)^2)/1

@@ -147,6 +147,9 @@ def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
     for name in ("cut_is_unique", "cut_contacts", "components", "spans", "shortest_path", "disjoint_paths"):
         assert report[name] == expected[name], name
     assert report["spanning_fraction"] == pytest.approx(expected["spanning_fraction"])
+    told = bearings("analyse", tmp_path / "run", "--no-figures").stdout
+    assert told.startswith("216 spheres, coulomb")
+    assert f"slipless contacts join bottom and top: {'yes' if expected['spans'] else 'no'}" in told
     with h5py.File(tmp_path / "run" / "run.h5") as file:
         assert np.array_equal(file["analysis/on_cut"], tb.analyse(found).interface.contacts)
     assert tb.load(tmp_path / "run").power == found.power  # the file is whole with its new group

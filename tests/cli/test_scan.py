@@ -119,7 +119,7 @@ def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
     """Killed at random moments, workers left alone or killed too; then done once more: as if nothing had happened."""
     file, folder, draw = scan_file(SLOW), tmp_path / "s", random.Random(3)
     for _ in range(2):
-        process = subprocess.Popen([*COMMAND, file, "--out", folder, "--workers", "2"], stderr=subprocess.DEVNULL,
+        process = subprocess.Popen([*COMMAND, file, "--out", folder, "--workers", "1"], stderr=subprocess.DEVNULL,
                                    stdout=subprocess.DEVNULL, start_new_session=True)  # fmt: skip
         before = journalled(folder)
         if draw.random() < 0.7:  # else at the start, before any sample

@@ -69,20 +69,19 @@ if __name__ == "__main__":
     def interrupted(program, words, *more):
         number = start(program, words, *more)
         if "spawn_main" in str(words):  # a worker is there, and waits for what it is to do
-            signal.pthread_kill(other.ident, getattr(signal, sys.argv[1]))
+            signal.pthread_kill(other.ident, signal.SIGINT)
         return number
 
     multiprocessing.util.spawnv_passfds = interrupted
     try:
-        list(tb.solve_many([tb.Scene.random((4, 5), seed=seed) for seed in (1, 2)], workers=2))
+        list(tb.solve_many([tb.Scene.random((4, 5), seed=1)], workers=1))
     except KeyboardInterrupt:
         sys.exit(130)
 """
 
 
-@pytest.mark.parametrize("what", SIGNALS, ids=lambda what: what.name)
-def test_an_interrupt_between_a_start_and_its_orders_is_quiet(tmp_path, what):
+def test_an_interrupt_between_a_start_and_its_orders_is_quiet(tmp_path):
     """A thread without the mask hears of it, so that the main thread would be torn out of the start of a worker."""
     (tmp_path / "mine.py").write_text(START_INTERRUPTED)
-    done = subprocess.run([sys.executable, tmp_path / "mine.py", what.name], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, tmp_path / "mine.py"], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

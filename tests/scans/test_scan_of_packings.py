@@ -67,7 +67,7 @@ def assert_row_is_run(stored, row, found):
     slipping = power[(state == ContactState.SLIPPING) & (power > 0)]
     edges = stored.histograms.edges
     assert np.array_equal(stored.histograms.count[row], np.histogram(slipping, edges)[0])
-    assert stored.histograms.slipping[row] == (state == ContactState.SLIPPING).sum()
+    assert stored.histograms.contacts[row, ContactState.SLIPPING] == (state == ContactState.SLIPPING).sum()
 
 
 def test_a_packing_over_laws_and_seeds_is_its_runs_to_the_last_bit(plan_of, bcc, tmp_path, needs_f64):
