@@ -132,14 +132,13 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
         raise FileError(f"{path} holds results and describes no scan; `bearings scan {path.parent}` goes on with one")
     document = read_toml(path)
     scan = document.pop("scan", {})
-    if not isinstance(scan, Mapping):
+    if not isinstance(scan, dict):
         raise InputError(f"scan in {path} is {scan!r}; it must be a table [scan] of lists and ranges")
-    zipped = scan.get("zip", [])
+    zipped = scan.pop("zip", [])
     if not isinstance(zipped, list) or not all(isinstance(table, Mapping) for table in zipped):
         raise InputError(f"zip in [scan] of {path} must be tables, each headed [[scan.zip]]")
     single, *zipped = (
-        {key: _located(key, given, path.parent) for key, given in table.items() if key != "zip"}
-        for table in (scan, *zipped)
+        {key: _located(key, given, path.parent) for key, given in table.items()} for table in (scan, *zipped)
     )
     for text in overrides:
         key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
@@ -233,13 +232,11 @@ def _values(key: str, given: Any, most: int) -> list[Any]:
 
 def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
     """How many values a range has, and each by its number from 0. Whole numbers stay whole."""
-    start: Any
-    stop: Any
-    step: Any
+    get: Any = table.get
     is_spaced = "number" in table
     form = {"start", "stop", "number", "spacing"} if is_spaced else {"start", "stop", "step"}
-    start, stop, step = table.get("start"), table.get("stop"), table.get("step", 1)
-    number, spacing = table.get("number", 2), table.get("spacing", "linear")
+    start, stop, step = get("start"), get("stop"), get("step", 1)
+    number, spacing = get("number", 2), get("spacing", "linear")
     if (
         not {"start", "stop"} <= set(table) <= form
         or any(type(v) not in (int, float) or not math.isfinite(v) for v in (start, stop, step))

@@ -171,7 +171,7 @@ def test_bad_wishes_are_named(plan_of, line):
 def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
     plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = [2]\n"), tmp_path / "scan"
     scan(plan, folder, engine=Here())
-    report = scan(asking(plan, analyse=True), folder, engine=LocalEngine(scan_faults.lack_memory, 1))
+    report = scan(asking(plan, analyse=True), folder, engine=scan_faults.NoRoom())
     assert (report["done"], report["failed"], report["lacking"]) == (1, 0, 1)
     assert caplog.text.count("failed: MemoryError: no room") == 1
     assert np.isfinite(read_scan(folder).table["power"]).all()
