@@ -147,24 +147,15 @@ def describe(summary: dict[str, Any], times: str) -> str:
     return "\n".join([*lines, *([f"  histogram: {picture}"] if picture.exists() else [])])
 
 
-def _of_a_sample(
-    summary: dict[str, Any],
-    power: Any,
-    gap: Any,
-    slipping: int,
-    slipless: int,
-    undecided: int,
-    critical: int,
-    tied: Any,
-) -> str:
-    """Its power, what is proven of that, and what the contacts are; numbers that are not finite are None."""
+def _of_a_sample(summary: dict[str, Any], power: Any, gap: Any, slipping: int, slipless: int, *others: Any) -> str:
+    """Its power, what is proven of that, and what the contacts are, in the order of OF_A_SAMPLE; None: not finite."""
     proven = "its potential proven" if "potential" in summary else "proven"
-    within = "exactly" if power == gap == 0 else "within not finite" if gap is None else f"within {gap:.1e}"
+    within = "exactly" if power == gap == 0 else f"within {'not finite' if gap is None else format(gap, '.1e')}"
     if (proof := summary.get("proof", "proven")) != "proven":
-        proven, within = within, proof
-    named = undecided_kinds(undecided, critical, tied or 0) or ["0 undecided"]
-    others = ", ".join(words.replace(" ", " is " if words.startswith("1 ") else " are ") for words in named)
+        proven, within = f"{within},", proof
+    named = undecided_kinds(*(number or 0 for number in others)) or ["0 undecided"]
+    kinds = ", ".join(words.replace(" ", " is " if words.startswith("1 ") else " are ") for words in named)
     return (
         f"P = {'not finite' if power is None else format(power, '.12g')}, {proven} {within}; of "
-        f"{summary['contacts']:,} contacts {slipping:,} slip, {slipless:,} do not, {others}"
+        f"{summary['contacts']:,} contacts {slipping:,} slip, {slipless:,} do not, {kinds}"
     )
