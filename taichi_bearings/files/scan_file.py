@@ -183,14 +183,6 @@ class StoredScan:
         """True if there is a row for each sample that the scan asks for."""
         return bool(self.attributes.get("asked") == self.samples)
 
-    @staticmethod
-    def of_columns(
-        path: Path, columns: Sequence[Column], histograms: SampleCounts, attributes: Mapping[str, Any]
-    ) -> "StoredScan":
-        """What would be read back from a file with these columns."""
-        table = {item.name: item.values for item in columns}
-        return StoredScan(path, dict(attributes), tuple(attributes["scanned"]), table, histograms)
-
 
 def read_scan(scan: Path) -> StoredScan:
     """Read the directory of a scan or its scan.h5; FileError if it is missing, damaged or of an unknown version."""

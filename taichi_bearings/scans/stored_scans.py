@@ -76,7 +76,8 @@ def open_scan(path: Path) -> StoredScan:
         logging.getLogger(__name__).warning("bearings: %s %s, which cannot be used: %s", file, why, error)
         return stored
     attributes = attributes_of(plan, journals)
-    return StoredScan.of_columns(file, columns_of(plan, records), histograms_of(plan, records), attributes)
+    table = {item.name: item.values for item in columns_of(plan, records)}
+    return StoredScan(file, attributes, plan.scanned, table, histograms_of(plan, records))
 
 
 def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
